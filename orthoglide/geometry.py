@@ -1,0 +1,126 @@
+"""The nominal machine in numbers: dimensions, legs and their frames, the named postures.
+
+Leg ``i`` carries a frame with columns ``(a, b, c)``, a cyclic permutation of the base axes: ``a``
+is its slide, ``b`` the pivots of its parallelogram, ``c`` its first and last revolute and the
+direction of its short links. For leg x: a = x, b = y, c = z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orthoglide.errors import InputError, UnreachableError
+
+Array = NDArray[np.float64]
+Leg = Literal["x", "y", "z"]
+
+LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
+"""The legs, and the base axes: leg i slides along base axis i."""
+
+
+def axis_index(name: str) -> int:
+    """Index of a leg or base axis.
+
+    Args:
+        name: ``"x"``, ``"y"`` or ``"z"``.
+
+    Returns:
+        0, 1 or 2.
+
+    Raises:
+        InputError: for any other name.
+    """
+    if name not in LEGS:
+        raise InputError(f"there is no leg or axis {name!r}: it is one of x, y, z")
+    return LEGS.index(name)  # type: ignore[arg-type]
+
+
+def leg_axes(leg: int) -> tuple[int, int, int]:
+    """Base axes (a, b, c) of leg 0, 1 or 2: slide, parallelogram pivots, short links."""
+    return leg, (leg + 1) % 3, (leg + 2) % 3
+
+
+def base_from_leg(leg: int) -> Array:
+    """Rotation ``(3, 3)`` whose columns are the leg's axes a, b, c in the base frame."""
+    return np.eye(3)[:, list(leg_axes(leg))]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Nominal dimensions, in metres (Pashkevich et al. 2008, section 2.1).
+
+    Attributes:
+        L: length of a parallelogram's long bars.
+        d: length of its short links.
+        r: distance from the tool centre point to each leg's last revolute.
+        stroke: travel of every carriage from mechanical zero, lower and upper limit.
+    """
+
+    L: float = 0.31025
+    d: float = 0.080
+    r: float = 0.031
+    stroke: tuple[float, float] = field(default=(-0.100, 0.060))
+
+    def __post_init__(self) -> None:
+        for name in ("L", "d", "r"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value <= 0:
+                raise InputError(f"geometry: {name} must be a positive length, not {value}")
+        low, high = self.stroke
+        if not (-self.L < low < 0 < high < self.L):
+            raise InputError(
+                f"geometry: the stroke must run from below 0 to above 0 and stay within a bar's "
+                f"length, not {self.stroke}"
+            )
+
+    @property
+    def zero(self) -> Array:
+        """Command ``(3,)`` at mechanical zero: rho = (L, L, L), where p = 0."""
+        return np.full(3, self.L)
+
+    def command_on_axis(self, leg: int, travel: ArrayLike) -> Array:
+        """Commands that move the nominal TCP along a base axis (2008, section 2.4).
+
+        Args:
+            leg: 0, 1 or 2: the axis.
+            travel: metres from mechanical zero, shape ``(...)``.
+
+        Returns:
+            Commands rho ``(..., 3)``, metres.
+
+        Raises:
+            UnreachableError: where the travel is not less than a bar's length.
+        """
+        s = np.asarray(travel, dtype=float)
+        excess = float(np.max(np.abs(s), initial=0.0) - self.L)
+        if excess >= 0:
+            raise UnreachableError(
+                f"legs of {self.L * 1e3:g} mm cannot follow the TCP {excess * 1e3:g} mm beyond "
+                f"their length along {LEGS[leg]}",
+                leg=LEGS[leg],
+                excess=excess,
+            )
+        rho = np.repeat(np.sqrt(self.L**2 - s**2)[..., None], 3, axis=-1)
+        rho[..., leg] = self.L + s
+        return rho
+
+    def command(self, posture: str) -> Array:
+        """Command ``(3,)`` of a named posture: ``zero``, ``xmax``, ``xmin``, ``ymax`` ...
+
+        Raises:
+            InputError: for an unknown name.
+        """
+        if posture == "zero":
+            return self.zero
+        if posture[1:] not in ("max", "min"):
+            raise InputError(f"there is no posture {posture!r}: zero, or xmax, xmin, ymax ...")
+        return self.command_on_axis(axis_index(posture[:1]), self.stroke[posture[1:] == "max"])
+
+    def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
+        """Which commands ``(..., 3)`` lie within the stroke, by axis: booleans ``(..., 3)``."""
+        travel = np.asarray(rho, dtype=float) - self.L
+        return (travel >= self.stroke[0] - slack) & (travel <= self.stroke[1] + slack)

@@ -1,0 +1,28 @@
+"""The machine file (TOML): what is known of one machine, read strictly and written exactly."""
+
+from orthoglide.machine_file.model import (
+    SCHEMA,
+    Controller,
+    Dial,
+    MachineFile,
+    ParameterValue,
+    Stiffness,
+    nominal_machine_file,
+)
+from orthoglide.machine_file.reading import parse_machine_file, read_machine_file
+from orthoglide.machine_file.writing import write_machine_file
+from orthoglide.units import UNITS
+
+__all__ = [
+    "SCHEMA",
+    "UNITS",
+    "Controller",
+    "Dial",
+    "MachineFile",
+    "ParameterValue",
+    "Stiffness",
+    "nominal_machine_file",
+    "parse_machine_file",
+    "read_machine_file",
+    "write_machine_file",
+]

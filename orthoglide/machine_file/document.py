@@ -1,0 +1,113 @@
+"""A TOML file that knows on which line each key stands, so that errors can name it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from decimal import Decimal
+from difflib import get_close_matches
+from typing import Any, NoReturn
+
+from orthoglide.errors import FileError
+
+Parser = Callable[[Any], Any]
+"""Turns a value of the file into SI, or raises ValueError with what would be right."""
+
+
+class Document:
+    """A parsed TOML file; a path of keys leads to each value.
+
+    Args:
+        text: its content.
+        file: its name, for errors.
+
+    Raises:
+        FileError: where the text is not TOML, as do all methods where a value is not as it should.
+    """
+
+    def __init__(self, text: str, file: str) -> None:
+        self.text, self.file = text, file
+        try:
+            self.data = tomllib.loads(text, parse_float=Decimal)
+        except tomllib.TOMLDecodeError as error:
+            reason, line = _toml_trouble(str(error), text)
+            raise FileError(
+                f"is not TOML, {reason}: mend this line", file=file, line=line
+            ) from None
+
+    def fail(self, message: str, *path: str) -> NoReturn:
+        """Refuses the file for the value at a path."""
+        raise FileError(message, file=self.file, line=_key_line(self.text, path))
+
+    def table(self, *path: str) -> dict[str, Any]:
+        """The table at a path; empty where there is none."""
+        found: Any = self.data
+        for key in path:
+            found = found.get(key, {})
+        if not isinstance(found, dict):
+            self.fail(f"{'.'.join(path)} must be a table, not a single value", *path)
+        return found
+
+    def known(self, names: Any, *path: str) -> None:
+        """Fails at the first key of a table that is none of ``names``."""
+        for key in self.table(*path):
+            if key not in names:
+                place = f"[{path[0]}]" if path else "the machine file"
+                self.fail(f"{place} has no key {key!r}: {advice(key, names)}", *path, key)
+
+    def section(
+        self, parsers: Mapping[str, Parser], required: Iterable[str], *path: str
+    ) -> dict[str, Any]:
+        """The values of a table, each turned to SI by the parser of its key."""
+        table = self.table(*path)
+        for key in required:
+            if key not in table:
+                self.fail(f"{'.'.join(path) or 'the machine file'} has no {key!r}: add it", *path)
+        return {
+            key: self.value(parse, *path, key) for key, parse in parsers.items() if key in table
+        }
+
+    def value(self, parse: Parser, *path: str) -> Any:
+        """One value, SI."""
+        try:
+            return parse(self.table(*path[:-1])[path[-1]])
+        except ValueError as error:
+            self.fail(f"{'.'.join(path)} {error}", *path)
+
+
+def advice(key: str, names: Any) -> str:
+    """What to write instead of an unknown key."""
+    close = get_close_matches(key, list(names), n=1, cutoff=0.6)
+    return f"did you mean {close[0]!r}?" if close else f"it takes {', '.join(names)}"
+
+
+def _toml_trouble(message: str, text: str) -> tuple[str, int]:
+    reason, _, place = message.partition(" (at ")
+    line = re.match(r"line (\d+)", place)
+    lines = len(text.rstrip("\n").split("\n"))
+    return reason[:1].lower() + reason[1:], int(line[1]) if line else lines
+
+
+_KEY = r"(?:\"[^\"]*\"|'[^']*'|[\w-]+)"
+_DOTTED = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
+
+
+def _key_line(text: str, path: tuple[str, ...]) -> int | None:
+    """Line on which a key stands, or else the table that should hold it."""
+    header: tuple[str, ...] = ()
+    best: tuple[int, int | None] = (0, None)
+    for number, line in enumerate(text.split("\n"), start=1):
+        if found := re.match(rf"\s*\[({_DOTTED})\]", line):
+            header = full = _split(found[1])
+        elif found := re.match(rf"\s*({_DOTTED})\s*=", line):
+            full = header + _split(found[1])
+        else:
+            continue
+        if full == path[: len(full)] and len(full) > best[0]:
+            best = (len(full), number)
+    return best[1]
+
+
+def _split(dotted: str) -> tuple[str, ...]:
+    return tuple(key.strip("\"'") for key in re.findall(_KEY, dotted))

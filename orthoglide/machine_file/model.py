@@ -1,0 +1,117 @@
+"""What is known of one machine, in memory (SI)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.geometry import Array, Geometry
+from orthoglide.units import DEFAULT_TOLERANCE
+
+SCHEMA = 1
+"""Version of the machine file that this package reads and writes."""
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Dial:
+    """The dial, in metres.
+
+    Attributes:
+        resolution: step of the display.
+        repeatability: standard deviation of one reading, where it is known.
+        placement: standard deviation of where the dial stands along a leg.
+    """
+
+    resolution: float = 1e-5
+    repeatability: float | None = None
+    placement: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Controller:
+    """How the controller counts: rho = L + sign (travel - zero), axis by axis.
+
+    Attributes:
+        zero: what it shows at mechanical zero, metres.
+        sign: +1 where it counts away from the origin, -1 where toward it.
+    """
+
+    zero: Triple = (0.0, 0.0, 0.0)
+    sign: tuple[int, int, int] = (1, 1, 1)
+
+    def to_rho(self, travel: ArrayLike, geometry: Geometry) -> Array:
+        """Joint coordinates rho ``(..., 3)`` of controller values ``(..., 3)``, both metres."""
+        shown = np.asarray(travel, dtype=float)
+        return geometry.L + np.array(self.sign) * (shown - np.array(self.zero))
+
+    def from_rho(self, rho: ArrayLike, geometry: Geometry) -> Array:
+        """Controller values ``(..., 3)`` of joint coordinates rho ``(..., 3)``, both metres."""
+        travel = np.asarray(rho, dtype=float) - geometry.L
+        return np.array(self.zero) + np.array(self.sign) * travel
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """Elastic constants, where they are known.
+
+    Attributes:
+        torsion: torsional stiffness of a leg, N m/rad.
+        bar: axial stiffness of a bar, N/m.
+    """
+
+    torsion: float | None = None
+    bar: float | None = None
+
+
+@dataclass(frozen=True)
+class ParameterValue:
+    """An identified parameter: value and standard deviation in SI, and the unit files show."""
+
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class MachineFile:
+    """What a machine file holds, SI.
+
+    Attributes:
+        name: of the machine, for people.
+        geometry: nominal dimensions.
+        dial: the dial used.
+        screw_pitch: lead of the drives' screws, metres; None: a screw error is no candidate.
+        controller: the controller's zero and sign.
+        tolerance: standard deviation to expect, by family; defaults fill what is not given.
+        stiffness: elastic constants.
+        parameters: identified parameters of a calibrated machine, by name.
+        provenance: where the parameters come from.
+        file: the file's name as the caller gave it, or ``""``.
+        sha256: digest of the file, or ``""``.
+    """
+
+    name: str = "Orthoglide, nominal"
+    geometry: Geometry = field(default_factory=Geometry)
+    dial: Dial = field(default_factory=Dial)
+    screw_pitch: float | None = None
+    controller: Controller = field(default_factory=Controller)
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+    stiffness: Stiffness = field(default_factory=Stiffness)
+    parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    file: str = field(default="", compare=False)
+    sha256: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tolerance", {**DEFAULT_TOLERANCE, **self.tolerance})
+
+
+def nominal_machine_file() -> MachineFile:
+    """The Orthoglide of the 2008 chapter with default tolerances."""
+    return MachineFile()

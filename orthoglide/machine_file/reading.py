@@ -1,0 +1,205 @@
+"""Reads a machine file strictly: every key is checked and none is ignored."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from decimal import Decimal
+from typing import Any
+
+from orthoglide import units
+from orthoglide.errors import InputError
+from orthoglide.geometry import Geometry
+from orthoglide.machine_file.document import Document, Parser, advice
+from orthoglide.machine_file.model import (
+    SCHEMA,
+    Controller,
+    Dial,
+    MachineFile,
+    ParameterValue,
+    Stiffness,
+)
+from orthoglide.units import UNITS
+
+
+def _number(value: Any) -> Decimal:
+    if isinstance(value, bool) or not isinstance(value, int | Decimal):
+        raise ValueError("must be a number")
+    if not Decimal(value).is_finite():
+        raise ValueError("must be a finite number")
+    return Decimal(value)
+
+
+def _quantity(
+    factor: float, low: float = 0.0, high: float = 1e4, open_end: bool = True
+) -> Callable[[Any], float]:
+    def parse(value: Any) -> float:
+        number = _number(value)
+        if not (low < number < high or (number == low and not open_end)):
+            bound = "above" if open_end else "at least"
+            hint = ": is it in metres?" if factor == 1e-3 and 0 < number <= low else ""
+            raise ValueError(f"must be {bound} {low:g} and below {high:g}, not {number}{hint}")
+        return units.to_si(number, factor)
+
+    return parse
+
+
+def _millimetres(count: int) -> Callable[[Any], tuple[float, ...]]:
+    def parse(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError(f"must be a list of {count} numbers in mm")
+        return tuple(units.to_si(_number(v), 1e-3) for v in value)
+
+    return parse
+
+
+def _stroke(value: Any) -> tuple[float, ...]:
+    low, high = stroke = _millimetres(2)(value)
+    if low > high:
+        raise ValueError("is reversed: give the lower limit first")
+    if low > 0:
+        raise ValueError("must be counted from mechanical zero, from below 0 to above 0")
+    if high - low < 1e-3:
+        raise ValueError("is shorter than 1 mm: give it in millimetres, not metres")
+    return stroke
+
+
+def _signs(value: Any) -> tuple[int, ...]:
+    if not isinstance(value, list) or len(value) != 3 or any(v not in (1, -1) for v in value):
+        raise ValueError("must be a list of three, each 1 or -1")
+    return tuple(int(v) for v in value)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError("must be text in quotes")
+    return value
+
+
+def _schema(value: Any) -> int:
+    if isinstance(value, bool) or value != SCHEMA:
+        raise ValueError(f"must be {SCHEMA}, the only version this program knows")
+    return SCHEMA
+
+
+_KEYS: dict[str, dict[str, Parser]] = {
+    "geometry_mm": {
+        "L": _quantity(1e-3, 5),
+        "d": _quantity(1e-3, 1),
+        "r": _quantity(1e-3, 1),
+        "stroke": _stroke,
+    },
+    "dial_mm": {
+        "resolution": _quantity(1e-3, 5e-5, 10),
+        "repeatability": _quantity(1e-3, 0, 10),
+        "placement": _quantity(1e-3, 0, 100, open_end=False),
+    },
+    "drive": {"screw_pitch_mm": _quantity(1e-3, 0.1, 1000)},
+    "controller": {"zero_mm": _millimetres(3), "sign": _signs},
+    "stiffness": {
+        "torsion_Nmm_per_rad": _quantity(1e-3, 0, 1e15, open_end=False),
+        "bar_N_per_mm": _quantity(1e3, 0, 1e15),
+    },
+}
+_TOP: dict[str, Parser] = {"schema": _schema, "name": _text}
+_FREE = ("tolerance", "parameters", "provenance")
+
+_LEG, _LATERAL = r"[xyz]", r"(?:x\.[yz]|y\.[zx]|z\.[xy])"
+_MEMBER = {
+    **dict.fromkeys(("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"), _LATERAL),
+    "mount_tilt": r"[xyz]\.[ab]",
+    "screw_error": r"[xyz]\.(?:sin|cos)",
+}
+_STRUCTURED = r"(?:.+\.)?(?:common|cyclic|symmetric|antisymmetric)"
+
+
+def read_machine_file(path: str | os.PathLike[str]) -> MachineFile:
+    """Reads a machine file.
+
+    Args:
+        path: the file (TOML, UTF-8).
+
+    Returns:
+        Its content in SI, with its digest.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    content = units.read_bytes(path)
+    machine = parse_machine_file(units.decode(content, path), str(path))
+    return replace(machine, sha256=units.sha256(content))
+
+
+def parse_machine_file(text: str, file: str = "") -> MachineFile:
+    """A machine file from its text; ``file`` is its name for errors, as in `read_machine_file`."""
+    document = Document(text, file)
+    document.known((*_TOP, *_KEYS, *_FREE))
+    top = document.section(_TOP, ("schema",))
+    sections = {name: _section(document, name) for name in _KEYS}
+    controller, stiffness = sections["controller"], sections["stiffness"]
+    return MachineFile(
+        name=top.get("name", ""),
+        geometry=_geometry(document, sections["geometry_mm"]),
+        dial=Dial(**sections["dial_mm"]),
+        screw_pitch=sections["drive"].get("screw_pitch_mm"),
+        controller=Controller(**{key.removesuffix("_mm"): v for key, v in controller.items()}),
+        tolerance=_tolerance(document),
+        stiffness=Stiffness(stiffness.get("torsion_Nmm_per_rad"), stiffness.get("bar_N_per_mm")),
+        parameters={name: _parameter(document, name) for name in document.table("parameters")},
+        provenance=_plain(document.table("provenance")),
+        file=file,
+    )
+
+
+def _section(document: Document, name: str) -> dict[str, Any]:
+    document.known(_KEYS[name], name)
+    required = _KEYS[name] if name == "geometry_mm" else ()
+    return document.section(_KEYS[name], required, name)
+
+
+def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
+    for key in ("d", "r"):
+        if values[key] >= values["L"]:
+            document.fail(f"{key} is not shorter than L: are they exchanged?", "geometry_mm", key)
+    try:
+        return Geometry(**values)
+    except InputError as error:
+        document.fail(f"{error}: correct the stroke or L", "geometry_mm", "stroke")
+
+
+def _tolerance(document: Document) -> dict[str, float]:
+    document.known(UNITS, "tolerance")
+    return {
+        family: document.value(_quantity(UNITS[family].si, 0, 1e6), "tolerance", family)
+        for family in document.table("tolerance")
+    }
+
+
+def _parameter(document: Document, name: str) -> ParameterValue:
+    path = ("parameters", name)
+    family, _, member = name.partition(".")
+    if family not in UNITS or family.startswith("gauge_"):
+        allowed = [known for known in UNITS if not known.startswith("gauge_")]
+        document.fail(f"there is no parameter {name!r}: {advice(family, allowed)}", *path)
+    if not re.fullmatch(rf"{_MEMBER.get(family, _LEG)}|{_STRUCTURED}", member):
+        document.fail(f"{name!r} names no parameter of {family}: correct what follows it", *path)
+    keys = ("value", "sigma", "unit")
+    document.known(keys, *path)
+    unit = document.section({"unit": _text}, keys, *path)["unit"]
+    if unit != UNITS[family].name:
+        document.fail(f"{name!r} is in {UNITS[family].name}, not {unit}: convert it", *path, "unit")
+    factor = UNITS[family].si
+    value = document.value(_quantity(factor, -1e9, 1e9), *path, "value")
+    sigma = document.value(_quantity(factor, 0, 1e9, open_end=False), *path, "sigma")
+    return ParameterValue(value, sigma, unit)
+
+
+def _plain(value: Any) -> Any:
+    """A free table with ordinary floats."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_plain(inner) for inner in value]
+    return float(value) if isinstance(value, Decimal) else value

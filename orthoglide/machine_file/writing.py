@@ -1,0 +1,83 @@
+"""Writes a machine file that reads back exactly."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+from orthoglide import units
+from orthoglide.errors import InputError
+from orthoglide.machine_file.model import SCHEMA, MachineFile, ParameterValue
+from orthoglide.machine_file.reading import parse_machine_file
+from orthoglide.units import unit_of
+
+
+def write_machine_file(
+    machine: MachineFile, path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Writes a machine file that reads back exactly; whole or not at all.
+
+    Args:
+        machine: what to write.
+        path: where to.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        FileError: where a file stands already and may not be replaced, or none can be written.
+        InputError: where the machine holds what no machine file can.
+    """
+    import tomli_w
+
+    try:
+        text = tomli_w.dumps(_tables(machine)) + _parameter_lines(machine.parameters)
+    except TypeError as error:
+        raise InputError(f"a machine file cannot hold this provenance: {error}") from None
+    again = parse_machine_file(text, str(path))  # what could not be read back is never written
+    if replace(again, provenance=machine.provenance) != machine:
+        raise InputError("a machine file cannot hold this machine: it would read back differently")
+    units.write_whole(path, text, overwrite=overwrite)
+
+
+def _mm(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_mm(inner) for inner in value]
+    return None if value is None else units.from_si(value, 1e-3)
+
+
+def _tables(machine: MachineFile) -> dict[str, Any]:
+    stiffness, controller = machine.stiffness, machine.controller
+    bar = None if stiffness.bar is None else units.from_si(stiffness.bar, 1e3)
+    tables: dict[str, Any] = {
+        "geometry_mm": {key: _mm(value) for key, value in asdict(machine.geometry).items()},
+        "dial_mm": {key: _mm(value) for key, value in asdict(machine.dial).items()},
+        "drive": {"screw_pitch_mm": _mm(machine.screw_pitch)},
+        "controller": {"zero_mm": _mm(controller.zero), "sign": list(controller.sign)},
+        "tolerance": {
+            family: units.from_si(value, unit_of(family).si)
+            for family, value in machine.tolerance.items()
+        },
+        "stiffness": {"torsion_Nmm_per_rad": _mm(stiffness.torsion), "bar_N_per_mm": bar},
+        "provenance": dict(machine.provenance),
+    }
+    given = {
+        name: {key: value for key, value in table.items() if value is not None}
+        for name, table in tables.items()
+    }
+    kept = {name: table for name, table in given.items() if table}
+    return {"schema": SCHEMA, "name": machine.name, **kept}
+
+
+def _parameter_lines(parameters: Mapping[str, ParameterValue]) -> str:
+    """One inline table a parameter, which the TOML writer would spread over four lines."""
+    if not parameters:
+        return ""
+    lines = ["", "[parameters]"]
+    for name, parameter in parameters.items():
+        factor = unit_of(name).si
+        value, sigma = (units.from_si(v, factor) for v in (parameter.value, parameter.sigma))
+        lines.append(
+            f'"{name}" = {{ value = {value}, sigma = {sigma}, unit = "{parameter.unit}" }}'
+        )
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,6 @@
+"""The general model: a Pinocchio tree with loop closures, and the same tree in CasADi."""
+
+from orthoglide.mechanism.mechanism import Mechanism, Mode, Posture
+from orthoglide.mechanism.mobility import Conditioning, Mobility
+
+__all__ = ["Conditioning", "Mechanism", "Mobility", "Mode", "Posture"]

@@ -1,0 +1,130 @@
+"""The closed mechanism as CasADi functions, for the NLP and for mapped or compiled batches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import LEGS
+from orthoglide.mechanism.symbolic import SymbolicTree, Transform, rotation_error
+from orthoglide.mechanism.tree import Tree
+
+# Rows of the 21 that are independent while the legs are rigid, over the whole workspace: of each
+# parallelogram the two in its plane, all translations of the platform, and one relative rotation
+# about each base axis. (Three rotations of one pair of legs would be singular.)
+RIGID_ROWS: tuple[int, ...] = (0, 2, 3, 5, 6, 8, 9, 10, 11, 12, 14, 15, 16, 17, 19)
+
+TCP, ROTATION, LINES = slice(0, 3), slice(3, 12), slice(12, 48)
+"""Parts of an output vector: p, the platform's rotation row by row, and the ends of the bars
+indexed (leg, bar, end, xyz) with the carriage's end first."""
+OUTPUTS = 48
+
+
+@dataclass(frozen=True)
+class ClosureFunctions:
+    """CasADi functions of one tree: ``n`` free joints, 3 drives, ``m`` virtual joints.
+
+    Attributes:
+        residual: (free, [drive; virtual]) -> ``(n,)`` closure residual, metres and sines of angles.
+        close: (guess, [drive; virtual]) -> free joints that close the loops (Newton).
+        outputs: (free, [drive; virtual]) -> ``(48,)``, see ``TCP``, ``ROTATION``, ``LINES``.
+        tangent: (free, [drive; virtual]) -> outputs and their total derivative ``(48, 3 + m)``
+            with the loops kept closed.
+    """
+
+    residual: Any
+    close: Any
+    outputs: Any
+    tangent: Any
+
+
+def closure_functions(
+    tree: Tree, free: NDArray[np.intp], rows: Sequence[int] | None = None
+) -> ClosureFunctions:
+    """Build the functions of a tree.
+
+    Args:
+        tree: nominal or general.
+        free: positions in q of the joints that closure moves.
+        rows: as many independent closure rows; all where absent.
+    """
+    x, given, walked = _walk(tree, free)
+    residual = ca.vertcat(*(_loop_residual(walked, tree)))
+    if rows is not None:
+        residual = residual[list(rows)]
+    outputs = _outputs(walked, tree)
+    arguments, names = [x, given], ["guess", "given"]
+    residual_f = ca.Function("residual", arguments, [residual], names, ["residual"])
+    outputs_f = ca.Function("outputs", arguments, [outputs], names, ["outputs"])
+    close_f = ca.rootfinder(
+        "close",
+        "fast_newton",
+        residual_f,
+        {"max_iter": 25, "abstol": 1e-14, "abstolStep": 1e-13, "error_on_fail": False},
+    )
+    return ClosureFunctions(residual_f, close_f, outputs_f, _tangent(x, given, residual, outputs))
+
+
+def _walk(tree: Tree, free: NDArray[np.intp]) -> tuple[Any, Any, SymbolicTree]:
+    x = ca.SX.sym("x", len(free))
+    given = ca.SX.sym("given", 3 + len(tree.virtual))
+    q = ca.SX.zeros(tree.model.nq)
+    for k, place in enumerate(free):
+        q[int(place)] = x[k]
+    for k, place in enumerate([*tree.drive, *tree.virtual]):
+        q[int(place)] = given[k]
+    return x, given, SymbolicTree(tree.model, q)
+
+
+def _loop_residual(walked: SymbolicTree, tree: Tree) -> list[Any]:
+    rows = []
+    for loop in tree.loops:
+        between = walked.relative(loop.frame_1, loop.frame_2)
+        rows.append(between.t)
+        if loop.kind == "frame":
+            rows.append(rotation_error(between.R))
+    return rows
+
+
+def _outputs(walked: SymbolicTree, tree: Tree) -> Any:
+    tcp = walked.frame("x_tcp")
+    parts = [tcp.t, ca.vec(tcp.R.T)]
+    half = ca.SX([0, 0, tree.geometry.d / 2])
+    for leg in LEGS:
+        fork = walked.joint(tree.model.getJointId(f"{leg}_theta"))
+        knuckle = walked.joint(tree.model.getJointId(f"{leg}_knuckle"))
+        ends = {1: knuckle, 2: walked.frame(f"{leg}_bar2_tip")}
+        for bar, side in ((1, half), (2, -half)):
+            carriage = fork @ Transform(ca.SX.eye(3), side)
+            parts += [carriage.t, ends[bar].t]
+    return ca.densify(ca.vertcat(*parts))
+
+
+def _tangent(x: Any, given: Any, residual: Any, outputs: Any) -> Any:
+    """Outputs and ``d outputs / d given`` where ``residual(x, given) = 0`` is kept."""
+    parts = ca.Function(
+        "parts",
+        [x, given],
+        [
+            outputs,
+            ca.jacobian(residual, x),
+            ca.jacobian(residual, given),
+            ca.jacobian(outputs, x),
+            ca.jacobian(outputs, given),
+        ],
+    )
+    X, G = ca.MX.sym("guess", x.numel()), ca.MX.sym("given", given.numel())
+    value, by_x, by_given, out_x, out_given = parts(X, G)
+    moved = -ca.solve(by_x, by_given, "qr")
+    return ca.Function(
+        "tangent",
+        [X, G],
+        [value, ca.densify(out_given + out_x @ moved)],
+        ["guess", "given"],
+        ["outputs", "by_given"],
+    )

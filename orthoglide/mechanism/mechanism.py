@@ -1,0 +1,325 @@
+"""The closed-loop mechanism: drives and virtual joints in, everything else out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgesv
+
+from orthoglide.errors import ClosureError, InputError, UnreachableError
+from orthoglide.geometry import LEGS, Array, Geometry, leg_axes
+from orthoglide.mechanism import seed
+from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs
+from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.mobility import Conditioning, Mobility, conditioning, mobility
+from orthoglide.mechanism.tree import VIRTUAL_NAMES, general_tree, nominal_tree
+
+Mode = Literal["machine", "other"]
+"""The machine's own assembly mode, or its mirror image in the plane of the carriages."""
+
+VIRTUAL_COUNT = 3 * len(VIRTUAL_NAMES)
+_STEPS = 30
+_LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
+
+
+@dataclass(frozen=True)
+class Posture:
+    """One closed posture.
+
+    Attributes:
+        q: joints of the tree ``(nq,)``, metres and radians.
+        p: TCP ``(3,)``, metres.
+        R: rotation of the platform ``(3, 3)``.
+        residual: closure residual by loop.
+        iterations: Newton steps taken.
+    """
+
+    q: Array
+    p: Array
+    R: Array
+    residual: dict[str, float]
+    iterations: int
+
+
+class Mechanism:
+    """The Orthoglide's three PRPaR legs with their loops closed at the TCP.
+
+    By default the closure includes the relief joints: 21 unknowns for 21 rows, which close for any
+    errors of the parts and equal the rigid PRPaR machine where the errors fit together. One object
+    serves one thread.
+
+    Args:
+        geometry: nominal dimensions.
+        compile: see :class:`~orthoglide.mechanism.batch.BatchClosure`.
+    """
+
+    def __init__(self, geometry: Geometry | None = None, *, compile: bool | None = None) -> None:
+        self.geometry = geometry or Geometry()
+        self.tree = general_tree(self.geometry)
+        self.loops = Loops(self.tree)
+        self._compile = compile
+        self._tcp = self.tree.model.getFrameId("x_tcp")
+
+    def __reduce__(self) -> tuple[type[Mechanism], tuple[Geometry]]:
+        # Constraint objects do not pickle: another process builds its own.
+        return Mechanism, (self.geometry,)
+
+    @cached_property
+    def batch(self) -> BatchClosure:
+        """Closure of many postures with all virtual joints."""
+        return BatchClosure(self.tree, compile=self._compile)
+
+    @cached_property
+    def nominal_batch(self) -> BatchClosure:
+        """Closure of many postures of the nominal machine, rigid legs: smaller and faster."""
+        return BatchClosure(nominal_tree(self.geometry), compile=self._compile)
+
+    # One posture, by Pinocchio -------------------------------------------------------------
+
+    def close(
+        self,
+        command: ArrayLike,
+        displacements: ArrayLike | None = None,
+        *,
+        mode: Mode = "machine",
+        legs: Literal["relieved", "rigid"] = "relieved",
+        guess: Posture | None = None,
+    ) -> Posture:
+        """Direct kinematics: from the drives to every joint, by Newton on the constraint Jacobian.
+
+        Args:
+            command: rho ``(3,)``, metres (2008, eq. 2).
+            displacements: of the virtual joints ``(3, 10)``, as in ``VIRTUAL_NAMES``.
+            mode: assembly mode.
+            legs: ``"rigid"`` keeps the relief joints at zero: least squares on all rows, which
+                refuses errors of the parts that do not fit together.
+            guess: a nearby posture to start from.
+
+        Raises:
+            ClosureError: where the loops do not close, with the residual by loop.
+            InputError: where the arguments have the wrong shape or are not finite.
+        """
+        q = self._start(command, displacements, mode, guess)
+        moving = self.tree.passive if legs == "rigid" else self.tree.free
+        step = self._least_squares_step if legs == "rigid" else self._newton_step
+        for iteration in range(_STEPS):
+            residual = self.loops.update(q)
+            change = step(residual, self.loops.newton_matrix()[:, moving])
+            largest = float(np.abs(change).max())
+            if not np.isfinite(largest):
+                break
+            q[moving] -= change * min(1.0, _LONGEST_STEP / max(largest, _LONGEST_STEP))
+            if largest < 1e-8:  # quadratic: the step just made leaves its square
+                break
+        return self._checked(q, iteration + 1, mode, legs)
+
+    def _start(
+        self, command: ArrayLike, displacements: ArrayLike | None, mode: Mode, guess: Posture | None
+    ) -> Array:
+        rho = np.asarray(command, dtype=float)
+        moves = np.zeros((3, 10)) if displacements is None else np.asarray(displacements, float)
+        if rho.shape != (3,) or moves.shape != (3, len(VIRTUAL_NAMES)):
+            raise InputError("close takes one command (3,) and displacements (3, 10)")
+        if not (np.isfinite(rho).all() and np.isfinite(moves).all()):
+            raise InputError("the command and the displacements must be finite numbers")
+        if guess is not None:
+            q = guess.q.copy()
+        elif mode == "other":
+            q = self._mirrored_start(rho, moves)
+        else:
+            q = np.zeros(self.tree.model.nq)
+        q[self.tree.drive] = rho - self.geometry.L
+        q[self.tree.virtual] = moves.ravel()
+        return q
+
+    def _mirrored_start(self, rho: Array, moves: Array) -> Array:
+        own = self.close(rho, moves)
+        given = self.given(rho[None], moves[None])
+        lines = self.batch.outputs(own.q[self.tree.free][None], given).lines
+        p = seed.mirrored(lines, self.geometry.r, own.p[None])
+        q = own.q.copy()
+        q[self.tree.free] = seed.free_joints(self.tree, rho[None] - self.geometry.L, p)[0]
+        return q
+
+    @staticmethod
+    def _newton_step(residual: Array, jacobian: Array) -> Array:
+        _, _, change, info = dgesv(jacobian, residual)
+        return np.asarray(change) if info == 0 else np.full(len(residual), np.nan)
+
+    @staticmethod
+    def _least_squares_step(residual: Array, jacobian: Array) -> Array:
+        return np.asarray(np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0])
+
+    def _checked(self, q: Array, iterations: int, mode: Mode, legs: str) -> Posture:
+        import pinocchio as pin
+
+        residual = self.loops.update(q)
+        by_loop = self.loops.by_loop(residual)
+        if not float(np.abs(residual).max()) <= CLOSED:
+            worst = max(by_loop, key=lambda name: by_loop[name])
+            reason = (
+                "rigid PRPaR legs cannot take up these errors of the parts"
+                if legs == "rigid" and iterations < _STEPS
+                else "the legs do not reach each other"
+            )
+            raise ClosureError(
+                f"the loops do not close: {reason}; the largest misfit is "
+                f"{by_loop[worst] * 1e3:.3g} mm or mrad at {worst}",
+                residuals=by_loop,
+            )
+        pin.updateFramePlacement(self.tree.model, self.loops.data, self._tcp)
+        placement = self.loops.data.oMf[self._tcp]
+        posture = Posture(
+            q, placement.translation.copy(), placement.rotation.copy(), by_loop, iterations
+        )
+        if self._mode(posture) != mode:
+            raise ClosureError(
+                f"closure ended in the {self._mode(posture)} assembly mode instead of {mode}",
+                residuals=by_loop,
+            )
+        return posture
+
+    def _mode(self, posture: Posture) -> Mode:
+        drives = posture.q[self.tree.drive] + self.geometry.L
+        # Far from any plausible error of the parts the nominal plane of the carriages will do.
+        return "machine" if float(np.sum(posture.p / drives)) < 1.0 else "other"
+
+    def velocity_jacobian(self, posture: Posture) -> Array:
+        """dp/drho ``(3, 3)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
+        import pinocchio as pin
+
+        self.loops.update(posture.q)
+        rows = self.loops.jacobian(posture.q)
+        tcp = pin.getFrameJacobian(
+            self.tree.model, self.loops.data, self._tcp, pin.LOCAL_WORLD_ALIGNED
+        )[:3]
+        free, drive = self.tree.free, self.tree.drive
+        moved = -np.linalg.solve(rows[:, free], rows[:, drive])
+        return np.asarray(tcp[:, drive] + tcp[:, free] @ moved)
+
+    def mobility(self, command: ArrayLike) -> Mobility:
+        """Mobility and redundancy of the rigid PRPaR machine at a command ``(3,)``."""
+        posture = self.close(command, legs="rigid")
+        nominal = self.nominal_batch.tree
+        q = np.zeros(nominal.model.nq)
+        q[nominal.drive] = posture.q[self.tree.drive]
+        q[nominal.passive] = posture.q[self.tree.passive]
+        return mobility(Loops(nominal), q)
+
+    def conditioning(self, posture: Posture) -> Conditioning:
+        """Condition of closure and velocities at a posture, and its distance to singularity."""
+        rows = self.loops.jacobian(posture.q)
+        return conditioning(rows[:, self.tree.free], self.velocity_jacobian(posture))
+
+    # Batches, by CasADi --------------------------------------------------------------------
+
+    def given(self, commands: Array, displacements: Array | None = None) -> Array:
+        """``[drives; virtual joints]`` ``(N, 33)`` for commands ``(N, 3)``, moves ``(N, 3, 10)``."""
+        moves = np.zeros((len(commands), VIRTUAL_COUNT))
+        if displacements is not None:
+            moves = np.asarray(displacements, dtype=float).reshape(len(commands), VIRTUAL_COUNT)
+        return np.concatenate([commands - self.geometry.L, moves], axis=1)
+
+    def forward(
+        self,
+        commands: ArrayLike,
+        displacements: ArrayLike | None = None,
+        *,
+        mode: Mode = "machine",
+    ) -> Array:
+        """TCP ``(..., 3)`` for commands rho ``(..., 3)``, metres.
+
+        Args:
+            commands: rho, metres.
+            displacements: of the virtual joints ``(..., 3, 10)``; a nominal machine where absent.
+            mode: assembly mode.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
+        rho = np.asarray(commands, dtype=float)
+        flat = rho.reshape(-1, 3)
+        moves = None if displacements is None else np.asarray(displacements, float)
+        if moves is not None:
+            moves = np.broadcast_to(moves, (*rho.shape[:-1], 3, 10)).reshape(-1, 3, 10)
+        return self._outputs(flat, moves, mode).p.reshape(rho.shape)
+
+    def _outputs(self, rho: Array, moves: Array | None, mode: Mode) -> Outputs:
+        batch = self.nominal_batch if moves is None else self.batch
+        given = self.given(rho, moves)[:, : 3 + len(batch.tree.virtual)]
+        x = batch.close(given)
+        out = batch.outputs(x, given)
+        if mode == "other":
+            p = seed.mirrored(out.lines, self.geometry.r, out.p)
+            start = seed.free_joints(batch.tree, rho - self.geometry.L, p)
+            out = batch.outputs(batch.close(given, start), given)
+        self._check_mode(out, mode)
+        return out
+
+    def _check_mode(self, out: Outputs, mode: Mode) -> None:
+        normal, offset = seed.carriage_plane(out.lines, self.geometry.r)
+        own = np.sum(normal * out.p, axis=-1) < offset
+        wrong = np.flatnonzero(own != (mode == "machine"))
+        if wrong.size:
+            raise ClosureError(
+                f"posture {int(wrong[0])} closed in the wrong assembly mode",
+                index=(int(wrong[0]),),
+            )
+
+    def inverse(self, p: ArrayLike, displacements: ArrayLike | None = None) -> Array:
+        """Commands rho ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.
+
+        Newton on the closed mechanism with its velocity Jacobian.
+
+        Raises:
+            UnreachableError: naming the leg that is too short, and by how much.
+            ClosureError: where the drives do not converge.
+        """
+        target = np.asarray(p, dtype=float)
+        goal = target.reshape(-1, 3)
+        self._check_reach(goal)
+        moves = None
+        if displacements is not None:
+            moves = np.broadcast_to(
+                np.asarray(displacements, float), (*target.shape[:-1], 3, 10)
+            ).reshape(-1, 3, 10)
+        batch = self.nominal_batch if moves is None else self.batch
+        rho = self._perfect_commands(goal)
+        x = seed.free_joints(batch.tree, rho - self.geometry.L, goal)
+        for _ in range(_STEPS):
+            given = self.given(rho, moves)[:, : 3 + len(batch.tree.virtual)]
+            x = batch.close(given, x)
+            out, by_given = batch.tangent(x, given)
+            miss = goal - out.p
+            if np.abs(miss).max(initial=0.0) < 1e-13:
+                return rho.reshape(target.shape)
+            rho = rho + np.linalg.solve(by_given[:, :3, :3], miss[..., None])[..., 0]
+        if np.abs(miss).max(initial=0.0) < 1e-12:
+            return rho.reshape(target.shape)
+        raise ClosureError("the drives do not converge on the wanted points")
+
+    def _perfect_commands(self, goal: Array) -> Array:
+        rho = np.empty_like(goal)
+        for leg in range(3):
+            a, b, c = leg_axes(leg)
+            rho[:, a] = goal[:, a] + np.sqrt(self.geometry.L**2 - goal[:, b] ** 2 - goal[:, c] ** 2)
+        return rho
+
+    def _check_reach(self, goal: Array) -> None:
+        if not np.isfinite(goal).all():
+            raise InputError("the wanted points must be finite numbers")
+        for leg in range(3):
+            _, b, c = leg_axes(leg)
+            excess = np.hypot(goal[:, b], goal[:, c]) - self.geometry.L
+            worst = int(np.argmax(excess)) if len(goal) else 0
+            if len(goal) and excess[worst] >= 0:
+                raise UnreachableError(
+                    f"point {worst}: leg {LEGS[leg]} is {excess[worst] * 1e3:.3f} mm too short",
+                    leg=LEGS[leg],
+                    excess=float(excess[worst]),
+                    index=(worst,),
+                )

@@ -1,0 +1,101 @@
+"""Mobility, redundancy and conditioning of the closed mechanism at a posture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.mechanism.loops import Loops
+
+# Singular values of the 21 rows that vanish do so to rounding; the smallest that does not is 0.01.
+_RANK_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """How the PRPaR machine is constrained at one posture.
+
+    Attributes:
+        joints: joints of the tree, drives included.
+        rows: closure rows.
+        rank: independent ones among them.
+        mobility: degrees of freedom, ``joints - rank``.
+        redundant: conditions that the others imply, ``rows - rank``: where the machine is
+            overconstrained and errors of the parts strain it.
+        by_loop: rank of each loop's rows alone.
+    """
+
+    joints: int
+    rows: int
+    rank: int
+    mobility: int
+    redundant: int
+    by_loop: dict[str, int]
+
+    def __str__(self) -> str:
+        pa = [rank for name, rank in self.by_loop.items() if "parallelogram" in name]
+        planar = 3 * len(pa) - sum(pa)
+        return (
+            f"{self.joints} joints, {self.rows} closure rows of rank {self.rank}: mobility "
+            f"{self.mobility}, {self.redundant} times overconstrained. {planar} of the conditions "
+            f"too many are in the parallelograms, which are planar and cannot also be told to stay "
+            f"in their plane; the other {self.redundant - planar} hold the platform's rotation, "
+            f"which the legs block more often than once: each leg resists torsion."
+        )
+
+
+@dataclass(frozen=True)
+class Conditioning:
+    """How far a posture is from a singularity.
+
+    Attributes:
+        closure: condition number of the closure's square Jacobian (relief joints freed).
+        velocity: condition number of dp/drho; 1 at the isotropic posture.
+        transmission: singular values of dp/drho, smallest first. The smallest is 0 where a leg
+            is stretched across its drive (serial singularity); the largest grows without bound
+            where the three legs lie in one plane (parallel singularity).
+    """
+
+    closure: float
+    velocity: float
+    transmission: tuple[float, float, float]
+
+    @property
+    def distance_to_parallel_singularity(self) -> float:
+        """Smallest singular value of drho/dp: 1 where the machine is isotropic, 0 where singular."""
+        return 1 / self.transmission[-1]
+
+    @property
+    def distance_to_serial_singularity(self) -> float:
+        """Smallest singular value of dp/drho: 1 where the machine is isotropic, 0 where singular."""
+        return self.transmission[0]
+
+
+def mobility(loops: Loops, q: Array) -> Mobility:
+    """Rank of the constraint Jacobian at a closed posture ``q`` of the nominal tree."""
+    rows = loops.jacobian(q)
+    rank, by_loop, start = _rank(rows), {}, 0
+    for loop in loops.tree.loops:
+        size = 3 if loop.kind == "point" else 6
+        by_loop[loop.name] = _rank(rows[start : start + size])
+        start += size
+    count, joints = rows.shape
+    return Mobility(joints, count, rank, joints - rank, count - rank, by_loop)
+
+
+def _rank(rows: Array) -> int:
+    # Translations in metres beside turns in radians: bring the bars' length to order one.
+    values = np.linalg.svd(rows, compute_uv=False)
+    return int(np.sum(values > _RANK_TOLERANCE * values[0]))
+
+
+def conditioning(closure_jacobian: Array, velocity_jacobian: Array) -> Conditioning:
+    """From the square closure Jacobian ``(21, 21)`` and dp/drho ``(3, 3)`` at a posture."""
+    low, middle, high = np.linalg.svd(velocity_jacobian, compute_uv=False)[::-1]
+    return Conditioning(
+        float(np.linalg.cond(closure_jacobian)),
+        float(high / low),
+        (float(low), float(middle), float(high)),
+    )

@@ -1,0 +1,180 @@
+"""A Pinocchio model walked into CasADi expressions.
+
+The wheels of Pinocchio carry no ``pinocchio.casadi``, so the tree is walked here: every joint is
+its placement followed by the exponential of its motion axis (a product of exponentials, Lynch and
+Park 2017, chapter 4). Expressions are SX: cheap to evaluate, to differentiate and to compile.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from orthoglide.errors import InputError
+
+# Placements are read from text: what differs from an exact rotation by rounding costs operations.
+_ROUNDING = 1e-15
+
+
+class Transform:
+    """A rigid transform with symbolic rotation ``R`` (3, 3) and translation ``t`` (3,).
+
+    Read by cancellation: ``base_from_tool = base_from_arm @ arm_from_tool``.
+    """
+
+    def __init__(self, R: Any, t: Any) -> None:
+        self.R = R
+        self.t = t
+
+    @classmethod
+    def identity(cls) -> Transform:
+        """The transform that changes nothing."""
+        return cls(ca.SX.eye(3), ca.SX.zeros(3))
+
+    @classmethod
+    def from_se3(cls, placement: pin.SE3) -> Transform:
+        """A constant transform."""
+        return cls(_constant(placement.rotation), _constant(placement.translation))
+
+    def __matmul__(self, other: Transform) -> Transform:
+        return Transform(self.R @ other.R, self.R @ other.t + self.t)
+
+    def inverse(self) -> Transform:
+        """The transform the other way round."""
+        return Transform(self.R.T, -(self.R.T @ self.t))
+
+
+def _constant(values: Any) -> Any:
+    values = np.array(values, dtype=float)
+    nearest = np.round(values)
+    values = np.where(np.abs(values - nearest) < _ROUNDING, nearest, values)
+    return ca.sparsify(ca.SX(values))
+
+
+def _cross_matrix(w: np.ndarray) -> Any:
+    return _constant(np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]))
+
+
+def _rotation(axis: np.ndarray, cosine: Any, sine: Any) -> Any:
+    """Rodrigues' formula about a unit axis."""
+    K = _cross_matrix(axis)
+    return ca.SX.eye(3) + sine * K + (1 - cosine) * (K @ K)
+
+
+def _quaternion(q: Any) -> Any:
+    """Rotation of a unit quaternion in Pinocchio's order x, y, z, w."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        ca.horzcat(2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        ca.horzcat(2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+
+
+def joint_transform(joint: Any, q: Any) -> Transform:
+    """Transform across one joint of a Pinocchio model.
+
+    Args:
+        joint: an element of ``model.joints``.
+        q: the joint's coordinates, SX ``(nq,)``.
+
+    Raises:
+        InputError: for a kind of joint that is not supported.
+    """
+    kind = joint.shortname()
+    if joint.nq == joint.nv == 1 and "Mimic" not in kind and "Helical" not in kind:
+        axis = np.asarray(joint.createData().S).ravel()
+        return _screw_free(axis, q)
+    if joint.nq == 2 and joint.nv == 1:  # a revolute without limits: (cos, sin)
+        axis = np.asarray(joint.createData().S).ravel()[3:]
+        return Transform(_rotation(axis, q[0], q[1]), ca.SX(3, 1))
+    if joint.nq == 7:
+        return Transform(_quaternion(q[3:7]), q[0:3])
+    if joint.nq == 4 and joint.nv == 3 and "Spherical" in kind:
+        return Transform(_quaternion(q), ca.SX(3, 1))
+    raise InputError(f"joints of kind {kind} are not supported by the symbolic tree")
+
+
+def _screw_free(axis: np.ndarray, q: Any) -> Transform:
+    """A prismatic or a revolute joint: its axis has either a linear or an angular part."""
+    linear, angular = axis[:3], axis[3:]
+    if np.any(angular):
+        return Transform(_rotation(angular, ca.cos(q), ca.sin(q)), ca.SX(3, 1))
+    return Transform(ca.SX.eye(3), _constant(linear) * q)
+
+
+class SymbolicTree:
+    """Transforms between the joints and frames of a Pinocchio model as expressions of ``q``.
+
+    Args:
+        model: any tree of revolute, prismatic, spherical and free-flyer joints.
+        q: SX ``(nq,)`` to use; a fresh symbol where absent.
+    """
+
+    def __init__(self, model: pin.Model, q: Any = None) -> None:
+        self.model = model
+        self.q = ca.SX.sym("q", model.nq) if q is None else q
+
+    @cached_property
+    def _steps(self) -> list[Transform]:
+        """Transform from each joint's parent to the joint."""
+        steps = [Transform.identity()]
+        for j in range(1, self.model.njoints):
+            joint = self.model.joints[j]
+            placed = Transform.from_se3(self.model.jointPlacements[j])
+            steps.append(
+                placed @ joint_transform(joint, self.q[joint.idx_q : joint.idx_q + joint.nq])
+            )
+        return steps
+
+    def _chain(self, joint: int) -> list[int]:
+        chain = []
+        while joint:
+            chain.append(joint)
+            joint = int(self.model.parents[joint])
+        return chain[::-1]
+
+    def joint(self, joint: int) -> Transform:
+        """``base_from_joint`` for a joint's number."""
+        return self._product(self._chain(joint))
+
+    def _product(self, joints: list[int]) -> Transform:
+        result = Transform.identity()
+        for j in joints:
+            result = result @ self._steps[j]
+        return result
+
+    def _frame(self, name: str) -> tuple[int, Transform]:
+        if not self.model.existFrame(name):
+            raise InputError(f"the model has no frame {name!r}")
+        frame = self.model.frames[self.model.getFrameId(name)]
+        return int(frame.parentJoint), Transform.from_se3(frame.placement)
+
+    def frame(self, name: str) -> Transform:
+        """``base_from_frame`` for a frame's name.
+
+        Raises:
+            InputError: where the model has no such frame.
+        """
+        joint, placement = self._frame(name)
+        return self.joint(joint) @ placement
+
+    def relative(self, first: str, second: str) -> Transform:
+        """``first_from_second`` for two frames, through their nearest common joint only."""
+        (joint_1, place_1), (joint_2, place_2) = self._frame(first), self._frame(second)
+        chain_1, chain_2 = self._chain(joint_1), self._chain(joint_2)
+        shared = 0
+        while shared < min(len(chain_1), len(chain_2)) and chain_1[shared] == chain_2[shared]:
+            shared += 1
+        meet_from_1 = self._product(chain_1[shared:]) @ place_1
+        meet_from_2 = self._product(chain_2[shared:]) @ place_2
+        return meet_from_1.inverse() @ meet_from_2
+
+
+def rotation_error(R: Any) -> Any:
+    """``0.5 vee(R - R^T)`` (3,): zero and regular at the identity, unlike acos of the trace."""
+    return 0.5 * ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])

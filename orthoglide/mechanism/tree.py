@@ -1,0 +1,185 @@
+"""The kinematic tree: the URDF in Pinocchio, with the joints a real machine has besides.
+
+Four kinds of joint, and nothing else: *drives* move by command, *passive* joints close the loops,
+*relief* joints are the two a leg in which the PRPaR machine is overconstrained, *virtual* joints
+are where machines go wrong. Neither relief nor virtual joints are in the URDF; they are inserted
+here, from the tables below, so a new place for an error is one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.urdf import Closure, closures, to_urdf
+
+
+class Kind(Enum):
+    """Who moves a joint."""
+
+    DRIVE = "drive"
+    PASSIVE = "passive"
+    RELIEF = "relief"
+    VIRTUAL = "virtual"
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A joint that the URDF lacks: its name within the leg, its kind and its Pinocchio model."""
+
+    name: str
+    kind: Kind
+    joint: Callable[[], Any]
+
+
+def _slide(x: float, y: float, z: float) -> Callable[[], Any]:
+    return lambda: pin.JointModelPrismaticUnaligned(np.array([x, y, z]))
+
+
+def _virtual(name: str, joint: Callable[[], Any]) -> Extra:
+    return Extra(name, Kind.VIRTUAL, joint)
+
+
+# Joints that follow a URDF joint and carry everything behind it, in the leg's axes a, b, c = x, y, z.
+BEHIND: dict[str, tuple[Extra, ...]] = {
+    "slide": (
+        _virtual("travel", pin.JointModelPX),
+        _virtual("lateral_b", pin.JointModelPY),
+        _virtual("lateral_c", pin.JointModelPZ),
+        _virtual("turn_a", pin.JointModelRX),
+        _virtual("turn_b", pin.JointModelRY),
+        _virtual("turn_c", pin.JointModelRZ),
+    ),
+    "bar1": (_virtual("stretch1", _slide(-1, 0, 0)),),
+    "bar2": (_virtual("stretch2", _slide(-1, 0, 0)),),
+    "knuckle": (_virtual("width1", _slide(0, 0, -1)),),
+}
+
+# Relief joints stand before a URDF joint: the bar's torsion at bar 1's tip, and a revolute about
+# the short link at bar 2's root. A torsion placed nearer to the carriage gives another machine.
+BEFORE: dict[str, Extra] = {
+    "knuckle": Extra("relief_bar", Kind.RELIEF, pin.JointModelRX),
+    "bar2": Extra("relief_link", Kind.RELIEF, pin.JointModelRZ),
+}
+
+# A joint between a body and one of its frames: here the short link's far end, so that the platform
+# keeps to the middle of a link that is too wide.
+BEFORE_FRAME: dict[str, Extra] = {"knuckle_tip": _virtual("width2", _slide(0, 0, -1))}
+
+VIRTUAL_NAMES: tuple[str, ...] = (
+    "travel", "lateral_b", "lateral_c", "turn_a", "turn_b", "turn_c",
+    "stretch1", "stretch2", "width1", "width2",
+)  # fmt: skip
+"""The virtual joints of a leg, in the order in which displacements are given."""
+
+PASSIVE_NAMES: tuple[str, ...] = ("theta", "bar1", "knuckle", "platform", "bar2")
+RELIEF_NAMES: tuple[str, ...] = ("relief_bar", "relief_link")
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A Pinocchio model of the three legs with its joints sorted by who moves them.
+
+    Attributes:
+        geometry: the nominal dimensions.
+        model: the tree. Never changed after it is built.
+        loops: the closures, naming frames of the model.
+        drive: positions in q of the drives, ``(3,)``, legs x, y, z.
+        passive: positions of the passive joints, ``(15,)``, five a leg.
+        relief: positions of the relief joints, ``(6,)`` or empty.
+        virtual: positions of the virtual joints, ``(30,)``, ten a leg, or empty.
+    """
+
+    geometry: Geometry
+    model: pin.Model
+    loops: tuple[Closure, ...]
+    drive: NDArray[np.intp]
+    passive: NDArray[np.intp]
+    relief: NDArray[np.intp]
+    virtual: NDArray[np.intp]
+
+    @property
+    def free(self) -> NDArray[np.intp]:
+        """Positions of all joints that closure moves: passive, then relief."""
+        return np.concatenate([self.passive, self.relief])
+
+
+def nominal_tree(geometry: Geometry | None = None) -> Tree:
+    """The URDF as it is: 18 joints, rigid PRPaR legs."""
+    geometry = geometry or Geometry()
+    return _sorted(geometry, _load(geometry))
+
+
+def general_tree(geometry: Geometry | None = None) -> Tree:
+    """The URDF with relief and virtual joints inserted: 54 joints."""
+    geometry = geometry or Geometry()
+    return _sorted(geometry, _with_extras(_load(geometry)))
+
+
+def _load(geometry: Geometry) -> pin.Model:
+    return pin.buildModelFromXML(to_urdf(geometry))
+
+
+def _sorted(geometry: Geometry, model: pin.Model) -> Tree:
+    def places(names: tuple[str, ...]) -> NDArray[np.intp]:
+        full = [f"{leg}_{name}" for leg in LEGS for name in names]
+        return np.array(
+            [model.joints[model.getJointId(n)].idx_q for n in full if model.existJointName(n)],
+            dtype=np.intp,
+        )
+
+    return Tree(
+        geometry,
+        model,
+        closures(geometry),
+        places(("slide",)),
+        places(PASSIVE_NAMES),
+        places(RELIEF_NAMES),
+        places(VIRTUAL_NAMES),
+    )
+
+
+def _with_extras(source: pin.Model) -> pin.Model:
+    """Copy the model joint by joint, putting the extra joints where the tables say."""
+    model = pin.Model()
+    model.name = source.name
+    carrier = {0: 0}  # joint of the source -> joint of the copy that carries its bodies
+
+    def add(parent: int, joint: Any, placement: pin.SE3, name: str) -> int:
+        return int(model.addJoint(parent, joint, placement, name))
+
+    for j in range(1, source.njoints):
+        leg, _, name = source.names[j].partition("_")
+        parent, placement = carrier[source.parents[j]], source.jointPlacements[j]
+        if name in BEFORE:
+            extra = BEFORE[name]
+            parent = add(parent, extra.joint(), placement, f"{leg}_{extra.name}")
+            placement = pin.SE3.Identity()
+        here = add(parent, source.joints[j], placement, source.names[j])
+        for extra in BEHIND.get(name, ()):
+            here = add(here, extra.joint(), pin.SE3.Identity(), f"{leg}_{extra.name}")
+        carrier[j] = here
+        model.appendBodyToJoint(here, source.inertias[j], pin.SE3.Identity())
+    _copy_frames(source, model, carrier)
+    return model
+
+
+def _copy_frames(source: pin.Model, model: pin.Model, carrier: dict[int, int]) -> None:
+    for frame in source.frames[1:]:
+        leg, _, name = frame.name.partition("_")
+        parent = carrier[frame.parentJoint]
+        if frame.type != pin.FrameType.BODY:
+            continue
+        if name in BEFORE_FRAME:
+            extra = BEFORE_FRAME[name]
+            parent = int(
+                model.addJoint(parent, extra.joint(), pin.SE3.Identity(), f"{leg}_{extra.name}")
+            )
+        model.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, pin.FrameType.OP_FRAME))

@@ -1,0 +1,295 @@
+"""A campaign in memory: readings, the conditions they were taken under, and their setups.
+
+Arrays hold one entry a reading. Nothing here reads files; units are SI throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import LEGS, Array
+
+Ints = NDArray[np.int64]
+
+MOVED = 1e-6
+"""An axis counts as moved beyond this, in metres: sheets are rounded, encoders count microns."""
+
+CONDITIONS = (
+    "rho_x", "rho_y", "rho_z", "approach_x", "approach_y", "approach_z",
+    "time", "temperature_rise", "load",
+)  # fmt: skip
+"""Columns of `Campaign.conditions`."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One mounting of one dial; all its readings share one unknown datum.
+
+    Attributes:
+        name: label, unique within its campaign.
+        leg: 0, 1 or 2: the leg touched.
+        axis: 0, 1 or 2: the base axis along which the dial reads, not the leg's own.
+        sign: +1, or -1 where the dial counts against the axis.
+        gauge: where the dial stands along the leg's own axis, metres, r removed.
+        bar: 1 or 2 for a bar, 0 for the leg's median line.
+    """
+
+    name: str
+    leg: int
+    axis: int
+    sign: int
+    gauge: float
+    bar: int = 0
+
+    @property
+    def direction(self) -> str:
+        """The axis with its sign as files write it: ``"y"`` or ``"-y"``."""
+        return ("-" if self.sign < 0 else "") + LEGS[self.axis]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One row of a campaign (SI; nan where nothing was recorded)."""
+
+    setup: Setup
+    command: tuple[float, float, float]
+    approach: tuple[int, int, int]
+    time: float
+    temperature: float
+    load: float
+    repeat: int
+    order: int
+    posture: str
+    reading: float
+    sigma: float
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """Dial readings of one file, with a free datum for every setup.
+
+    Attributes:
+        name: file stem; parameters own to the campaign carry it.
+        setups: the mountings, in order of appearance.
+        setup: index into ``setups``, shape ``(n,)``.
+        command: commanded joint coordinates ``(n, 3)``, metres, r removed.
+        approach: direction of each axis' last move ``(n, 3)``: +1, -1, or 0 where unknown.
+        time: seconds since the start ``(n,)``, nan where not recorded.
+        temperature: degrees Celsius ``(n,)``, nan where not recorded.
+        load: weight at the TCP along base -z ``(n,)``, newtons.
+        repeat: number of the repetition ``(n,)``, from 1.
+        order: place in the sequence the machine went through ``(n,)``.
+        posture: labels for people, never used in a computation.
+        reading: the dial ``(n,)``, metres; nan in a sheet not yet filled in.
+        sigma: declared standard deviation of each reading ``(n,)``, metres, nan where none is.
+        line: line in the file ``(n,)``, header line 1.
+        file: the file's name as the caller gave it, or ``""``.
+        sha256: digest of the file, or ``""``.
+        warnings: what was noticed on reading and is no error.
+        reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
+    """
+
+    name: str
+    setups: tuple[Setup, ...]
+    setup: Ints
+    command: Array
+    approach: Array
+    time: Array
+    temperature: Array
+    load: Array
+    repeat: Ints
+    order: Ints
+    posture: tuple[str, ...]
+    reading: Array
+    sigma: Array
+    line: Ints
+    file: str = ""
+    sha256: str = ""
+    warnings: tuple[str, ...] = ()
+    reference_temperature: float = float("nan")
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.reading))
+        for name, (kind, shape) in _ARRAYS.items():
+            values: NDArray[Any] = np.array(getattr(self, name), dtype=kind)
+            if values.shape != (n, *shape):
+                raise InputError(
+                    f"campaign: {name} must have shape {(n, *shape)} as there are {n} readings, "
+                    f"not {values.shape}"
+                )
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        if len(self.posture) != n:
+            raise InputError(f"campaign: {n} readings need {n} posture labels")
+        if n and (self.setup.min() < 0 or self.setup.max() >= len(self.setups)):
+            raise InputError(f"campaign: setup must index one of the {len(self.setups)} setups")
+
+    def __len__(self) -> int:
+        return len(self.reading)
+
+    @property
+    def n(self) -> int:
+        """Number of readings."""
+        return len(self)
+
+    @property
+    def rows(self) -> Iterator[Reading]:
+        """The readings one by one."""
+        for k in range(len(self)):
+            yield Reading(
+                setup=self.setups[self.setup[k]],
+                command=tuple(self.command[k].tolist()),
+                approach=tuple(self.approach[k].astype(int).tolist()),
+                posture=self.posture[k],
+                **{name: getattr(self, name)[k].item() for name in _SCALARS},
+            )
+
+    @property
+    def leg(self) -> Ints:
+        """Leg touched, by reading ``(n,)``."""
+        return np.array([s.leg for s in self.setups], dtype=np.int64)[self.setup]
+
+    @property
+    def temperature_rise(self) -> Array:
+        """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
+        return np.nan_to_num(self.temperature - self._reference())
+
+    @property
+    def conditions(self) -> Array:
+        """What the machine saw at each reading ``(n, 9)``, columns as in `CONDITIONS` (SI).
+
+        Unrecorded times and temperatures count as 0, so that equal rows can be merged.
+        """
+        return np.column_stack(
+            [
+                self.command,
+                self.approach,
+                np.nan_to_num(self.time),
+                self.temperature_rise,
+                self.load,
+            ]
+        )
+
+    def subset(self, rows: ArrayLike) -> Campaign:
+        """Some of the readings, with the setups they need.
+
+        Args:
+            rows: booleans ``(n,)`` or indices.
+
+        Returns:
+            A campaign whose temperatures still count from this one's first row.
+        """
+        chosen = np.arange(len(self))[np.asarray(rows, dtype=_index_type(rows))]
+        used, setup = np.unique(self.setup[chosen], return_inverse=True)
+        arrays = {name: getattr(self, name)[chosen] for name in _ARRAYS}
+        return replace(
+            self,
+            **(arrays | {"setup": setup.reshape(-1)}),
+            setups=tuple(self.setups[k] for k in used),
+            posture=tuple(self.posture[k] for k in chosen),
+            reference_temperature=self._reference(),
+        )
+
+    def with_readings(self, reading: ArrayLike) -> Campaign:
+        """The same campaign with other dial values ``(n,)``, metres."""
+        return replace(self, reading=np.asarray(reading, dtype=float))
+
+    def relabelled(self) -> Campaign:
+        """The campaign of the machine with its legs renamed x -> y -> z -> x.
+
+        Raises:
+            InputError: under a load, as gravity does not turn with the labels.
+        """
+        if np.any(self.load):
+            raise InputError("a campaign under load cannot be relabelled: its weight acts along z")
+        turned = (replace(s, leg=(s.leg + 1) % 3, axis=(s.axis + 1) % 3) for s in self.setups)
+        return replace(
+            self,
+            setups=tuple(turned),
+            command=np.roll(self.command, 1, axis=1),
+            approach=np.roll(self.approach, 1, axis=1),
+        )
+
+    def same_as(self, other: Campaign) -> bool:
+        """Whether both hold exactly the same readings; file, lines and warnings aside."""
+        return (self.name, self.setups, self.posture) == (
+            other.name,
+            other.setups,
+            other.posture,
+        ) and all(
+            np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
+            for name in _ARRAYS
+            if name != "line"
+        )
+
+    @staticmethod
+    def from_frame(df: Any, *, name: str = "frame", **options: Any) -> Campaign:
+        """A campaign from a data frame with the columns of a campaign file.
+
+        Args:
+            df: a pandas data frame, or a mapping of columns; missing values are empty fields.
+            name: the campaign's name.
+            options: ``machine_file`` and ``require_readings`` as for `read_campaign`, or
+                ``controller`` alone to convert ``travel_*_mm``.
+
+        Raises:
+            FileError: as `read_campaign`, rows counted as lines of a file with a header.
+        """
+        from orthoglide.observations.reading import campaign_from_frame
+
+        return campaign_from_frame(df, name=name, **options)
+
+    def _reference(self) -> float:
+        recorded = self.temperature[np.isfinite(self.temperature)]
+        if np.isfinite(self.reference_temperature) or not len(recorded):
+            return self.reference_temperature
+        return float(recorded[0])
+
+
+_ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
+    "setup": (np.int64, ()),
+    "command": (np.float64, (3,)),
+    "approach": (np.float64, (3,)),
+    "time": (np.float64, ()),
+    "temperature": (np.float64, ()),
+    "load": (np.float64, ()),
+    "repeat": (np.int64, ()),
+    "order": (np.int64, ()),
+    "reading": (np.float64, ()),
+    "sigma": (np.float64, ()),
+    "line": (np.int64, ()),
+}
+_SCALARS = ("time", "temperature", "load", "repeat", "order", "reading", "sigma", "line")
+
+
+def _index_type(rows: ArrayLike) -> type:
+    return bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats
+
+
+def derive_approach(command: ArrayLike, order: ArrayLike) -> Array:
+    """Direction of each axis' last move, from the sequence of commands.
+
+    An axis that does not move keeps its direction; the first posture counts as reached in +.
+
+    Args:
+        command: commands ``(n, 3)``, metres.
+        order: place in the sequence ``(n,)``; equal places are one visit.
+
+    Returns:
+        +1 or -1, shape ``(n, 3)``.
+    """
+    rho = np.asarray(command, dtype=float).reshape(-1, 3)
+    sequence = np.argsort(np.asarray(order), kind="stable")
+    step = np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1] - 1.0)
+    moved = np.abs(step) > MOVED
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(rho))[:, None], 0), axis=0)
+    approach = np.empty_like(rho)
+    approach[sequence] = np.sign(np.take_along_axis(step, last, axis=0))
+    return approach

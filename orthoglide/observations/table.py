@@ -1,0 +1,235 @@
+"""A CSV file or data frame as cells of text, and the parsers that turn a cell into SI."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, NoReturn
+
+from orthoglide import units
+from orthoglide.errors import FileError
+from orthoglide.geometry import LEGS
+
+_DELIMITERS = ",;\t"
+_MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
+_NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column holds.
+
+    Attributes:
+        parse: turns a cell into its value (SI), or raises ValueError with what would be right.
+        empty: value of an empty cell, and of every row where the column is absent; None: the
+            column must be there and filled in.
+    """
+
+    parse: Callable[[str], Any]
+    empty: Any = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of text by column, with the line each row stands on.
+
+    Attributes:
+        names: the header.
+        rows: cells, one list a row, as many as names.
+        lines: line of each row, the header being line 1.
+        file: name for errors.
+        sha256: digest of the file, or ``""``.
+    """
+
+    names: tuple[str, ...]
+    rows: tuple[list[str], ...]
+    lines: tuple[int, ...]
+    file: str
+    sha256: str = ""
+
+    def fail(self, message: str, row: int | None = None) -> NoReturn:
+        """Refuses the table, for a row of it where one is to blame."""
+        raise FileError(message, file=self.file, line=1 if row is None else self.lines[row])
+
+    def values(self, name: str, column: Column) -> list[Any]:
+        """A column's values (SI)."""
+        if name not in self.names:
+            return [column.empty] * len(self.rows)
+        place = self.names.index(name)
+        return [self._value(name, column, row, cells[place]) for row, cells in enumerate(self.rows)]
+
+    def _value(self, name: str, column: Column, row: int, cell: str) -> Any:
+        if not cell:
+            if column.empty is None:
+                self.fail(f"{name} is empty: fill it in or remove the row", row)
+            return column.empty
+        try:
+            return column.parse(cell)
+        except ValueError as error:
+            self.fail(f"{name} is {cell!r}, {error}", row)
+
+    def check_names(self, known: Iterable[str], needed: Iterable[str]) -> tuple[str, ...]:
+        """Refuses missing and misspelt columns; returns warnings of those that are ignored."""
+        known = tuple(known)
+        if not set(known) & set(self.names):
+            self.fail(f"is no such sheet: the first line must name {', '.join(needed)}")
+        unknown = [name for name in self.names if name not in known]
+        for name in unknown:
+            close = get_close_matches(name, known, n=1, cutoff=0.75)
+            if close and close[0] not in self.names:
+                self.fail(f"there is no column {name!r}: did you mean {close[0]!r}?")
+        missing = [name for name in needed if name not in self.names]
+        if missing:
+            self.fail(f"has no column {', '.join(missing)}: add what is missing to the first line")
+        return tuple(f"column {name!r} is not known and was ignored" for name in unknown if name)
+
+
+def read_table(path: str | os.PathLike[str]) -> Table:
+    """Reads a CSV file: UTF-8, columns parted by comma, semicolon or tab.
+
+    Where semicolons or tabs part the columns a decimal comma is understood.
+
+    Raises:
+        FileError: where the file is missing, empty, not text, or its rows are ragged.
+    """
+    content = units.read_bytes(path)
+    text = units.decode(content, path)
+    header = next(line for line in text.splitlines() if line.strip())
+    delimiter = max(_DELIMITERS, key=header.count)
+    names, rows, lines = _cells(text, delimiter, str(path))
+    if delimiter != ",":
+        rows = [[_decimal_point(cell) for cell in row] for row in rows]
+    return _table(names, rows, lines, str(path), units.sha256(content))
+
+
+def frame_table(df: Any, name: str) -> Table:
+    """Cells of a data frame or a mapping of columns; rows count as lines below a header."""
+    names = [str(column) for column in (df.columns if hasattr(df, "columns") else df)]
+    columns = [[_frame_cell(value) for value in df[column]] for column in names]
+    if len({len(column) for column in columns}) > 1:
+        raise FileError("has columns of unequal length: pad them", file=name)
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    return _table(names, rows, list(range(2, len(rows) + 2)), name)
+
+
+def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[str]], list[int]]:
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows, lines = [], []
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if any(cells):
+                rows.append(cells)
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise FileError(
+            f"is not CSV ({error}): close the quotes", file=file, line=reader.line_num
+        ) from None
+    for row, line in zip(rows, lines, strict=True):
+        if len(row) != len(rows[0]):
+            raise FileError(
+                f"has {len(row)} fields where the first line names {len(rows[0])}: fill the row "
+                "up, and with decimal commas part the columns by semicolons",
+                file=file,
+                line=line,
+            )
+    return rows[0], rows[1:], lines[1:]
+
+
+def _table(
+    names: list[str], rows: list[list[str]], lines: list[int], file: str, digest: str = ""
+) -> Table:
+    for name in names:
+        if name and names.count(name) > 1:
+            raise FileError(f"names column {name!r} twice: remove one", file=file, line=1)
+    if not rows:
+        raise FileError("has a header but no rows: add the readings", file=file, line=1)
+    return Table(tuple(names), tuple(rows), tuple(lines), file, digest)
+
+
+def _decimal_point(cell: str) -> str:
+    pointed = cell.replace(",", ".", 1)
+    return pointed if _NUMBER.fullmatch(pointed) else cell
+
+
+def _frame_cell(value: Any) -> str:
+    text = str(value).strip()
+    return "" if text in _MISSING else text
+
+
+# Parsers of one cell.
+
+
+def number(factor: float = 1.0, low: float = -1e9, high: float = 1e9) -> Callable[[str], float]:
+    """Parser of a number in a unit worth ``factor``; the limits are in the column's own unit."""
+
+    def parse(cell: str) -> float:
+        if _NOT_FINITE.fullmatch(cell):
+            raise ValueError("not a finite number: measure again, or remove the row")
+        if not _NUMBER.fullmatch(cell):
+            raise ValueError("not a number: write it like 12.34, without its unit")
+        if not low <= float(cell) <= high:
+            raise ValueError(f"which is out of range: give a number from {low:g} to {high:g}")
+        return units.to_si(cell, factor)
+
+    return parse
+
+
+def positive(factor: float) -> Callable[[str], float]:
+    """Parser of a number above zero in a unit worth ``factor``."""
+    any_number = number(factor)
+
+    def parse(cell: str) -> float:
+        value = any_number(cell)
+        if value <= 0:
+            raise ValueError("not a standard deviation: give one above 0 or leave the field empty")
+        return value
+
+    return parse
+
+
+def whole(low: int) -> Callable[[str], int]:
+    """Parser of a whole number; ``3.0`` counts as one, as spreadsheets write it."""
+    any_number = number()
+
+    def parse(cell: str) -> int:
+        value = any_number(cell)
+        if value != int(value) or value < low:
+            raise ValueError(f"not a whole number from {low} on: correct it")
+        return int(value)
+
+    return parse
+
+
+def choice(meanings: dict[str, Any], hint: str = "") -> Callable[[str], Any]:
+    """Parser of one of a few words."""
+
+    def parse(cell: str) -> Any:
+        if cell not in meanings:
+            raise ValueError(hint or f"which is none of {', '.join(meanings)}: write one of these")
+        return meanings[cell]
+
+    return parse
+
+
+SIGN = choice(
+    {spelt: sign for sign in (1, -1) for spelt in (f"{sign:+d}", f"{sign}", f"{sign}.0")}
+    | dict.fromkeys(("0", "0.0"), 0),
+    "not +1 or -1: give the direction of the axis' last move, or leave the field empty",
+)
+"""Parser of the direction of a move."""
+
+LEG = choice({name: leg for leg, name in enumerate(LEGS)})
+"""Parser of a leg's name."""
+
+DIRECTION = choice(
+    {mark + name: (axis, sign)
+     for mark, sign in (("", 1), ("-", -1), ("+", 1)) for axis, name in enumerate(LEGS)}
+)  # fmt: skip
+"""Parser of a direction into axis and sign."""

@@ -1,0 +1,197 @@
+"""What the dials read on the reduction: readings of any leg at any command, with derivatives.
+
+Leg i is the line from the TCP p to its carriage at ``R_i`` on base axis i, so a dial at own-axis
+coordinate g reads ``y = p_j (R_i - g) / (R_i - p_i)`` along direction j (2008, section 3.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array, Geometry
+from orthoglide.pss.kinematics import NOMINAL, meet, row_inverse, vectors
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Where and what a list of N dials touched.
+
+    Attributes:
+        commands: ``(N, 3)``, metres.
+        legs: ``(N,)``, 0, 1 or 2.
+        axes: ``(N,)``, the base axis each dial reads along.
+        gauges: ``(N,)``, place along the leg's own axis, metres.
+    """
+
+    commands: Array
+    legs: Indices
+    axes: Indices
+    gauges: Array
+
+    @classmethod
+    def checked(
+        cls, commands: ArrayLike, legs: ArrayLike, axes: ArrayLike, gauges: ArrayLike
+    ) -> Readings:
+        """Broadcast and check the four columns.
+
+        Raises:
+            InputError: for shapes that do not fit, or a leg or axis that cannot be.
+        """
+        rho = np.atleast_2d(vectors(commands, "commands"))
+        try:
+            columns = [np.broadcast_to(np.asarray(x), rho.shape[:1]) for x in (legs, axes, gauges)]
+        except ValueError:
+            raise InputError("legs, axes and gauges need one value for every command") from None
+        i, j = (np.asarray(x, dtype=np.intp) for x in columns[:2])
+        if np.any((i < 0) | (i > 2) | (j < 0) | (j > 2) | (i == j)):
+            raise InputError("legs and axes are 0, 1 or 2, and a dial reads across its leg")
+        return cls(rho, i, j, np.asarray(columns[2], dtype=float))
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Readings of one machine, with all that their derivatives need.
+
+    Attributes:
+        values: ``(N,)``, metres.
+        gradient: by offsets and lengths ``(N, 6)``, dimensionless.
+    """
+
+    values: Array
+    gradient: Array
+    _inverse: Array
+    _tcp: Array
+    _state: tuple[Indices, Indices, Array, Array, Array, Array]
+
+    def curvature(self, weights: Array) -> Array:
+        """Weighted second derivatives ``w_n d2y_n`` by offsets and lengths, ``(N, 6, 6)``.
+
+        From eq. (2) twice differentiated: ``(p - c_i) . p_ab = [a = b = L_i] - n_ia . n_ib`` with
+        ``n_ia`` the derivative of ``p - c_i``.
+        """
+        i, j, reach, ahead, across, by_tcp = self._state
+        rows = np.arange(len(i))
+        inner = np.stack([self._tcp[rows, i], self._tcp[rows, j], np.eye(3, 6)[i]], axis=1)
+        hessian = np.empty((len(i), 3, 3))
+        hessian[:, 0, 0] = 2 * across * ahead / reach**3
+        hessian[:, 1, 1] = 0.0
+        hessian[:, 2, 2] = -2 * across * (reach - ahead) / reach**3
+        hessian[:, 0, 1] = hessian[:, 1, 0] = ahead / reach**2
+        hessian[:, 1, 2] = hessian[:, 2, 1] = (reach - ahead) / reach**2
+        hessian[:, 0, 2] = hessian[:, 2, 0] = across * (reach - 2 * ahead) / reach**3
+        total = inner.transpose(0, 2, 1) @ (hessian * weights[:, None, None]) @ inner
+        pull = (self._inverse.transpose(0, 2, 1) @ by_tcp[:, :, None])[:, :, 0] * weights[:, None]
+        bend = self._tcp.transpose(0, 2, 1) @ self._tcp
+        total -= pull.sum(axis=1)[:, None, None] * bend
+        mixed = pull[:, :, None] * self._tcp
+        total[:, :3, :] += mixed
+        total[:, :, :3] += mixed.transpose(0, 2, 1)
+        diagonal = np.einsum("nii->ni", total)
+        diagonal += np.concatenate([-pull, pull], axis=1)
+        return np.asarray(total)
+
+
+def observe(dials: Readings, six: Array, length: float) -> Observed:
+    """Readings and gradient of a machine with offsets and lengths ``six``, ``(6,)`` or ``(N, 6)``.
+
+    Args:
+        dials: what was touched.
+        six: three joint offsets and three leg lengths minus L, metres.
+        length: nominal length L of the bars, metres.
+
+    Returns:
+        The readings with their derivatives.
+    """
+    carriage = dials.commands + six[..., :3]
+    bars = np.broadcast_to(length + six[..., 3:], carriage.shape)
+    p = meet(carriage, np.zeros(3), bars)
+    inverse = row_inverse(p, carriage)
+    tcp = np.concatenate([inverse * (p - carriage)[:, None, :], inverse * bars[:, None, :]], axis=2)
+    rows, i, j = np.arange(len(p)), dials.legs, dials.axes
+    reach = carriage[rows, i] - p[rows, i]
+    ahead = carriage[rows, i] - dials.gauges
+    across = p[rows, j]
+    values = across * ahead / reach
+    by_tcp = np.zeros_like(p)
+    by_tcp[rows, i] = values / reach
+    by_tcp[rows, j] = ahead / reach
+    gradient = (by_tcp[:, None, :] @ tcp)[:, 0, :]
+    gradient[rows, i] += (across - values) / reach
+    return Observed(values, gradient, inverse, tcp, (i, j, reach, ahead, across, by_tcp))
+
+
+def _six(offsets: ArrayLike, lengths: ArrayLike) -> Array:
+    pair = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
+    return np.concatenate(pair, axis=-1)
+
+
+def readings(
+    commands: ArrayLike,
+    legs: ArrayLike,
+    axes: ArrayLike,
+    gauges: ArrayLike,
+    offsets: ArrayLike = 0.0,
+    lengths: ArrayLike = 0.0,
+    *,
+    geometry: Geometry = NOMINAL,
+) -> Array:
+    """``y = p_j (R_i - g) / (R_i - p_i)``: what dials read on a machine with these parameters.
+
+    Args:
+        commands: ``(N, 3)``, metres.
+        legs: legs touched ``(N,)``: 0, 1 or 2.
+        axes: base axes the dials read along ``(N,)``.
+        gauges: places along the legs' own axes ``(N,)``, metres.
+        offsets: joint offsets ``(3,)`` or ``(N, 3)``, metres.
+        lengths: leg lengths minus L ``(3,)`` or ``(N, 3)``, metres.
+        geometry: nominal dimensions.
+
+    Returns:
+        Readings ``(N,)``, metres, datum zero (2008, section 3.2, not linearised).
+
+    Raises:
+        UnreachableError: where the legs do not meet.
+        InputError: for columns that do not fit together.
+    """
+    dials = Readings.checked(commands, legs, axes, gauges)
+    return observe(dials, _six(offsets, lengths), geometry.L).values
+
+
+def reading_jacobian(
+    commands: ArrayLike,
+    legs: ArrayLike,
+    axes: ArrayLike,
+    gauges: ArrayLike,
+    offsets: ArrayLike = 0.0,
+    lengths: ArrayLike = 0.0,
+    *,
+    geometry: Geometry = NOMINAL,
+) -> Array:
+    """Derivatives of ``readings`` by offsets and lengths: system (11) for any list of readings.
+
+    Rows of (11) are the differences between the rows of two postures at the nominal machine.
+
+    Args:
+        commands: ``(N, 3)``, metres.
+        legs: legs touched ``(N,)``.
+        axes: base axes the dials read along ``(N,)``.
+        gauges: places along the legs' own axes ``(N,)``, metres.
+        offsets: joint offsets at which to differentiate, metres.
+        lengths: leg lengths minus L at which to differentiate, metres.
+        geometry: nominal dimensions.
+
+    Returns:
+        ``(N, 6)``, dimensionless: three offsets, three lengths.
+
+    Raises:
+        UnreachableError: where the legs do not meet.
+        InputError: for columns that do not fit together.
+    """
+    dials = Readings.checked(commands, legs, axes, gauges)
+    return observe(dials, _six(offsets, lengths), geometry.L).gradient

@@ -1,0 +1,277 @@
+"""Inverse and direct kinematics of the reduction, and its Jacobians (2008, section 2.4).
+
+The carriage of leg i stands at ``R_i = rho_i + offset_i`` on base axis i and holds a bar of length
+``L_i = L + length_i`` to the TCP: ``(p_i - R_i)^2 + p_j^2 + p_k^2 = L_i^2``, eq. (2).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.errors import InputError, NumericsError, UnreachableError
+from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.pss.spheres import DEGENERATE, Mode, check_mode, explain_miss
+
+NOMINAL = Geometry()
+"""The prototype's dimensions, the default of every function here."""
+
+CONFIGURATIONS: tuple[tuple[int, int, int], ...] = tuple(
+    (sx, sy, sz) for sx in (1, -1) for sy in (1, -1) for sz in (1, -1)
+)
+"""The eight signs of eq. (3), the machine's own first."""
+
+_BLOCK = 4096  # poses a pass: some twenty rows of doubles stay in the cache
+
+
+class Jacobians(NamedTuple):
+    """Eq. (5): how the TCP moves with the parameters.
+
+    Attributes:
+        rho: dp/drho and dp/doffset ``(..., 3, 3)``, dimensionless.
+        lengths: dp/dL ``(..., 3, 3)``, dimensionless.
+    """
+
+    rho: Array
+    lengths: Array
+
+
+def vectors(value: ArrayLike, name: str) -> Array:
+    """``value`` as floats ``(..., 3)``; a scalar stands for three alike."""
+    array = np.asarray(value, dtype=float)
+    if array.ndim == 0:
+        return np.full(3, float(array))
+    if array.shape[-1] != 3:
+        raise InputError(f"{name} has the shape (..., 3), x, y, z last, not {array.shape}")
+    return array
+
+
+def inverse(
+    p: ArrayLike,
+    offsets: ArrayLike = 0.0,
+    lengths: ArrayLike = 0.0,
+    *,
+    signs: ArrayLike = (1, 1, 1),
+    geometry: Geometry = NOMINAL,
+) -> Array:
+    """``rho_i = p_i + s_i sqrt(L_i^2 - p_j^2 - p_k^2) - offset_i`` (2008, eq. (3)).
+
+    Args:
+        p: TCP ``(..., 3)``, metres.
+        offsets: joint offsets ``(..., 3)``, metres.
+        lengths: leg lengths minus L ``(..., 3)``, metres.
+        signs: configuration, +1 or -1 a leg, ``(..., 3)``; the machine's own is (1, 1, 1), and
+            ``CONFIGURATIONS`` as ``(8, 3)`` against p ``(..., 1, 3)`` gives all eight.
+        geometry: nominal dimensions.
+
+    Returns:
+        Commands rho ``(..., 3)``, metres.
+
+    Raises:
+        UnreachableError: where the TCP is further from a leg's axis than the leg is long.
+    """
+    tcp, bars = vectors(p, "p"), geometry.L + vectors(lengths, "lengths")
+    squares = tcp * tcp
+    across = squares[..., [1, 2, 0]] + squares[..., [2, 0, 1]]
+    reach = bars * bars - across
+    if not np.all(reach >= 0):
+        raise _out_of_reach(np.sqrt(across) - bars)
+    own = np.sqrt(reach)
+    if np.any(np.abs(configuration := vectors(signs, "signs")) != 1):
+        raise InputError("signs are +1 or -1, one a leg")
+    return np.asarray(tcp + configuration * own - vectors(offsets, "offsets"))
+
+
+def _out_of_reach(excess: Array) -> Exception:
+    failed = ~(excess <= 0).all(axis=-1)
+    index = tuple(int(i) for i in np.argwhere(failed)[0])
+    leg = int(np.argmax(excess[index]))
+    amount = float(excess[index][leg])
+    if not np.isfinite(excess[index]).all():
+        return InputError(f"the pose{_at(index)} is not finite: give numbers in metres")
+    more = f" ({int(failed.sum())} of the batch fail)" if failed.sum() > 1 else ""
+    return UnreachableError(
+        f"the pose{_at(index)} is out of reach of leg {LEGS[leg]} by {amount * 1e3:.4g} mm{more}; "
+        "bring the TCP nearer to that leg's axis",
+        leg=LEGS[leg],
+        excess=amount,
+        index=index,
+    )
+
+
+def _at(index: tuple[int, ...]) -> str:
+    return f" at index {index}" if index else ""
+
+
+def forward(
+    rho: ArrayLike,
+    offsets: ArrayLike = 0.0,
+    lengths: ArrayLike = 0.0,
+    *,
+    mode: Mode = "machine",
+    geometry: Geometry = NOMINAL,
+) -> Array:
+    """TCP of a command, by the quadratic ``A t^2 + B t + C = 0`` with t = |p|^2 / 2 (2008, eq. (4)).
+
+    ``p_i = (k_i + t) / R_i`` with ``k_i = (R_i^2 - L_i^2) / 2``. The machine's assembly mode is the
+    *minus* root, the intersection nearer the origin; it is taken as C over the larger root's
+    numerator, since -B + sqrt(B^2 - 4AC) never cancels (t cannot be negative, so neither can -B).
+
+    Args:
+        rho: commands ``(..., 3)``, metres.
+        offsets: joint offsets ``(..., 3)``, metres.
+        lengths: leg lengths minus L ``(..., 3)``, metres.
+        mode: assembly mode, ``"machine"`` or ``"other"``.
+        geometry: nominal dimensions.
+
+    Returns:
+        TCP ``(..., 3)``, metres.
+
+    Raises:
+        UnreachableError: where the legs do not meet.
+        InputError: for a carriage at the origin (``intersect_spheres`` can do that), or for
+            values that are not finite.
+    """
+    commands, shifts = vectors(rho, "rho"), vectors(offsets, "offsets")
+    return meet(commands, shifts, geometry.L + vectors(lengths, "lengths"), mode)
+
+
+def meet(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Array:
+    """``forward`` on arrays ``(..., 3)``, with the bars' lengths themselves."""
+    check_mode(mode)
+    shape = np.broadcast_shapes(rho.shape, offsets.shape, bars.shape)
+    flat = [_rows(array, shape) for array in (rho, offsets, bars)]
+    count = int(np.prod(shape[:-1], dtype=int))
+    p = np.empty((count, 3))
+    for start in range(0, count, _BLOCK):
+        block = slice(start, min(start + _BLOCK, count))
+        part = [array.T if len(array) == 1 else array[block].T for array in flat]
+        if not _solve_block(part[0], part[1], part[2], mode, p[block].T):
+            raise _no_meeting(flat[0] + flat[1], flat[2], shape)
+    return p.reshape(shape)
+
+
+def _rows(array: Array, shape: tuple[int, ...]) -> Array:
+    """As ``(1, 3)`` where one vector serves the batch, else ``(N, 3)``."""
+    if array.size == 3:
+        return array.reshape(1, 3)
+    return np.broadcast_to(array, shape).reshape(-1, 3)
+
+
+def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) -> bool:
+    """Fill p ``(3, n)``; False where a leg does not reach. Rows are axes: contiguous passes."""
+    carriage = np.add(rho, offsets, order="C")
+    with np.errstate(all="ignore"):
+        inverse_r = np.divide(0.5, carriage)  # 1 / (2 R)
+        share = np.subtract(carriage, bars, order="C")
+        share *= carriage + bars  # 2 k, without cancellation near zero
+        share *= inverse_r  # k / R
+        inverse_r += inverse_r
+        half_b = 1.0 - np.einsum("ij,ij->j", share, inverse_r)
+        constant = np.einsum("ij,ij->j", share, share)
+        leading = np.einsum("ij,ij->j", inverse_r, inverse_r)
+        square = half_b * half_b
+        root = square - leading * constant
+        if not root.min(initial=0.0) >= 0:
+            # Legs that just touch give a discriminant of rounding size, of either sign.
+            if not (root >= -4e-16 * square).all():
+                return False
+            np.maximum(root, 0.0, out=root)
+        np.sqrt(root, out=root)
+        root += half_b
+        t = np.divide(constant, root) if mode == "machine" else np.divide(root, leading)
+    inverse_r *= t
+    np.add(share, inverse_r, out=p)
+    return True
+
+
+def _no_meeting(carriages: Array, bars: Array, shape: tuple[int, ...]) -> Exception:
+    """The error of the first pose that fails."""
+    count = int(np.prod(shape[:-1], dtype=int))
+    carriages, bars = (np.broadcast_to(x, (count, 3)) for x in (carriages, bars))
+    with np.errstate(all="ignore"):
+        share = (carriages - bars) * (carriages + bars) / (2 * carriages)
+        half_b = 1 - np.sum(share / carriages, axis=-1)
+        root = half_b**2 - np.sum(share**2, axis=-1) * np.sum(carriages**-2.0, axis=-1)
+        failed = ~(root >= -4e-16 * half_b**2)
+    first = int(np.argmax(failed))
+    index = tuple(int(i) for i in np.unravel_index(first, shape[:-1])) if shape[:-1] else ()
+    if not np.isfinite(carriages[first] + bars[first]).all():
+        return InputError(f"the command{_at(index)} is not finite: give numbers in metres")
+    if np.any(carriages[first] == 0):
+        leg = LEGS[int(np.argmax(carriages[first] == 0))]
+        return InputError(
+            f"carriage {leg} stands at the origin{_at(index)}, where the quadratic has no "
+            "coefficients: use intersect_spheres"
+        )
+    return explain_miss(np.diag(carriages[first]), bars[first], index, int(failed.sum()))
+
+
+def row_inverse(p: Array, carriage: Array) -> Array:
+    """Inverse ``(..., 3, 3)`` of the matrix ``1 p^T - diag(R)`` of section 2.4.
+
+    ``1 - sum p_i / R_i`` measures how far the TCP is from the plane of the carriages.
+    """
+    u = 1.0 / carriage
+    scaled = p * u
+    room = 1.0 - scaled.sum(axis=-1)
+    if np.any(np.abs(room) < DEGENERATE):
+        raise NumericsError(
+            "the TCP lies in the plane of the carriages: stay off singular postures"
+        )
+    matrix = u[..., :, None] * (scaled / -room[..., None])[..., None, :]
+    diagonal = np.einsum("...ii->...i", matrix)
+    diagonal -= u
+    return np.asarray(matrix)
+
+
+def jacobians(
+    p: ArrayLike,
+    rho: ArrayLike,
+    offsets: ArrayLike = 0.0,
+    lengths: ArrayLike = 0.0,
+    *,
+    geometry: Geometry = NOMINAL,
+) -> Jacobians:
+    """``M dp/drho = diag(p_i - R_i)`` and ``M dp/dL = diag(L_i)``, M = 1 p^T - diag(R) (2008, (5)).
+
+    Args:
+        p: TCP ``(..., 3)``, metres.
+        rho: the command that belongs to it ``(..., 3)``, metres.
+        offsets: joint offsets ``(..., 3)``, metres.
+        lengths: leg lengths minus L ``(..., 3)``, metres.
+        geometry: nominal dimensions.
+
+    Returns:
+        J_rho and J_L, ``(..., 3, 3)`` each.
+
+    Raises:
+        NumericsError: at a singular posture, where the TCP lies in the plane of the carriages.
+    """
+    tcp = vectors(p, "p")
+    carriage = vectors(rho, "rho") + vectors(offsets, "offsets")
+    bars = geometry.L + vectors(lengths, "lengths")
+    matrix = row_inverse(tcp, carriage)
+    return Jacobians(matrix * (tcp - carriage)[..., None, :], matrix * bars[..., None, :])
+
+
+def velocity_jacobian(
+    p: ArrayLike, rho: ArrayLike, offsets: ArrayLike = 0.0, *, geometry: Geometry = NOMINAL
+) -> Array:
+    """TCP velocity per drive velocity: J_rho of eq. (5) (the matrix of 2006, eq. (4), inverted).
+
+    Args:
+        p: TCP ``(..., 3)``, metres.
+        rho: the command that belongs to it ``(..., 3)``, metres.
+        offsets: joint offsets ``(..., 3)``, metres.
+        geometry: nominal dimensions.
+
+    Returns:
+        dp/drho ``(..., 3, 3)``, dimensionless.
+
+    Raises:
+        NumericsError: at a singular posture.
+    """
+    return jacobians(p, rho, offsets, geometry=geometry).rho

@@ -1,0 +1,247 @@
+"""The papers' linear calibration: deviations, system (11), its reductions, and its accuracy.
+
+A row ``x_y+`` is the deviation along x of leg y at its Max posture against Zero; ``-`` is Min, and
+no sign the difference Max - Min.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.pss.kinematics import NOMINAL, vectors
+
+COLUMNS: tuple[str, ...] = tuple(
+    f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS
+)
+"""Names of the six parameters, in the order of every vector of six here."""
+
+G: Array = np.array(
+    [[2.0, 0, 1, 0], [0, 2.0, 0, 1], [1, 0, 2.0, 0], [0, 1, 0, 2.0]],
+)
+"""Eq. (14): covariance of four deviations that share two Zero readings, in units of sigma^2."""
+G.flags.writeable = False
+
+_BLOCKS = ((0, 1), (1, 2), (0, 2))  # pairs of axes, as (11) stacks them: xy, yz, xz
+
+
+class Coefficients(NamedTuple):
+    """The entries of (11) for one posture, dimensionless."""
+
+    a: float | Array
+    b: float | Array
+    c: float | Array
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """Deviations = matrix @ parameters.
+
+    Attributes:
+        matrix: ``(rows, columns)``, dimensionless.
+        rows: names of the deviations.
+        columns: names of the parameters.
+        noise: covariance of the deviations for readings of unit variance ``(rows, rows)``.
+    """
+
+    matrix: Array
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    noise: Array
+
+    def select(self, free: str | Sequence[str]) -> LinearSystem:
+        """The system of some parameters only.
+
+        Args:
+            free: ``"joint_offset"``, ``"leg_length"``, ``"all"``, or names of parameters.
+
+        Raises:
+            InputError: for a name that is no column.
+        """
+        wanted = [free] if isinstance(free, str) else list(free)
+        if wanted == ["all"]:
+            return self
+        kept = [n for n in self.columns if n in wanted or n.split(".")[0] in wanted]
+        unknown = [w for w in wanted if not any(w in (n, n.split(".")[0]) for n in self.columns)]
+        if unknown or not kept:
+            raise InputError(f"no such parameter: {unknown}; there are {', '.join(self.columns)}")
+        places = [self.columns.index(name) for name in kept]
+        return replace(self, matrix=self.matrix[:, places], columns=tuple(kept))
+
+    def ordered(self, deviations: dict[str, float]) -> Array:
+        """Deviations by row name as a vector in the system's order.
+
+        Raises:
+            InputError: where a row is missing.
+        """
+        missing = [row for row in self.rows if row not in deviations]
+        if missing:
+            raise InputError(f"deviations are missing for the rows {', '.join(missing)}")
+        return np.array([deviations[row] for row in self.rows], dtype=float)
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """Least squares on a linear system.
+
+    Attributes:
+        values: parameters ``(columns,)``, in the unit of the deviations.
+        fitted: J x ``(rows,)``: the papers' "expected improvement" of Table 2.
+        residuals: deviations minus fitted ``(rows,)``.
+        rms: root mean square of the residuals.
+        rank: how many directions the rows determine.
+        singular_values: of the matrix, largest first.
+    """
+
+    values: Array
+    fitted: Array
+    residuals: Array
+    rms: float
+    rank: int
+    singular_values: Array
+
+
+def stroke_angles(geometry: Geometry = NOMINAL) -> tuple[float, float]:
+    """``alpha = arcsin(travel / L)`` at Max and Min, radians (2008, section 2.4)."""
+    low, high = geometry.stroke
+    return float(np.arcsin(high / geometry.L)), float(np.arcsin(low / geometry.L))
+
+
+def coefficients(angle: ArrayLike) -> Coefficients:
+    """a = sin, b = (1/2 + sin) tan, c = (1/2 + sin) / cos - 1/2 of a stroke angle (2008, (11)).
+
+    Args:
+        angle: alpha ``(...)``, radians; negative at Min.
+
+    Returns:
+        a, b, c, each ``(...)``, dimensionless, for gauges at the middle of the leg at Zero.
+    """
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return Coefficients(sine, (0.5 + sine) * sine / cosine, (0.5 + sine) / cosine - 0.5)
+
+
+def deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLike = 0.0) -> Array:
+    """Deviation of leg i along j: ``b (offset_i - length_i) + a offset_j - c length_j`` (3.2).
+
+    Args:
+        angle: alpha of the posture on leg i's axis ``(...)``, radians.
+        offsets: joint offsets ``(..., 3)``.
+        lengths: leg lengths minus L ``(..., 3)``.
+
+    Returns:
+        ``(..., 3, 3)``, indices (leg, direction), in the unit of the parameters, linearised; the
+        diagonal is zero: a dial reads across its leg.
+    """
+    a, b, c = (np.asarray(x)[..., None] for x in coefficients(angle))
+    off, length = vectors(offsets, "offsets"), vectors(lengths, "lengths")
+    own, read = b * (off - length), a * off - c * length
+    table = own[..., :, None] + read[..., None, :]
+    return np.asarray(table * (1.0 - np.eye(3)))
+
+
+def _row(leg: int, direction: int, abc: Coefficients) -> Array:
+    row = np.zeros(6)
+    row[[leg, 3 + leg]] = abc.b, -abc.b
+    row[[direction, 3 + direction]] = abc.a, -abc.c
+    return row
+
+
+def system11(
+    geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
+) -> LinearSystem:
+    """System (11) of 2008: twelve deviations, six parameters, in the printed order of rows.
+
+    Args:
+        geometry: nominal dimensions; the stroke gives the angles.
+        angles: alpha at Max and at Min, radians, in place of the stroke's.
+
+    Returns:
+        The 12 x 6 system with the noise of eq. (14), gauges at the middle of the legs.
+    """
+    ends = [coefficients(angle) for angle in (angles or stroke_angles(geometry))]
+    matrix, rows = [], []
+    for first, second in _BLOCKS:
+        for abc, sign in zip(ends, "+-", strict=True):
+            for direction, leg in ((first, second), (second, first)):
+                matrix.append(_row(leg, direction, abc))
+                rows.append(f"{LEGS[direction]}_{LEGS[leg]}{sign}")
+    return LinearSystem(np.array(matrix), tuple(rows), COLUMNS, np.kron(np.eye(3), G))
+
+
+def reduced_system(
+    geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
+) -> LinearSystem:
+    """The six differences Max - Min of system (11) (2006, end of section 3.2; 2008, Table 1).
+
+    Args:
+        geometry: nominal dimensions; the stroke gives the angles.
+        angles: alpha at Max and at Min, radians, in place of the stroke's.
+
+    Returns:
+        The 6 x 6 system; the rows' noise is 2 sigma^2 each, independent.
+    """
+    full = system11(geometry, angles=angles)
+    difference = np.kron(np.eye(3), np.array([[1.0, 0, -1, 0], [0, 1.0, 0, -1]]))
+    rows = tuple(row[:-1] for row in full.rows if row.endswith("+"))
+    noise = difference @ full.noise @ difference.T
+    return LinearSystem(difference @ full.matrix, rows, COLUMNS, noise)
+
+
+def system8(
+    geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
+) -> LinearSystem:
+    """System (8) of 2006, its right side mended: the offset columns of (11).
+
+    Args:
+        geometry: nominal dimensions; the stroke gives the angles.
+        angles: alpha at Max and at Min, radians, in place of the stroke's.
+
+    Returns:
+        The 12 x 3 system.
+    """
+    return system11(geometry, angles=angles).select("joint_offset")
+
+
+def covariance(system: LinearSystem, sigma: float) -> Array:
+    """``V = J^+ E(ds ds^T) J^+^T``: covariance of the pseudoinverse's estimate (2008, (12), (14)).
+
+    Args:
+        system: the linear system, with the noise of its rows.
+        sigma: standard deviation of one reading.
+
+    Returns:
+        ``(columns, columns)``, in the square of sigma's unit.
+    """
+    pseudoinverse = np.linalg.pinv(system.matrix)
+    return np.asarray(sigma**2 * (pseudoinverse @ system.noise @ pseudoinverse.T))
+
+
+def solve(system: LinearSystem, measured: ArrayLike) -> LinearFit:
+    """Moore-Penrose pseudoinverse of a linear system, as in 2008, section 3.2.
+
+    Args:
+        system: the linear system.
+        measured: deviations ``(rows,)`` in the system's order (``system.ordered`` sorts a dict).
+
+    Returns:
+        The fit, in the unit of the deviations.
+
+    Raises:
+        InputError: where the number of deviations is not that of the rows.
+    """
+    data = np.asarray(measured, dtype=float)
+    if data.shape != (len(system.rows),):
+        raise InputError(
+            f"the system has {len(system.rows)} rows, but {data.shape} deviations came"
+        )
+    values, _, rank, singular = np.linalg.lstsq(system.matrix, data, rcond=1e-12)
+    fitted = system.matrix @ values
+    residuals = data - fitted
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    return LinearFit(values, fitted, residuals, rms, int(rank), singular)

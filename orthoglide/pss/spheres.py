@@ -1,0 +1,248 @@
+"""The general form of the reduction: three spheres about any carriage points, with any lengths.
+
+Each leg is one bar of length ``lengths[i]`` from the carriage point ``centres[i]`` to the TCP, so
+the TCP is where three spheres meet. Nothing is assumed of where the carriages stand: this form
+checks every effect that only moves carriages or changes bars.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.errors import InputError, NumericsError, UnreachableError
+from orthoglide.geometry import LEGS, Array
+
+Mode = Literal["machine", "other"]
+
+DEGENERATE = 1e-9
+"""Carriage triangles and TCP tetrahedra flatter than this (relative) count as singular."""
+
+
+class SphereDerivatives(NamedTuple):
+    """How the intersection moves.
+
+    Attributes:
+        centres: dp/dcentres ``(..., 3, 3, 3)``, indices (coordinate of p, leg, coordinate).
+        lengths: dp/dlengths ``(..., 3, 3)``, indices (coordinate of p, leg).
+    """
+
+    centres: Array
+    lengths: Array
+
+
+def check_mode(mode: str) -> None:
+    """Raise ``InputError`` unless ``mode`` names an assembly mode."""
+    if mode not in ("machine", "other"):
+        raise InputError(f"there is no assembly mode {mode!r}: it is 'machine' or 'other'")
+
+
+def _gap(centres: Array, lengths: Array, leg: int) -> float:
+    """How much too short (> 0) or too long (< 0) a leg is for the circle of the two others.
+
+    Infinite where the two others do not meet, zero where all three do.
+    """
+    j, k = (leg + 1) % 3, (leg + 2) % 3
+    between = centres[k] - centres[j]
+    distance = float(np.linalg.norm(between))
+    if not abs(lengths[j] - lengths[k]) < distance <= lengths[j] + lengths[k]:
+        return float("inf")
+    normal = between / distance
+    along = (distance**2 + lengths[j] ** 2 - lengths[k] ** 2) / (2 * distance)
+    radius = float(np.sqrt(max(lengths[j] ** 2 - along**2, 0.0)))
+    offset = centres[leg] - centres[j] - along * normal
+    height = float(offset @ normal)
+    across = float(np.linalg.norm(offset - height * normal))
+    short = float(np.hypot(across - radius, height) - lengths[leg])
+    long = float(lengths[leg] - np.hypot(across + radius, height))
+    return max(short, 0.0) if short >= -long else -max(long, 0.0)
+
+
+def explain_miss(
+    centres: Array, lengths: Array, index: tuple[int, ...], total: int
+) -> UnreachableError:
+    """The error for legs that do not meet: names the leg that lacks least.
+
+    Args:
+        centres: carriage points ``(3, 3)``, metres, by leg.
+        lengths: bar lengths ``(3,)``, metres.
+        index: place in the batch.
+        total: how many poses of the batch do not meet.
+
+    Returns:
+        The error to raise; ``leg`` is empty where no two legs meet.
+    """
+    where = f" at index {index}" if index else ""
+    more = f" ({total} of the batch fail)" if total > 1 else ""
+    gaps = [_gap(centres, lengths, leg) for leg in range(3)]
+    leg = int(np.argmin(np.abs(gaps)))
+    if np.isinf(gaps[leg]):
+        pairs = ((0, 1), (1, 2), (2, 0))
+        miss = max(
+            float(np.linalg.norm(centres[j] - centres[k]) - lengths[j] - lengths[k])
+            for j, k in pairs
+        )
+        return UnreachableError(
+            f"no two legs meet{where}{more}: their ends stay up to {miss * 1e3:.4g} mm apart; "
+            "bring the carriages nearer",
+            excess=max(miss, 0.0),
+            index=index,
+        )
+    others = " and ".join(LEGS[k] for k in range(3) if k != leg)
+    fault, remedy = ("short", "nearer") if gaps[leg] >= 0 else ("long", "further apart")
+    return UnreachableError(
+        f"the legs do not meet{where}{more}: leg {LEGS[leg]} is {abs(gaps[leg]) * 1e3:.4g} mm too "
+        f"{fault} for where legs {others} meet; bring the carriages {remedy}",
+        leg=LEGS[leg],
+        excess=abs(gaps[leg]),
+        index=index,
+    )
+
+
+def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "machine") -> Array:
+    """The point p with ``|p - centres[i]| = lengths[i]`` for the three legs.
+
+    Of the two points, mirror images in the plane of the carriages, ``"machine"`` is the one on the
+    side ``-(c_y - c_x) x (c_z - c_x)``, that of the origin on the Orthoglide.
+
+    Args:
+        centres: carriage points ``(..., 3, 3)``, indices (leg, coordinate), metres.
+        lengths: bar lengths ``(..., 3)`` or a scalar, metres.
+        mode: assembly mode, ``"machine"`` or ``"other"``.
+
+    Returns:
+        TCP ``(..., 3)``, metres (2008, eq. (2) with the carriages anywhere).
+
+    Raises:
+        UnreachableError: where the legs do not meet.
+        InputError: for carriages in one line or values that are not finite.
+    """
+    check_mode(mode)
+    c = np.asarray(centres, dtype=float)
+    if c.shape[-2:] != (3, 3):
+        raise InputError(f"centres have the shape (..., 3, 3), leg by coordinate, not {c.shape}")
+    shape = np.broadcast_shapes(c.shape[:-1], np.shape(lengths))
+    bars = np.broadcast_to(np.asarray(lengths, dtype=float), shape)
+    u, v = c[..., 1, :] - c[..., 0, :], c[..., 2, :] - c[..., 0, :]
+    w = np.cross(u, v)
+    uu, vv, ww = (np.sum(x * x, axis=-1) for x in (u, v, w))
+    if not (np.isfinite(bars).all() and np.all(ww > DEGENERATE**2 * uu * vv)):
+        raise InputError("the carriage points and lengths must be finite and not in one line")
+    squares = bars * bars
+    along_u = (uu + squares[..., 0] - squares[..., 1]) / 2
+    along_v = (vv + squares[..., 0] - squares[..., 2]) / 2
+    foot = along_u[..., None] * np.cross(v, w) + along_v[..., None] * np.cross(w, u)
+    foot = foot / ww[..., None]
+    height2 = squares[..., 0] - np.sum(foot * foot, axis=-1)
+    missed = height2 < -4e-16 * squares[..., 0]
+    if np.any(missed):
+        index = tuple(int(i) for i in np.argwhere(missed)[0])
+        centre = np.broadcast_to(c, (*shape, 3))[index]
+        raise explain_miss(centre, bars[index], index, int(missed.sum()))
+    height = np.sqrt(np.maximum(height2, 0.0) / ww) * (-1.0 if mode == "machine" else 1.0)
+    return np.asarray(c[..., 0, :] + foot + height[..., None] * w)
+
+
+def sphere_derivatives(centres: ArrayLike, lengths: ArrayLike, p: ArrayLike) -> SphereDerivatives:
+    """Derivatives of the intersection: ``(p - c_i) . dp = (p - c_i) . dc_i + L_i dL_i``.
+
+    Args:
+        centres: carriage points ``(..., 3, 3)``, metres.
+        lengths: bar lengths ``(..., 3)``, metres.
+        p: the intersection ``(..., 3)``, metres.
+
+    Returns:
+        dp/dcentres ``(..., 3, 3, 3)`` and dp/dlengths ``(..., 3, 3)``, both dimensionless.
+
+    Raises:
+        NumericsError: at a singular posture, where the TCP lies in the plane of the carriages.
+    """
+    bars = np.asarray(p, dtype=float)[..., None, :] - np.asarray(centres, dtype=float)
+    volume = np.linalg.det(bars / np.linalg.norm(bars, axis=-1, keepdims=True))
+    if np.any(np.abs(volume) < DEGENERATE):
+        raise NumericsError(
+            "the TCP lies in the plane of the carriages: stay off singular postures"
+        )
+    inverse = np.linalg.inv(bars)
+    scale = np.broadcast_to(np.asarray(lengths, dtype=float), bars.shape[:-1])
+    return SphereDerivatives(
+        centres=inverse[..., :, :, None] * bars[..., None, :, :],
+        lengths=inverse * scale[..., None, :],
+    )
+
+
+def reading(
+    centres: ArrayLike, p: ArrayLike, leg: ArrayLike, direction: ArrayLike, gauge: ArrayLike
+) -> Array:
+    """Coordinate of the leg's line where it crosses the plane own axis = gauge.
+
+    The line runs from the TCP p to the carriage c: ``p_j + (g - p_i) / (c_i - p_i) (c_j - p_j)``
+    (2008, section 3.2, for any posture and gauge).
+
+    Args:
+        centres: carriage points ``(..., 3, 3)``, metres.
+        p: TCP ``(..., 3)``, metres.
+        leg: the leg touched, 0, 1 or 2, shape ``(...)``.
+        direction: the base axis the dial reads along, shape ``(...)``.
+        gauge: the dial's place along the leg's own axis, metres, shape ``(...)``.
+
+    Returns:
+        Readings ``(...)``, metres.
+    """
+    values, _, _ = _read(centres, p, leg, direction, gauge)
+    return values
+
+
+def _read(
+    centres: ArrayLike, p: ArrayLike, leg: ArrayLike, direction: ArrayLike, gauge: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """The reading, with its derivatives by p and by the touched leg's carriage, ``(..., 3)``."""
+    c, tcp = np.asarray(centres, dtype=float), np.asarray(p, dtype=float)
+    i, j = np.asarray(leg), np.asarray(direction)
+    carriage = np.sum(c * np.eye(3)[i][..., :, None], axis=-2)
+    own, read = np.eye(3)[i], np.eye(3)[j]
+    bar = carriage - tcp
+    reach = np.sum(bar * own, axis=-1)
+    share = (np.asarray(gauge, dtype=float) - np.sum(tcp * own, axis=-1)) / reach
+    slope = np.sum(bar * read, axis=-1) / reach
+    values = np.sum(tcp * read, axis=-1) + share * np.sum(bar * read, axis=-1)
+    across = read - slope[..., None] * own
+    return values, (1 - share)[..., None] * across, share[..., None] * across
+
+
+def reading_derivatives(
+    centres: ArrayLike,
+    lengths: ArrayLike,
+    p: ArrayLike,
+    leg: ArrayLike,
+    direction: ArrayLike,
+    gauge: ArrayLike,
+    paths: ArrayLike | None = None,
+) -> Array:
+    """Derivatives of ``reading`` by the joint offsets and leg lengths.
+
+    Args:
+        centres: carriage points ``(..., 3, 3)``, metres.
+        lengths: bar lengths ``(..., 3)``, metres.
+        p: their intersection ``(..., 3)``, metres.
+        leg: the leg touched, shape ``(...)``.
+        direction: the base axis the dial reads along, shape ``(...)``.
+        gauge: the dial's place along the leg's own axis, metres, shape ``(...)``.
+        paths: direction in which each carriage's drive moves it, ``(..., 3, 3)``; default: the
+            base axes.
+
+    Returns:
+        ``(..., 6)``, dimensionless: three offsets, three lengths.
+
+    Raises:
+        NumericsError: at a singular posture.
+    """
+    _, by_p, by_carriage = _read(centres, p, leg, direction, gauge)
+    moved = sphere_derivatives(centres, lengths, p)
+    drives = np.eye(3) if paths is None else np.asarray(paths, dtype=float)
+    offsets = np.einsum("...a,...aij,...ij->...i", by_p, moved.centres, drives)
+    touched = np.eye(3)[np.asarray(leg)]
+    offsets = offsets + touched * np.einsum("...j,...ij->...i", by_carriage, drives)
+    return np.concatenate([offsets, np.einsum("...a,...ai->...i", by_p, moved.lengths)], axis=-1)

@@ -1,0 +1,284 @@
+"""The URDF: not stale, read alike by two loaders, closed at zero and over the whole stroke."""
+
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+
+from orthoglide import urdf
+from orthoglide.geometry import LEGS, Geometry, base_from_leg, leg_axes
+
+ROOT = Path(__file__).parents[1]
+NOMINAL = Geometry()
+OTHER = Geometry(L=0.5, d=0.11, r=0.047, stroke=(-0.12, 0.08))
+GEOMETRIES = pytest.mark.parametrize("geometry", [NOMINAL, OTHER], ids=["nominal", "other"])
+PARTS = ("slide", "theta", "bar1", "knuckle", "platform", "bar2")
+FRAMES = ("bar2_tip", "knuckle_tip", "tcp")
+
+
+def load(geometry: Geometry) -> pin.Model:
+    return pin.buildModelFromXML(urdf.to_urdf(geometry))
+
+
+def link_poses(model: pin.Model, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Pose (4, 4) of every link in the base."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    bodies = [i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
+    return {model.frames[i].name: data.oMf[i].homogeneous.copy() for i in bodies}
+
+
+def gaps(geometry: Geometry, poses: dict[str, np.ndarray]) -> dict[str, float]:
+    """How far each closure is open: metres, and for a frame the entries of the rotation too."""
+    result = {}
+    for item in urdf.closures(geometry):
+        difference = poses[item.frame_1] - poses[item.frame_2]
+        rows = difference[:3, 3:] if item.kind == "point" else difference
+        result[item.name] = float(np.abs(rows).max())
+    return result
+
+
+def tcp(geometry: Geometry, rho: np.ndarray) -> np.ndarray:
+    """Where three spheres of radius L about the carriages meet, by Newton from p = 0."""
+    p = np.zeros(3)
+    for _ in range(20):
+        arms = p - np.diag(rho)
+        p = p - np.linalg.solve(2 * arms, (arms**2).sum(axis=1) - geometry.L**2)
+    return p
+
+
+def closed_configuration(geometry: Geometry, travel: np.ndarray, model: pin.Model) -> np.ndarray:
+    """Joint positions of the assembled machine, leg by leg from where the TCP has to be."""
+    p = tcp(geometry, geometry.L + travel)
+    q = np.empty(model.nq)
+    for leg, n in enumerate(LEGS):
+        _, b, c = leg_axes(leg)
+        bars = np.arcsin(p[c] / geometry.L)
+        theta = -np.arcsin(p[b] / (geometry.L * np.cos(bars)))
+        values = (travel[leg], theta, bars, -bars, -theta, bars)
+        for part, value in zip(PARTS, values, strict=True):
+            q[model.joints[model.getJointId(f"{n}_{part}")].idx_q] = value
+    return q
+
+
+def test_checked_in_files_are_what_the_generator_writes() -> None:
+    remedy = "run `python -m orthoglide.urdf` in the project's folder"
+    checked_in = (ROOT / "urdf" / urdf.URDF_FILE).read_bytes().decode()
+    assert checked_in == urdf.to_urdf(NOMINAL), remedy
+    sidecar = (ROOT / "urdf" / urdf.CLOSURES_FILE).read_bytes().decode()
+    assert sidecar == urdf.closures_text(NOMINAL), remedy
+
+
+def test_module_writes_both_files_into_a_folder(tmp_path: Path) -> None:
+    target = tmp_path / "a" / "b"
+    command = [sys.executable, "-m", "orthoglide.urdf", str(target)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    assert sorted(path.name for path in target.iterdir()) == [urdf.CLOSURES_FILE, urdf.URDF_FILE]
+    assert (target / urdf.URDF_FILE).read_bytes().decode() == urdf.to_urdf(NOMINAL)
+
+
+def test_write_takes_another_geometry(tmp_path: Path) -> None:
+    model_file, sidecar = urdf.write(tmp_path, OTHER)
+    assert model_file.read_text() == urdf.to_urdf(OTHER) != urdf.to_urdf(NOMINAL)
+    assert sidecar.read_text() == urdf.closures_text(OTHER)
+
+
+def test_names_of_joints_links_and_their_axes() -> None:
+    robot = ET.fromstring(urdf.to_urdf(NOMINAL))
+    moving = {j.get("name"): j for j in robot.iter("joint") if j.get("type") != "fixed"}
+    assert set(moving) == {f"{n}_{part}" for n in LEGS for part in PARTS}
+    links = {link.get("name") for link in robot.findall("link")}
+    bodies = ("carriage", "fork", "bar1", "knuckle", "platform", "bar2", *FRAMES)
+    assert links == {"base"} | {f"{n}_{body}" for n in LEGS for body in bodies}
+    for name, joint in moving.items():
+        part = str(name)[2:]
+        slide = part == "slide"
+        assert joint.get("type") == ("prismatic" if slide else "revolute")
+        axis = {"slide": "1 0 0", "theta": "0 0 1", "platform": "0 0 1"}.get(part, "0 1 0")
+        assert joint.find("axis").get("xyz") == axis  # type: ignore[union-attr]
+
+
+def test_frames_of_the_closures_are_found_by_bare_name() -> None:
+    model = load(NOMINAL)
+    for item in urdf.closures(NOMINAL):
+        for frame in (item.frame_1, item.frame_2):
+            # raises where a joint's and a link's frame share the name
+            assert model.getFrameId(frame) < model.nframes
+            assert model.frames[model.getFrameId(frame)].type == pin.FrameType.BODY
+
+
+def test_sidecar_says_what_closures_returns() -> None:
+    tables = tomllib.loads(urdf.closures_text(NOMINAL))["closure"]
+    assert tuple(urdf.Closure(**table) for table in tables) == urdf.closures(NOMINAL)
+    rows = {"point": 3, "frame": 6}
+    assert sum(rows[item.kind] for item in urdf.closures(NOMINAL)) == 21
+    names = [item.name for item in urdf.closures(NOMINAL)]
+    assert names == [*(f"{n}_parallelogram" for n in LEGS), "platform_xy", "platform_xz"]
+
+
+@GEOMETRIES
+def test_yourdfpy_and_pinocchio_agree_on_every_link(geometry: Geometry, tmp_path: Path) -> None:
+    path, _ = urdf.write(tmp_path, geometry)
+    robot, model = yourdfpy.URDF.load(str(path)), pin.buildModelFromUrdf(str(path))
+    assert robot.validate()
+    assert robot.base_link == "base"
+    assert model.nq == 18
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit)
+        poses = link_poses(model, q)
+        assert set(poses) == set(robot.link_map)
+        indices = [model.joints[model.getJointId(n)].idx_q for n in robot.actuated_joint_names]
+        robot.update_cfg(q[indices])
+        for link, pose in poses.items():
+            np.testing.assert_allclose(robot.get_transform(link), pose, rtol=0, atol=1e-12)
+
+
+@GEOMETRIES
+def test_neutral_is_the_closed_machine_at_zero(geometry: Geometry) -> None:
+    model = load(geometry)
+    poses = link_poses(model, pin.neutral(model))
+    assert max(gaps(geometry, poses).values()) < 1e-15
+    for leg, n in enumerate(LEGS):
+        np.testing.assert_allclose(poses[f"{n}_tcp"], np.eye(4), rtol=0, atol=1e-15)
+        for part, along in (("carriage", geometry.L + geometry.r), ("platform", geometry.r)):
+            pose = poses[f"{n}_{part}"]
+            np.testing.assert_allclose(pose[:3, 3], along * np.eye(3)[leg], rtol=0, atol=1e-15)
+            np.testing.assert_allclose(pose[:3, :3], base_from_leg(leg), rtol=0, atol=1e-15)
+
+
+@GEOMETRIES
+def test_closes_within_the_limits_over_the_whole_stroke(geometry: Geometry) -> None:
+    model = load(geometry)
+    low, high = geometry.stroke
+    corners = np.stack(np.meshgrid(*[[low, high]] * 3), axis=-1).reshape(-1, 3)
+    inside = np.random.default_rng(2).uniform(low, high, (100, 3))
+    limits = np.stack([model.lowerPositionLimit, model.upperPositionLimit])
+    revolute = np.arange(model.nq) % 6 != 0
+    for travel in np.vstack([corners, inside]):
+        q = closed_configuration(geometry, travel, model)
+        poses = link_poses(model, q)
+        assert max(gaps(geometry, poses).values()) < 1e-14
+        p = tcp(geometry, geometry.L + travel)
+        np.testing.assert_allclose(poses["x_tcp"][:3, 3], p, rtol=0, atol=1e-14)
+        assert (limits[0] <= q).all()
+        assert (q <= limits[1]).all()
+        # a margin on the pivots: they never stop what the drives can command
+        assert (1.25 * np.abs(q[revolute]) < limits[1][revolute]).all()
+
+
+def test_limits_of_slides_are_the_stroke() -> None:
+    model = load(OTHER)
+    for n in LEGS:
+        at = model.joints[model.getJointId(f"{n}_slide")].idx_q
+        limits = model.lowerPositionLimit[at], model.upperPositionLimit[at]
+        assert limits == OTHER.stroke
+        assert model.velocityLimit[at] > 0
+        assert model.upperEffortLimit[at] > 0
+
+
+def drawn_inertia(link: ET.Element) -> pin.Inertia:
+    """Mass, centre and inertia of a link's visuals, summed by Pinocchio."""
+    total = pin.Inertia.Zero()
+    for visual in link.findall("visual"):
+        origin = visual.find("origin").attrib  # type: ignore[union-attr]
+        material = visual.find("material").attrib["name"]  # type: ignore[union-attr]
+        density = urdf._MATERIALS[material][1]
+        shape = visual.find("geometry")[0]  # type: ignore[index]
+        if shape.tag == "box":
+            size = [float(text) for text in shape.attrib["size"].split()]
+            solid = pin.Inertia.FromBox(density * float(np.prod(size)), *size)
+        else:
+            radius, length = float(shape.attrib["radius"]), float(shape.attrib["length"])
+            solid = pin.Inertia.FromCylinder(density * np.pi * radius**2 * length, radius, length)
+        rotation = pin.rpy.rpyToMatrix(*(float(text) for text in origin["rpy"].split()))
+        centre = np.array([float(text) for text in origin["xyz"].split()])
+        total = total + solid.se3Action(pin.SE3(rotation, centre))
+    return total
+
+
+@GEOMETRIES
+def test_inertias_are_those_of_the_solids_drawn(geometry: Geometry) -> None:
+    weighed = 0
+    for link in ET.fromstring(urdf.to_urdf(geometry)).findall("link"):
+        name, inertial = str(link.get("name")), link.find("inertial")
+        if name == "base" or name[2:] in FRAMES:
+            assert inertial is None
+            continue
+        assert inertial is not None
+        weighed += 1
+        entries = inertial.find("inertia").attrib  # type: ignore[union-attr]
+        tensor = np.array([[float(entries["i" + min(j + k, k + j)]) for k in LEGS] for j in LEGS])
+        moments = np.linalg.eigvalsh(tensor)
+        assert moments[0] > 0
+        assert moments[2] < moments[0] + moments[1]
+        drawn = drawn_inertia(link)
+        mass = float(inertial.find("mass").attrib["value"])  # type: ignore[union-attr]
+        assert mass == pytest.approx(drawn.mass, rel=1e-5)
+        centre = [float(x) for x in inertial.find("origin").attrib["xyz"].split()]  # type: ignore[union-attr]
+        np.testing.assert_allclose(centre, drawn.lever, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(tensor, drawn.inertia, rtol=0, atol=1e-5 * moments[2])
+    assert weighed == 18
+
+
+def test_legs_are_drawn_alike() -> None:
+    """Leg by leg the same links but for the colour, and what the platform carries for all."""
+    robot = ET.fromstring(urdf.to_urdf(NOMINAL))
+    drawn = {str(link.get("name")): link.findall("visual") for link in robot.findall("link")}
+    for part in ("carriage", "fork", "bar1", "bar2", "knuckle", "platform"):
+        legs = []
+        for n in LEGS:
+            texts = [
+                ET.tostring(visual, encoding="unicode").strip() for visual in drawn[f"{n}_{part}"]
+            ]
+            legs.append([text.replace(f"carriage_{n}", "carriage") for text in texts])
+        assert legs[1]
+        assert legs[1] == legs[2] == legs[0][: len(legs[1])]
+        assert (len(legs[0]) > len(legs[1])) == (part == "platform")
+    known = {material.get("name") for material in robot.findall("material")}
+    used = {
+        m.get("name") for visuals in drawn.values() for v in visuals for m in v.iter("material")
+    }
+    assert used == known
+
+
+def solids_that_touch(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
+    """Pairs of links whose drawn solids overlap."""
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b) for b in model.geom_bodyid]
+    pairs = set()
+    for i in range(model.ngeom):
+        for j in range(i):
+            near = names[i] != names[j] and (
+                np.linalg.norm(data.geom_xpos[i] - data.geom_xpos[j])
+                < model.geom_rbound[i] + model.geom_rbound[j]
+            )
+            if near and mujoco.mj_geomDistance(model, data, i, j, 1e-3, None) < 0:
+                pairs.add((min(names[i], names[j]), max(names[i], names[j])))
+    return pairs
+
+
+def test_drawn_solids_overlap_only_where_links_share_a_pivot() -> None:
+    """Seen by MuJoCo, nothing else runs into anything at the ends of the stroke."""
+    option = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
+    text = urdf.to_urdf(NOMINAL).replace("</robot>", option + "</robot>")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    tree = load(NOMINAL)
+    shared = {(f"{n}_{one}", f"{n}_fork") for n in LEGS for one in ("bar1", "bar2", "carriage")}
+    shared |= {(f"{n}_{one}", f"{n}_knuckle") for n in LEGS for one in ("bar1", "bar2")}
+    shared |= {(f"{n}_knuckle", f"{n}_platform") for n in LEGS}
+    shared |= {("x_platform", "y_platform"), ("x_platform", "z_platform")}
+    low, high = NOMINAL.stroke
+    for travel in np.stack(np.meshgrid(*[[low, 0.0, high]] * 3), axis=-1).reshape(-1, 3):
+        q = closed_configuration(NOMINAL, travel, tree)
+        for joint in tree.names[1:]:
+            data.joint(joint).qpos = q[tree.joints[tree.getJointId(joint)].idx_q]
+        mujoco.mj_kinematics(model, data)
+        assert solids_that_touch(model, data) == shared
