@@ -312,9 +312,10 @@ def _solve(A: Array, b: Array, length: Array, start: Array) -> tuple[Array, Arra
         p, R = p + step[:, :3], rotation(step[:, 3:]) @ R
     else:
         raise RigError("the six bars do not meet the platform")
-    # The other assembly modes lie far off: bars that point outwards, a platform turned over.
-    legs = np.repeat(np.arange(3), 2)
-    if (bar[:, np.arange(6), legs] > 0).any() or np.trace(R, axis1=1, axis2=2).min() < 2.9:
+    # The machine's own assembly mode: bars run toward -a, and their mean directions, legs x, y, z,
+    # make a left-handed triple as at mechanical zero (-e_x, -e_y, -e_z).
+    mean = (n[:, 0::2] + n[:, 1::2]) / 2
+    if (mean[:, range(3), range(3)] > 0).any() or (np.linalg.det(mean) > 0).any():
         raise RigError("the six bars close in another assembly mode")
     return p, R
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orthoglide.geometry import LEGS, Leg, axis_index, leg_axes
+from orthoglide.units import Unit
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Family:
 
     Attributes:
         name: as in the names of its parameters.
-        unit: of its parameters in files.
+        unit: of its parameters in files, with its worth in SI.
         tolerance: standard deviation to expect of a carefully built machine, in ``unit``.
         because: why the tolerance has that size.
         sentence: what it is, for a mechanic.
@@ -87,7 +88,7 @@ class Family:
     """
 
     name: str
-    unit: str
+    unit: Unit
     tolerance: float
     because: str
     sentence: str
@@ -103,11 +104,6 @@ class Family:
                 name = f"{self.name}.{letter}.{suffix}" if suffix else f"{self.name}.{letter}"
                 found[name] = (leg, motions)
         return found
-
-    @property
-    def scale(self) -> float:
-        """SI units in one unit of the family."""
-        return 1e-3 if self.unit.startswith("mm") else 1.0
 
 
 def once(*motions: Motion) -> Callable[[int], Mapping[str, tuple[Motion, ...]]]:

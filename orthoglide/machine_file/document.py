@@ -35,6 +35,10 @@ class Document:
             raise FileError(
                 f"is not TOML, {reason}: mend this line", file=file, line=line
             ) from None
+        except (ArithmeticError, RecursionError):
+            raise FileError(
+                "holds a number or nesting out of all range: remove it", file=file
+            ) from None
 
     def fail(self, message: str, *path: str) -> NoReturn:
         """Refuses the file for the value at a path."""

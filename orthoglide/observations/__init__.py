@@ -1,6 +1,28 @@
 """What was measured: campaigns of dial readings and TCP points, read from files and checked."""
 
-from orthoglide.observations.campaign import Campaign, Reading, Setup, derive_approach
+from orthoglide.observations.campaign import (
+    CONDITIONS,
+    Campaign,
+    Reading,
+    Setup,
+    derive_approach,
+)
+from orthoglide.observations.protocol import protocol
+from orthoglide.observations.reading import read_campaign, read_tcp
 from orthoglide.observations.tcp import TcpPoints
+from orthoglide.observations.writing import campaign_text, write_campaign, write_protocol
 
-__all__ = ["Campaign", "Reading", "Setup", "TcpPoints", "derive_approach"]
+__all__ = [
+    "CONDITIONS",
+    "Campaign",
+    "Reading",
+    "Setup",
+    "TcpPoints",
+    "campaign_text",
+    "derive_approach",
+    "protocol",
+    "read_campaign",
+    "read_tcp",
+    "write_campaign",
+    "write_protocol",
+]

@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
-from orthoglide.observations.campaign import Campaign, Setup, derive_approach
+from orthoglide.observations.campaign import Campaign, Ints, Setup, derive_approach
 from orthoglide.observations.checks import check_campaign, check_commands, check_tcp
 from orthoglide.observations.table import (
     DIRECTION,
@@ -116,7 +116,9 @@ def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = No
     """
     table = read_table(path)
     commands = _command_names(table)
-    warnings = table.check_names((*RHO, *TRAVEL, *APPROACH, *POINT, "sigma_mm"), (*commands, *POINT))
+    warnings = table.check_names(
+        (*RHO, *TRAVEL, *APPROACH, *POINT, "sigma_mm"), (*commands, *POINT)
+    )
     points = TcpPoints(
         command=_commands(table, commands, machine_file or nominal_machine_file()),
         p=_columns(table, POINT, _COORDINATE),
@@ -131,9 +133,7 @@ def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = No
     return points
 
 
-def _campaign(
-    table: Table, name: str, machine: MachineFile, require_readings: bool
-) -> Campaign:
+def _campaign(table: Table, name: str, machine: MachineFile, require_readings: bool) -> Campaign:
     commands = _command_names(table)
     known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH)
     needed = ("setup", "leg", "direction", *commands, "gauge_mm")
@@ -141,22 +141,19 @@ def _campaign(
     warnings = table.check_names(known, (*needed, *readings))
     setups, setup = _setups(table)
     command = _commands(table, commands, machine)
-    row = {key: table.values(key, column) for key, column in _row_columns(table).items()}
+    row: dict[str, Any] = {key: table.values(key, column) for key, column in ROW_COLUMNS.items()}
+    if "order" not in table.names:
+        row["order"] = range(1, len(table.rows) + 1)
+    fields = {key.partition("_")[0]: np.array(row[key]) for key in row if key != "posture"}
     campaign = Campaign(
         name=name,
         setups=setups,
         setup=setup,
         command=command,
-        approach=_approach(table, command, np.array(row["order"])),
-        time=np.array(row["time_s"]),
-        temperature=np.array(row["temperature_C"]),
-        load=np.array(row["load_N"]),
-        repeat=np.array(row["repeat"]),
-        order=np.array(row["order"]),
+        approach=_approach(table, command, fields["order"]),
         posture=tuple(row["posture"]),
-        reading=np.array(row["reading_mm"]),
-        sigma=np.array(row["sigma_mm"]),
         line=np.array(table.lines),
+        **fields,
     )
     if require_readings:
         _require_readings(table, campaign.reading)
@@ -164,5 +161,61 @@ def _campaign(
     return replace(campaign, warnings=(*warnings, *noticed))
 
 
-def _row_columns(table: Table) -> dict[str, Column]:
-    return ROW_COLUMNS if "order" in table.names else ROW_COLUMNS | {"order": Column(whole(0), 0)}
+def _command_names(table: Table) -> tuple[str, ...]:
+    """The three columns that hold the commands: joint coordinates or the controller's values."""
+    if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
+        table.fail("has both rho_ and travel_ columns: keep the three of one kind")
+    return TRAVEL if set(TRAVEL) & set(table.names) else RHO
+
+
+def _columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
+    return np.array([table.values(name, column) for name in names], dtype=float).T
+
+
+def _commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:
+    return check_commands(_columns(table, names, _COMMAND), names == TRAVEL, machine, table.fail)
+
+
+def _approach(table: Table, command: Array, order: Ints) -> Array:
+    """Approach as recorded; axes without a column get theirs from the sequence."""
+    recorded = _columns(table, APPROACH, _APPROACH)
+    given = [name in table.names for name in APPROACH]
+    return np.where(given, recorded, derive_approach(command, order))
+
+
+def _setups(table: Table) -> tuple[tuple[Setup, ...], Ints]:
+    """The mountings in order of appearance, and the place in them of each row's."""
+    cells = {key: table.values(key, column) for key, column in SETUP_COLUMNS.items()}
+    first: dict[str, int] = {}
+    for row, name in enumerate(cells["setup"]):
+        before = first.setdefault(name, row)
+        for key, values in cells.items():
+            if values[row] != values[before]:
+                table.fail(
+                    f"setup {name!r} has another {key} here than on line {table.lines[before]}: "
+                    "give each mounting of a dial a name of its own",
+                    row,
+                )
+        if cells["leg"][row] == cells["direction"][row][0]:
+            table.fail("direction is the leg's own axis: name one across the leg", row)
+    setups = tuple(
+        Setup(
+            name=name,
+            leg=cells["leg"][row],
+            axis=cells["direction"][row][0],
+            sign=cells["direction"][row][1],
+            gauge=cells["gauge_mm"][row],
+            bar=cells["bar"][row],
+        )
+        for name, row in first.items()
+    )
+    places = {name: place for place, name in enumerate(first)}
+    return setups, np.array([places[name] for name in cells["setup"]])
+
+
+def _require_readings(table: Table, reading: Array) -> None:
+    empty = np.flatnonzero(np.isnan(reading))
+    if len(empty) == len(reading):
+        table.fail("has no readings yet: fill in reading_mm", 0)
+    if len(empty):
+        table.fail("reading_mm is empty: fill it in or remove the row", int(empty[0]))

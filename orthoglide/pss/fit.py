@@ -140,8 +140,8 @@ def _step(problem: _Problem, state: _State) -> tuple[Array, Array, Array]:
     slope = left.T @ np.concatenate([state.residual, -state.x * problem.prior])
     bend = unwhiten.T @ problem.curvature(state) @ unwhiten
     values, vectors = np.linalg.eigh(np.eye(len(slope)) - (bend + bend.T) / 2)
-    # A floor keeps every step a descent where the curvature outweighs the readings.
-    whitened = vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 0.1))
+    # Modulus and floor keep every step a descent where the curvature outweighs the readings.
+    whitened = vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 0.01))
     return unwhiten @ whitened, slope @ whitened, unwhiten
 
 
@@ -264,50 +264,39 @@ def fit_readings(
         nominal=observe(dials, np.zeros(6), geometry.L) if linear else None,
     )
     start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), (total,)))
-    state, converged, iterations = _iterate(problem, start, tolerance, max_iterations)
-    return _result(problem, state, inverse, columns, converged, iterations)
-
-
-def _iterate(
-    problem: _Problem, start: Array, tolerance: float, most: int
-) -> tuple[_State, bool, int]:
-    state = problem.at(start)
-    for iteration in range(most + 1):
-        step, gain, _ = _step(problem, state)
-        small = float(np.max(np.abs(step), initial=0.0)) <= tolerance
-        if small or iteration == most:
-            return state, small, iteration
-        moved = _search(problem, state, step, float(gain))
-        if moved is None:
-            return state, False, iteration
-        state = moved
-    raise AssertionError("unreachable")  # pragma: no cover
-
-
-def _result(
-    problem: _Problem,
-    state: _State,
-    inverse: Array,
-    columns: Array,
-    converged: bool,
-    iterations: int,
-) -> ReadingFit:
-    whitened = np.zeros(len(problem.basis))
-    whitened[: len(problem.weight)] = (problem.target - state.model) * problem.weight
+    state, unwhiten, converged, iterations = _iterate(problem, start, tolerance, max_iterations)
+    whitened = np.zeros(len(basis))
+    whitened[:count] = (target - state.model) * weight
     z = inverse @ whitened
     fitted = state.model + columns @ z
-    _, unwhiten = _factor(problem.jacobian(state))
-    covariance = np.zeros((len(state.x), len(state.x)))
+    covariance = np.zeros((total, total))
     covariance[np.ix_(problem.free, problem.free)] = unwhiten @ unwhiten.T
     return ReadingFit(
         values=state.x,
-        six=problem.maps @ state.x,
+        six=selector @ state.x,
         nuisance=z,
         readings=fitted,
-        residuals=problem.target - fitted,
+        residuals=target - fitted,
         cost=state.cost,
         covariance=covariance,
         rank=unwhiten.shape[1],
         converged=converged,
         iterations=iterations,
     )
+
+
+def _iterate(
+    problem: _Problem, start: Array, tolerance: float, most: int
+) -> tuple[_State, Array, bool, int]:
+    state = problem.at(start)
+    iteration = 0
+    while True:
+        step, gain, unwhiten = _step(problem, state)
+        small = float(np.max(np.abs(step), initial=0.0)) <= tolerance
+        if small or iteration == most:
+            return state, unwhiten, small, iteration
+        moved = _search(problem, state, step, float(gain))
+        if moved is None:
+            return state, unwhiten, False, iteration
+        state = moved
+        iteration += 1

@@ -113,7 +113,7 @@ def forward(
     mode: Mode = "machine",
     geometry: Geometry = NOMINAL,
 ) -> Array:
-    """TCP of a command, by the quadratic ``A t^2 + B t + C = 0`` with t = |p|^2 / 2 (2008, eq. (4)).
+    """TCP of a command, by the quadratic ``A t^2 + B t + C = 0`` in t = |p|^2 / 2 (2008, (4)).
 
     ``p_i = (k_i + t) / R_i`` with ``k_i = (R_i^2 - L_i^2) / 2``. The machine's assembly mode is the
     *minus* root, the intersection nearer the origin; it is taken as C over the larger root's

@@ -114,7 +114,7 @@ def stroke_angles(geometry: Geometry = NOMINAL) -> tuple[float, float]:
 
 
 def coefficients(angle: ArrayLike) -> Coefficients:
-    """a = sin, b = (1/2 + sin) tan, c = (1/2 + sin) / cos - 1/2 of a stroke angle (2008, (11)).
+    """``a = sin``, ``b = (1/2 + sin) tan``, ``c = (1/2 + sin) / cos - 1/2`` (2008, (11)).
 
     Args:
         angle: alpha ``(...)``, radians; negative at Min.
@@ -126,7 +126,7 @@ def coefficients(angle: ArrayLike) -> Coefficients:
     return Coefficients(sine, (0.5 + sine) * sine / cosine, (0.5 + sine) / cosine - 0.5)
 
 
-def deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLike = 0.0) -> Array:
+def leg_deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLike = 0.0) -> Array:
     """Deviation of leg i along j: ``b (offset_i - length_i) + a offset_j - c length_j`` (3.2).
 
     Args:
@@ -171,7 +171,8 @@ def system11(
             for direction, leg in ((first, second), (second, first)):
                 matrix.append(_row(leg, direction, abc))
                 rows.append(f"{LEGS[direction]}_{LEGS[leg]}{sign}")
-    return LinearSystem(np.array(matrix), tuple(rows), COLUMNS, np.kron(np.eye(3), G))
+    noise = np.asarray(np.kron(np.eye(3), G), dtype=np.float64)
+    return LinearSystem(np.array(matrix), tuple(rows), COLUMNS, noise)
 
 
 def reduced_system(
@@ -190,7 +191,7 @@ def reduced_system(
     difference = np.kron(np.eye(3), np.array([[1.0, 0, -1, 0], [0, 1.0, 0, -1]]))
     rows = tuple(row[:-1] for row in full.rows if row.endswith("+"))
     noise = difference @ full.noise @ difference.T
-    return LinearSystem(difference @ full.matrix, rows, COLUMNS, noise)
+    return LinearSystem(difference @ full.matrix, rows, COLUMNS, np.asarray(noise))
 
 
 def system8(

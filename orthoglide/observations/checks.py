@@ -1,0 +1,236 @@
+"""What can be noticed about a campaign before any fit.
+
+Each check takes the campaign (or its commands), the machine and ``fail(message, row)``, which
+raises. What is no error is returned as a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine_file import MachineFile
+from orthoglide.observations.campaign import MOVED, Campaign
+from orthoglide.observations.tcp import TcpPoints
+
+Fail = Callable[[str, int | None], NoReturn]
+"""Raises the error for a row, counted from 0."""
+
+STROKE_SLACK = 1e-6
+"""How far a command may lie beyond the stroke, metres."""
+
+HARDLY = 1e-3
+"""An axis that moves by no more than this hardly moves, metres."""
+
+DIAL_RANGE = 20e-3
+"""More than any dial shows besides what the command itself moves, metres."""
+
+NO_READING = 1e-8
+"""Readings all below this are a simulated perfect machine's zeros, metres."""
+
+
+def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: Fail) -> Array:
+    """Joint coordinates of commands as given, all within the stroke.
+
+    Args:
+        values: as in the file ``(n, 3)``, metres.
+        travelled: whether they are the controller's values, not joint coordinates.
+        machine: whose stroke and controller count.
+        fail: raises the error.
+
+    Returns:
+        Commands rho ``(n, 3)``, metres.
+    """
+    geometry, controller = machine.geometry, machine.controller
+
+    def rho_of(given: Array, travel: bool) -> Array:
+        return controller.to_rho(given, geometry) if travel else given
+
+    def fits(given: Array, travel: bool) -> NDArray[np.bool_]:
+        return np.asarray(geometry.in_stroke(rho_of(given, travel), STROKE_SLACK).all(axis=-1))
+
+    outside = np.flatnonzero(~fits(values, travelled))
+    if not len(outside):
+        return rho_of(values, travelled)
+    row = int(outside[0])
+    given, other = values[row], "rho_x_mm ..." if travelled else "travel_x_mm ..."
+    whose = "joint coordinates rho" if travelled else "the controller's, counted from its own zero"
+    if fits(given * 1e3, travelled):
+        fail("the command is in metres: give millimetres", row)
+    if fits(given, not travelled):
+        fail(f"the command's values are {whose}: name the columns {other}", row)
+    axis = int(np.argmin(geometry.in_stroke(rho_of(given, travelled), STROKE_SLACK)))
+    limits = np.repeat((geometry.L + np.array(geometry.stroke))[:, None], 3, axis=1)
+    if travelled:
+        limits = controller.from_rho(limits, geometry)
+    low, high = sorted(limits[:, axis] * 1e3)
+    fail(
+        f"the command {given[axis] * 1e3:.9g} mm of axis {LEGS[axis]} is outside its stroke of "
+        f"{low:g} to {high:g} mm: correct it, or the stroke in the machine file",
+        row,
+    )
+
+
+def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tuple[str, ...]:
+    """Refuses a campaign that cannot be meant as it stands.
+
+    Args:
+        campaign: commands already checked.
+        machine: whose dimensions and dial count.
+        fail: raises the error.
+
+    Returns:
+        Warnings of what is odd but possible.
+    """
+    for check in _CHECKS:
+        check(campaign, machine, fail)
+    return tuple(text for notice in _NOTICES for text in notice(campaign))
+
+
+def check_tcp(points: TcpPoints, fail: Fail) -> None:
+    """Refuses TCP points that cannot be meant as they stand."""
+    missing = np.isnan(points.p).all(axis=1)
+    if missing.any():
+        fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
+    commanded = np.ptp(points.command, axis=0).max()
+    measured = max(np.ptp(p[np.isfinite(p)]) if np.isfinite(p).any() else 0.0 for p in points.p.T)
+    if commanded > HARDLY and 100 * measured < commanded:
+        fail(
+            f"the points lie within {measured * 1e3:.3g} mm while the commands span "
+            f"{commanded * 1e3:.3g} mm: give millimetres, not metres",
+            0,
+        )
+
+
+def _motion(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    if np.ptp(campaign.command, axis=0).max() <= MOVED:
+        return  # one posture throughout: its own check says it better
+    if np.ptp(campaign.command, axis=0).max() <= HARDLY:
+        fail("no axis moves by more than 1 mm: give the commands in millimetres, not metres", 0)
+
+
+def _gauges(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    gauge = np.array([s.gauge for s in campaign.setups])[campaign.setup]
+    tip = campaign.command[np.arange(len(campaign)), campaign.leg]
+
+    def on_leg(place: Array) -> NDArray[np.bool_]:
+        return (tip - machine.geometry.L < place) & (place < tip)
+
+    metres = on_leg(gauge * 1e3) & (np.abs(gauge) < HARDLY)
+    off = np.flatnonzero(~on_leg(gauge) | metres)
+    if len(off) and metres[off[0]]:
+        fail("gauge_mm is in metres: give millimetres", int(off[0]))
+    if len(off):
+        row = int(off[0])
+        low, high = (tip[row] - machine.geometry.L) * 1e3, tip[row] * 1e3
+        fail(
+            f"the gauge at {gauge[row] * 1e3:g} mm is off the leg, which runs from {low:.1f} to "
+            f"{high:.1f} mm: correct gauge_mm or the command",
+            row,
+        )
+
+
+def _postures(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    for place, setup in enumerate(campaign.setups):
+        rows = np.flatnonzero(campaign.setup == place)
+        if np.ptp(campaign.command[rows], axis=0).max() <= MOVED:
+            fail(
+                f"setup {setup.name!r} has a single posture and its datum is free: measure a "
+                "second one or remove the setup",
+                int(rows[0]),
+            )
+
+
+def _duplicates(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    seen: dict[Hashable, int] = {}
+    visits = np.column_stack([campaign.setup, campaign.repeat, campaign.approach, campaign.load])
+    places = np.round(campaign.command, 9)
+    for row, key in enumerate(zip(map(tuple, visits), map(tuple, places), strict=True)):
+        first = seen.setdefault(key, row)
+        if first != row:
+            fail(
+                f"the reading of line {campaign.line[first]} stands here again (same setup, "
+                "command, approach and repeat): remove one, or count it up in column repeat",
+                row,
+            )
+
+
+def _sequence(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    first: dict[int, int] = {}
+    for row, order in enumerate(campaign.order.tolist()):
+        before = first.setdefault(order, row)
+        if np.abs(campaign.command[row] - campaign.command[before]).max() > MOVED:
+            fail(
+                f"order {order} stands for another command on line {campaign.line[before]}: "
+                "number the postures in the sequence the machine took",
+                row,
+            )
+
+
+def _clock(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    rows = np.lexsort((campaign.time, campaign.order))
+    rows = rows[np.isfinite(campaign.time[rows])]
+    back = np.flatnonzero(np.diff(campaign.time[rows]) < 0)
+    if len(back):
+        before, row = rows[back[0]], rows[back[0] + 1]
+        fail(
+            f"time_s runs back from line {campaign.line[before]} to here: count on from the start "
+            "of the campaign, and number the rows in column order if they are sorted otherwise",
+            int(row),
+        )
+
+
+def _dial(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
+    size = np.nanmax(np.abs(campaign.reading), initial=0.0)
+    if NO_READING < size < machine.dial.resolution:
+        fail(
+            f"all readings are below one step of the dial ({machine.dial.resolution * 1e3:g} mm): "
+            "give millimetres, not metres, or correct resolution in the machine file",
+            0,
+        )
+    for place, setup in enumerate(campaign.setups):
+        rows = np.flatnonzero((campaign.setup == place) & np.isfinite(campaign.reading))
+        if not len(rows):
+            continue
+        reading = campaign.reading[rows]
+        limit = DIAL_RANGE + np.ptp(campaign.command[rows, setup.axis])
+        if np.ptp(reading) > limit:
+            row = rows[np.argmax(np.abs(reading - np.median(reading)))]
+            fail(
+                f"reading_mm is {campaign.reading[row] * 1e3:g} in setup {setup.name!r}, whose "
+                f"readings span {np.ptp(reading) * 1e3:.4g} mm, more than its leg can move: "
+                "correct a slip, or give millimetres",
+                int(row),
+            )
+
+
+_CHECKS = (_motion, _gauges, _postures, _duplicates, _sequence, _clock, _dial)
+
+
+def _still_legs(campaign: Campaign) -> Iterator[str]:
+    for leg in np.unique(campaign.leg):
+        span = np.ptp(campaign.command[campaign.leg == leg, leg])
+        if span <= HARDLY:
+            yield (
+                f"leg {LEGS[leg]} moves by only {span * 1e3:.3g} mm along its own axis in its "
+                "setups: they say little about its length and axis"
+            )
+
+
+def _partly_recorded(campaign: Campaign) -> Iterator[str]:
+    said = {
+        "time_s": (campaign.time, "these count as taken at the start"),
+        "temperature_C": (campaign.temperature, "these count as no warmer than the first"),
+        "sigma_mm": (campaign.sigma, "these take the dial's"),
+    }
+    for column, (values, consequence) in said.items():
+        missing = int(np.isnan(values).sum())
+        if 0 < missing < len(values):
+            yield f"{column} is empty in {missing} of {len(values)} rows: {consequence}"
+
+
+_NOTICES = (_still_legs, _partly_recorded)
