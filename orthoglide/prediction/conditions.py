@@ -1,0 +1,76 @@
+"""What the machine saw when a posture was taken, as arrays; equal conditions can be merged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orthoglide.geometry import Array
+from orthoglide.observations import Campaign
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions of ``n`` postures.
+
+    Attributes:
+        command: rho ``(n, 3)``, metres.
+        approach: direction of each drive's last move ``(n, 3)``: +1, -1, 0 where unknown.
+        time: ``(n,)``, seconds.
+        warming: ``(n,)``, kelvin above the first row.
+        load: ``(n,)``, newtons along base -z at the TCP.
+    """
+
+    command: Array
+    approach: Array
+    time: Array
+    warming: Array
+    load: Array
+
+    def __len__(self) -> int:
+        return len(self.command)
+
+    @classmethod
+    def at(
+        cls,
+        command: ArrayLike,
+        *,
+        approach: ArrayLike = 0.0,
+        time: ArrayLike = 0.0,
+        warming: ArrayLike = 0.0,
+        load: ArrayLike = 0.0,
+    ) -> Conditions:
+        """Conditions for commands ``(n, 3)``; the rest is broadcast."""
+        rho = np.asarray(command, dtype=float).reshape(-1, 3)
+        n = len(rho)
+
+        def spread(values: ArrayLike, *shape: int) -> Array:
+            return np.broadcast_to(np.asarray(values, dtype=float), (n, *shape)).copy()
+
+        return cls(rho, spread(approach, 3), spread(time), spread(warming), spread(load))
+
+    @classmethod
+    def of(cls, campaign: Campaign) -> Conditions:
+        """Conditions of every row of a campaign."""
+        c = campaign.conditions
+        return cls(c[:, :3], c[:, 3:6], c[:, 6], c[:, 7], c[:, 8])
+
+    def merged(self, *, with_approach: bool, with_time: bool) -> tuple[Conditions, NDArray[np.intp]]:
+        """Distinct conditions and, for each row, which of them it saw.
+
+        Args:
+            with_approach: whether the direction of approach makes a difference.
+            with_time: whether time does.
+        """
+        approach = self.approach if with_approach else np.zeros_like(self.approach)
+        time = self.time if with_time else np.zeros_like(self.time)
+        table = np.column_stack([self.command, approach, time, self.warming, self.load])
+        distinct, place = np.unique(table, axis=0, return_inverse=True)
+        return (
+            Conditions(
+                distinct[:, :3], distinct[:, 3:6], distinct[:, 6], distinct[:, 7], distinct[:, 8]
+            ),
+            place.reshape(-1),
+        )

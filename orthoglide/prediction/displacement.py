@@ -1,0 +1,70 @@
+"""From parameters and conditions to displacements of the virtual joints, as one CasADi function."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from orthoglide.effects import MACHINE_PARAMETERS, LegConditions
+from orthoglide.effects.catalogue import MOTIONS
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+
+CONDITIONS = 11
+"""Length of a vector of conditions: command (3), approach (3), time, warming, force (3), ... in
+the order rho_x, rho_y, rho_z, approach_x ... z, time, warming, force_x, force_y, force_z."""
+
+
+def displacement_function(geometry: Geometry, pitch: float | None) -> Any:
+    """CasADi function (parameters ``(63,)``, conditions ``(11,)``) -> displacements ``(30,)``.
+
+    Drives are summed first: what the rail does follows the carriage's true travel.
+
+    Args:
+        geometry: nominal dimensions.
+        pitch: of the screws, metres.
+    """
+    theta = ca.SX.sym("theta", len(MACHINE_PARAMETERS))
+    seen = ca.SX.sym("conditions", CONDITIONS)
+    joints: dict[tuple[int, str], Any] = {}
+    for on_the_drive in (True, False):
+        for k, name in enumerate(MACHINE_PARAMETERS):
+            leg, motions = MOTIONS[name]
+            for motion in motions:
+                if (motion.joint == "travel") is on_the_drive:
+                    driven = None if on_the_drive else joints[leg, "travel"]
+                    conditions = _leg_conditions(geometry, pitch, seen, leg, driven)
+                    place = (leg, motion.joint)
+                    joints[place] = joints.get(place, 0) + motion.basis(conditions) * theta[k]
+    moves = [joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES]
+    return ca.Function(
+        "displacement", [theta, seen], [ca.densify(ca.vertcat(*moves))], ["theta", "conditions"], ["moves"]
+    )
+
+
+def displacement_tangent(function: Any) -> Any:
+    """The same function with its derivative ``(30, 63)`` by the parameters."""
+    theta = ca.SX.sym("theta", function.size1_in(0))
+    seen = ca.SX.sym("conditions", function.size1_in(1))
+    moves = function(theta, seen)
+    return ca.Function(
+        "displacement_tangent", [theta, seen], [moves, ca.densify(ca.jacobian(moves, theta))]
+    )
+
+
+def _leg_conditions(
+    geometry: Geometry, pitch: float | None, seen: Any, leg: int, driven: Any
+) -> LegConditions:
+    command = seen[leg]
+    return LegConditions(
+        command=command,
+        length=geometry.L,
+        stroke=geometry.stroke,
+        pitch=pitch,
+        approach=seen[3 + leg],
+        time=seen[6],
+        warming=seen[7],
+        force=seen[8 + leg],
+        travel=None if driven is None else command - geometry.L + driven,
+    )

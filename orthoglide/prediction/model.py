@@ -1,0 +1,214 @@
+"""Conditions and parameters -> poses and readings, with sensitivities to every parameter at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, is_dial
+from orthoglide.effects.catalogue import check_parameter
+from orthoglide.geometry import Array, Geometry
+from orthoglide.mechanism import Mechanism
+from orthoglide.mechanism.batch import Outputs
+from orthoglide.mechanism.functions import LINES
+from orthoglide.observations import Campaign
+from orthoglide.prediction.conditions import Conditions
+from orthoglide.prediction.dial import DIAL_FAMILIES, crossings
+from orthoglide.prediction.displacement import displacement_function, displacement_tangent
+
+_PLACE = {name: k for k, name in enumerate(MACHINE_PARAMETERS)}
+_NEED_TIME = frozenset({"thermal_drift"})
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Predicted readings of a campaign, datums apart.
+
+    Attributes:
+        value: ``(n,)``, metres.
+        jacobian: by the parameters asked for ``(n, P)``, SI.
+        by_gauge: by the dial's place along the leg ``(n,)``.
+    """
+
+    value: Array
+    jacobian: Array
+    by_gauge: Array
+
+
+class Model:
+    """The general mechanism moved by the catalogue's effects.
+
+    Args:
+        geometry: nominal dimensions.
+        pitch: of the drives' screws, metres; ``None`` where unknown.
+        compile: see :class:`~orthoglide.mechanism.batch.BatchClosure`.
+    """
+
+    def __init__(
+        self,
+        geometry: Geometry | None = None,
+        pitch: float | None = None,
+        *,
+        compile: bool | None = None,
+    ) -> None:
+        self.geometry = geometry or Geometry()
+        self.pitch = pitch
+        self.mechanism = Mechanism(self.geometry, compile=compile)
+        self._mapped: dict[tuple[str, int], Any] = {}
+
+    @cached_property
+    def displacement(self) -> Any:
+        """CasADi function of the virtual joints' displacements, for the NLP."""
+        return displacement_function(self.geometry, self.pitch)
+
+    @cached_property
+    def _displacement_tangent(self) -> Any:
+        return displacement_tangent(self.displacement)
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        """All parameters of the machine ``(63,)``, SI, zero where not named; dials are skipped.
+
+        Raises:
+            InputError: for a name that is no parameter.
+        """
+        theta = np.zeros(len(MACHINE_PARAMETERS))
+        for name, value in values.items():
+            if name in _PLACE:
+                theta[_PLACE[name]] = value
+            else:
+                check_parameter(name)
+        return theta
+
+    def force(self, conditions: Conditions) -> Array:
+        """Force on each carriage along its axis under the load ``(n, 3)``, newtons.
+
+        By virtual work on the nominal machine: ``f = (dp/drho)^T (0, 0, -load)``.
+        """
+        if not conditions.load.any():
+            return np.zeros_like(conditions.command)
+        batch = self.mechanism.nominal_batch
+        given = self.mechanism.given(conditions.command)[:, :3]
+        _, by_given = batch.tangent(batch.close(given), given)
+        return np.asarray(-conditions.load[:, None] * by_given[:, 2, :3])
+
+    def seen(self, conditions: Conditions) -> Array:
+        """Conditions as the displacement function takes them ``(n, 11)``."""
+        return np.column_stack(
+            [
+                conditions.command,
+                conditions.approach,
+                conditions.time,
+                conditions.warming,
+                self.force(conditions),
+            ]
+        )
+
+    def _map(self, function: Any, *arguments: Array) -> list[Array]:
+        """Evaluate a CasADi function for rows; outputs with the rows first."""
+        n = len(arguments[-1])
+        key = (function.name(), n)
+        if key not in self._mapped:
+            self._mapped[key] = function.map(n)
+        columns = [np.tile(a[:, None], n) if a.ndim == 1 else a.T for a in arguments]
+        results = self._mapped[key].call(columns)
+        return [r.full().T.reshape(n, -1, function.size1_out(k)) for k, r in enumerate(results)]
+
+    def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """Displacements of the virtual joints ``(n, 30)``, metres and radians."""
+        theta = self.vector(values)
+        if not len(conditions) or not theta.any():
+            return np.zeros((len(conditions), self.displacement.size1_out(0)))
+        (moves,) = self._map(self.displacement, theta, self.seen(conditions))
+        return moves[:, 0]
+
+    def displacement_derivative(
+        self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
+    ) -> tuple[Array, Array]:
+        """Displacements ``(n, 30)`` and their derivative by machine parameters ``(n, 30, P)``."""
+        moves, by_theta = self._map(
+            self._displacement_tangent, self.vector(values), self.seen(conditions)
+        )
+        columns = by_theta[:, [_PLACE[name] for name in names]]
+        return moves[:, 0], np.swapaxes(columns, 1, 2)
+
+    def outputs(self, values: Mapping[str, float], conditions: Conditions) -> Outputs:
+        """Poses and bars of closed postures.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
+        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
+        batch = self.mechanism.batch
+        return batch.outputs(batch.close(given), given)
+
+    def sensitivities(
+        self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
+    ) -> tuple[Outputs, Array]:
+        """Poses and bars, and their derivative ``(n, 48, P)`` by machine parameters, loops closed."""
+        moves, by_theta = self.displacement_derivative(values, conditions, names)
+        given = self.mechanism.given(conditions.command, moves)
+        batch = self.mechanism.batch
+        outputs, by_given = batch.tangent(batch.close(given), given)
+        return outputs, by_given[:, :, 3:] @ by_theta
+
+    def _merged(
+        self, campaign: Campaign, names: Iterable[str]
+    ) -> tuple[Conditions, np.ndarray[Any, Any]]:
+        used = {name.partition(".")[0] for name in names}
+        return Conditions.of(campaign).merged(
+            with_approach="backlash" in used, with_time=bool(used & _NEED_TIME)
+        )
+
+    def readings(self, values: Mapping[str, float], campaign: Campaign) -> Array:
+        """Readings ``(n,)``, datums apart, metres."""
+        conditions, place = self._merged(campaign, values)
+        lines = self.outputs(values, conditions).lines
+        ends = lines[place, campaign.leg]
+        return crossings(ends, campaign, self.geometry.r, values).value
+
+    def linearised(
+        self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
+    ) -> Readings:
+        """Readings with their derivative by parameters of the machine and of the dials.
+
+        Args:
+            values: all parameters that are not zero, SI.
+            campaign: says conditions and setups.
+            names: the parameters to differentiate by.
+        """
+        machine = [name for name in names if not is_dial(name)]
+        conditions, place = self._merged(campaign, [*values, *names])
+        moves, by_theta = self.displacement_derivative(values, conditions, machine)
+        given = self.mechanism.given(conditions.command, moves)
+        batch = self.mechanism.batch
+        outputs, by_given = batch.tangent(batch.close(given), given)
+        leg = campaign.leg
+        crossing = crossings(outputs.lines[place, leg], campaign, self.geometry.r, values)
+        ends = by_given[:, LINES].reshape(len(conditions), 3, 12, -1)
+        by_joint = np.einsum(
+            "ne,nev->nv", crossing.by_ends.reshape(len(campaign), 12), ends[place, leg][:, :, 3:]
+        )
+        jacobian = np.empty((len(campaign), len(names)))
+        jacobian[:, [k for k, n in enumerate(names) if not is_dial(n)]] = np.einsum(
+            "nv,nvp->np", by_joint, by_theta[place]
+        )
+        for k, name in enumerate(names):
+            if is_dial(name):
+                jacobian[:, k] = self._by_dial(name, campaign, crossing.by_dial)
+        return Readings(crossing.value, jacobian, crossing.by_gauge)
+
+    @staticmethod
+    def _by_dial(name: str, campaign: Campaign, by_dial: Array) -> Array:
+        family, _, setup = name.partition(".")
+        own = np.array([s.name == setup for s in campaign.setups])[campaign.setup]
+        return np.where(own, by_dial[:, DIAL_FAMILIES.index(family)], 0.0)
+
+
+def tolerance_of(name: str, tolerance: Mapping[str, float]) -> float:
+    """Standard deviation to expect of a parameter, SI."""
+    family = name.partition(".")[0]
+    return tolerance.get(family, CATALOGUE[family].tolerance * CATALOGUE[family].unit.si)
