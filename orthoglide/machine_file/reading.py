@@ -40,7 +40,7 @@ def _quantity(
         if not (low < number < high or (number == low and not open_end)):
             bound = "above" if open_end else "at least"
             hint = ": is it in metres?" if factor == 1e-3 and 0 < number <= low else ""
-            raise ValueError(f"must be {bound} {low:g} and below {high:g}, not {number}{hint}")
+            raise ValueError(f"must be {bound} {low:g} and below {high:g}, not {number:f}{hint}")
         return units.to_si(number, factor)
 
     return parse
@@ -50,7 +50,9 @@ def _millimetres(count: int) -> Callable[[Any], tuple[float, ...]]:
     def parse(value: Any) -> tuple[float, ...]:
         if not isinstance(value, list) or len(value) != count:
             raise ValueError(f"must be a list of {count} numbers in mm")
-        return tuple(units.to_si(_number(v), 1e-3) for v in value)
+        if any(abs(_number(v)) > 1e4 for v in value):
+            raise ValueError("must hold no more than 10000 mm")
+        return tuple(units.to_si(v, 1e-3) for v in value)
 
     return parse
 
@@ -165,8 +167,12 @@ def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
             document.fail(f"{key} is not shorter than L: are they exchanged?", "geometry_mm", key)
     try:
         return Geometry(**values)
-    except InputError as error:
-        document.fail(f"{error}: correct the stroke or L", "geometry_mm", "stroke")
+    except InputError:  # single values were checked: it is the stroke against L
+        document.fail(
+            "the stroke must run from below 0 to above 0 and stay within L: correct one of them",
+            "geometry_mm",
+            "stroke",
+        )
 
 
 def _tolerance(document: Document) -> dict[str, float]:

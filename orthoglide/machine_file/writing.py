@@ -59,14 +59,19 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
             for family, value in machine.tolerance.items()
         },
         "stiffness": {"torsion_Nmm_per_rad": _mm(stiffness.torsion), "bar_N_per_mm": bar},
-        "provenance": dict(machine.provenance),
     }
     given = {
         name: {key: value for key, value in table.items() if value is not None}
         for name, table in tables.items()
     }
     kept = {name: table for name, table in given.items() if table}
-    return {"schema": SCHEMA, "name": machine.name, **kept}
+    top = {"schema": SCHEMA, "name": machine.name, **kept}
+    return {**top, "provenance": dict(machine.provenance)} if machine.provenance else top
+
+
+def _float(value: float, factor: float) -> str:
+    text = str(units.from_si(value, factor))
+    return text if set(text) & set(".EN") else f"{text}.0"  # a whole number would lose its -0
 
 
 def _parameter_lines(parameters: Mapping[str, ParameterValue]) -> str:
@@ -76,7 +81,7 @@ def _parameter_lines(parameters: Mapping[str, ParameterValue]) -> str:
     lines = ["", "[parameters]"]
     for name, parameter in parameters.items():
         factor = unit_of(name).si
-        value, sigma = (units.from_si(v, factor) for v in (parameter.value, parameter.sigma))
+        value, sigma = (_float(v, factor) for v in (parameter.value, parameter.sigma))
         lines.append(
             f'"{name}" = {{ value = {value}, sigma = {sigma}, unit = "{parameter.unit}" }}'
         )

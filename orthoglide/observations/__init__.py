@@ -7,7 +7,7 @@ from orthoglide.observations.campaign import (
     Setup,
     derive_approach,
 )
-from orthoglide.observations.protocol import protocol
+from orthoglide.observations.protocols import protocol
 from orthoglide.observations.reading import read_campaign, read_tcp
 from orthoglide.observations.tcp import TcpPoints
 from orthoglide.observations.writing import campaign_text, write_campaign, write_protocol

@@ -57,12 +57,14 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     if not len(outside):
         return rho_of(values, travelled)
     row = int(outside[0])
-    given, other = values[row], "rho_x_mm ..." if travelled else "travel_x_mm ..."
+    given, other = values[row], "rho" if travelled else "travel"
     whose = "joint coordinates rho" if travelled else "the controller's, counted from its own zero"
     if fits(given * 1e3, travelled):
         fail("the command is in metres: give millimetres", row)
     if fits(given, not travelled):
-        fail(f"the command's values are {whose}: name the columns {other}", row)
+        fail(
+            f"the command's values are {whose}: name the columns {other}_x_mm to {other}_z_mm", row
+        )
     axis = int(np.argmin(geometry.in_stroke(rho_of(given, travelled), STROKE_SLACK)))
     limits = np.repeat((geometry.L + np.array(geometry.stroke))[:, None], 3, axis=1)
     if travelled:

@@ -41,7 +41,7 @@ SETUP_COLUMNS: dict[str, Column] = {
     "leg": Column(LEG),
     "direction": Column(DIRECTION),
     "gauge_mm": Column(number(MM)),
-    "bar": Column(choice({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty"), 0),
+    "bar": Column(choice({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty: correct it"), 0),
 }
 """What one mounting of one dial has once and for all."""
 
@@ -144,7 +144,9 @@ def _campaign(table: Table, name: str, machine: MachineFile, require_readings: b
     row: dict[str, Any] = {key: table.values(key, column) for key, column in ROW_COLUMNS.items()}
     if "order" not in table.names:
         row["order"] = range(1, len(table.rows) + 1)
-    fields = {key.partition("_")[0]: np.array(row[key]) for key in row if key != "posture"}
+    fields: dict[str, Any] = {
+        key.partition("_")[0]: np.array(row[key]) for key in row if key != "posture"
+    }
     campaign = Campaign(
         name=name,
         setups=setups,

@@ -13,7 +13,7 @@ import numpy as np
 from orthoglide import units
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.observations.campaign import Campaign, derive_approach
-from orthoglide.observations.protocol import Kind, protocol
+from orthoglide.observations.protocols import Kind, protocol
 
 MM = 1e-3
 

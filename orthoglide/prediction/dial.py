@@ -8,8 +8,9 @@ leg's own axis a (r removed), it crosses the plane at ``X = A + mu (B - A)`` whe
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from orthoglide.effects.catalogue import CATALOGUE
@@ -18,92 +19,65 @@ from orthoglide.observations import Campaign
 
 DIAL_FAMILIES: tuple[str, ...] = tuple(n for n, f in CATALOGUE.items() if f.group == "dial")
 
+_SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}  # of bars 1 and 2 in the touched line
 
-@dataclass(frozen=True)
-class Crossing:
-    """Readings with their derivatives.
 
-    Attributes:
-        value: what the dials show, datum apart ``(n,)``, metres.
-        by_ends: by the ends of the leg's bars ``(n, bar, end, 3)``.
-        by_gauge: by the place of the dial along the leg ``(n,)``: the slope of the line.
-        by_dial: by the dial's own parameters, in the order of ``DIAL_FAMILIES`` ``(n, 3)``.
+def reading_function() -> Any:
+    """CasADi function (ends ``(12,)``, mounting ``(14,)``, dial ``(3,)``) -> reading, metres.
+
+    ``ends`` are those of the touched leg's bars (bar, end, xyz); ``mounting`` is a row of
+    :func:`mountings`; ``dial`` holds gauge_scale, gauge_direction and gauge_drift.
     """
+    ends, mounting = ca.SX.sym("ends", 12), ca.SX.sym("mounting", 14)
+    dial = ca.SX.sym("dial", len(DIAL_FAMILIES))
+    share, own, sensed = mounting[:2], mounting[2:5], mounting[5:8]
+    sideways, place, sign, time = mounting[8:11], mounting[11], mounting[12], mounting[13]
+    scale, angle, drift = dial[0], dial[1], dial[2]
+    start = share[0] * ends[0:3] + share[1] * ends[6:9]
+    along = share[0] * ends[3:6] + share[1] * ends[9:12] - start
+    crossing = start + (place - ca.dot(own, start)) / ca.dot(own, along) * along
+    direction = ca.cos(angle) * sensed + ca.sin(angle) * sideways
+    reading = sign * (1 + scale) * ca.dot(direction, crossing) + drift * time
+    return ca.Function("reading", [ends, mounting, dial], [reading])
 
-    value: Array
-    by_ends: Array
-    by_gauge: Array
-    by_dial: Array
+
+def reading_tangent(function: Any) -> Any:
+    """The reading with its derivatives by ends ``(12,)``, mounting ``(14,)`` and dial ``(3,)``."""
+    arguments = [ca.SX.sym(f"a{k}", function.size1_in(k)) for k in range(3)]
+    reading = function(*arguments)
+    gradients = [ca.densify(ca.gradient(reading, a)) for a in arguments]
+    return ca.Function("reading_tangent", arguments, [reading, *gradients])
 
 
-def bar_weights(bar: int) -> tuple[float, float]:
-    """Shares of bars 1 and 2 in the touched line; 0 is the median line."""
-    return {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}[bar]
+BY_GAUGE = 11
+"""Place of the dial's position among a mounting's entries."""
 
 
-def crossings(
-    ends: Array, campaign: Campaign, r: float, values: Mapping[str, float] | None = None
-) -> Crossing:
-    """Readings of all rows of a campaign.
+def mountings(campaign: Campaign, r: float) -> Array:
+    """How each row's dial is mounted ``(n, 14)``: shares of the bars, the leg's own axis, the axis
+    sensed, the axis the dial turns toward, position, sign, time.
 
     Args:
-        ends: of the touched leg's bars, for each row ``(n, bar, end, 3)``, metres.
-        campaign: says leg, direction, gauge and bar.
+        campaign: its rows.
         r: distance from the TCP to the legs' last revolutes, metres.
-        values: parameters of the dials, ``gauge_scale.SETUP`` ...
     """
-    rows = np.arange(len(campaign))
-    setups = [campaign.setups[k] for k in campaign.setup]
-    share = np.array([bar_weights(s.bar) for s in campaign.setups])[campaign.setup]
-    line = np.einsum("nb,nbex->nex", share, ends)
-    start, along = line[:, 0], line[:, 1] - line[:, 0]
-    own = np.array([s.leg for s in setups])
-    gauge = np.array([s.gauge for s in setups]) + r
-    mu = (gauge - start[rows, own]) / along[rows, own]
-    point = start + mu[:, None] * along
-
-    scale, angle, drift = _dial_values(campaign, values or {})
-    sensed, sideways = _directions(campaign)
-    direction = np.cos(angle)[:, None] * sensed + np.sin(angle)[:, None] * sideways
-    turned = -np.sin(angle)[:, None] * sensed + np.cos(angle)[:, None] * sideways
-    sign = np.array([s.sign for s in setups], dtype=float)
-    gain = sign * (1 + scale)
-    time = np.nan_to_num(campaign.time)
-
-    # The direction stands across the leg's own axis, so a point's own shift only moves mu.
-    slope = np.sum(direction * along, axis=1) / along[rows, own]
-    by_point = gain[:, None] * direction
-    by_point[rows, own] -= gain * slope
-    by_ends = share[:, :, None, None] * np.stack(
-        [(1 - mu)[:, None] * by_point, mu[:, None] * by_point], axis=1
-    )[:, None]
-    shown = np.sum(direction * point, axis=1)
-    by_dial = {
-        "gauge_scale": sign * shown,
-        "gauge_direction": gain * np.sum(turned * point, axis=1),
-        "gauge_drift": time,
-    }
-    return Crossing(
-        gain * shown + drift * time,
-        by_ends,
-        gain * slope,
-        np.stack([by_dial[name] for name in DIAL_FAMILIES], axis=1),
-    )
-
-
-def _dial_values(campaign: Campaign, values: Mapping[str, float]) -> list[Array]:
-    return [
-        np.array([values.get(f"{family}.{s.name}", 0.0) for s in campaign.setups])[campaign.setup]
-        for family in ("gauge_scale", "gauge_direction", "gauge_drift")
-    ]
-
-
-def _directions(campaign: Campaign) -> tuple[Array, Array]:
-    """Unit vectors of the sensed axis, and of the one the dial turns toward about the leg."""
-    sensed = np.zeros((len(campaign.setups), 3))
-    sideways = np.zeros_like(sensed)
-    for k, setup in enumerate(campaign.setups):
+    table = np.zeros((len(campaign.setups), 14))
+    axes = np.eye(3)
+    for row, setup in zip(table, campaign.setups, strict=True):
         a, _, _ = leg_axes(setup.leg)
-        sensed[k, setup.axis] = 1.0
-        sideways[k] = np.cross(np.eye(3)[a], sensed[k])
-    return sensed[campaign.setup], sideways[campaign.setup]
+        row[:2] = _SHARES[setup.bar]
+        row[2:5], row[5:8] = axes[a], axes[setup.axis]
+        row[8:11] = np.cross(axes[a], axes[setup.axis])
+        row[11], row[12] = setup.gauge + r, setup.sign
+    rows = table[campaign.setup]
+    rows[:, 13] = np.nan_to_num(campaign.time)
+    return rows
+
+
+def dial_values(campaign: Campaign, values: Mapping[str, float]) -> Array:
+    """The dials' own parameters of each row ``(n, 3)``, in the order of ``DIAL_FAMILIES``."""
+    table = [
+        [values.get(f"{family}.{setup.name}", 0.0) for family in DIAL_FAMILIES]
+        for setup in campaign.setups
+    ]
+    return np.array(table).reshape(-1, len(DIAL_FAMILIES))[campaign.setup]

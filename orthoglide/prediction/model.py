@@ -17,7 +17,14 @@ from orthoglide.mechanism.batch import Outputs
 from orthoglide.mechanism.functions import LINES
 from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.dial import DIAL_FAMILIES, crossings
+from orthoglide.prediction.dial import (
+    BY_GAUGE,
+    DIAL_FAMILIES,
+    dial_values,
+    mountings,
+    reading_function,
+    reading_tangent,
+)
 from orthoglide.prediction.displacement import displacement_function, displacement_tangent
 
 _PLACE = {name: k for k, name in enumerate(MACHINE_PARAMETERS)}
@@ -69,6 +76,15 @@ class Model:
     def _displacement_tangent(self) -> Any:
         return displacement_tangent(self.displacement)
 
+    @cached_property
+    def reading(self) -> Any:
+        """CasADi function of one dial's reading, for the NLP."""
+        return reading_function()
+
+    @cached_property
+    def _reading_tangent(self) -> Any:
+        return reading_tangent(self.reading)
+
     def vector(self, values: Mapping[str, float]) -> Array:
         """All parameters of the machine ``(63,)``, SI, zero where not named; dials are skipped.
 
@@ -115,6 +131,7 @@ class Model:
             self._mapped[key] = function.map(n)
         columns = [np.tile(a[:, None], n) if a.ndim == 1 else a.T for a in arguments]
         results = self._mapped[key].call(columns)
+        # CasADi puts the calls side by side and stores columns: (n, columns, rows) of each.
         return [r.full().T.reshape(n, -1, function.size1_out(k)) for k, r in enumerate(results)]
 
     def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
@@ -167,8 +184,14 @@ class Model:
         """Readings ``(n,)``, datums apart, metres."""
         conditions, place = self._merged(campaign, values)
         lines = self.outputs(values, conditions).lines
-        ends = lines[place, campaign.leg]
-        return crossings(ends, campaign, self.geometry.r, values).value
+        (shown,) = self._map(self.reading, *self._dial_arguments(values, campaign, lines[place]))
+        return shown[:, 0, 0]
+
+    def _dial_arguments(
+        self, values: Mapping[str, float], campaign: Campaign, lines: Array
+    ) -> tuple[Array, Array, Array]:
+        touched = lines[np.arange(len(campaign)), campaign.leg].reshape(len(campaign), 12)
+        return touched, mountings(campaign, self.geometry.r), dial_values(campaign, values)
 
     def linearised(
         self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
@@ -186,20 +209,19 @@ class Model:
         given = self.mechanism.given(conditions.command, moves)
         batch = self.mechanism.batch
         outputs, by_given = batch.tangent(batch.close(given), given)
-        leg = campaign.leg
-        crossing = crossings(outputs.lines[place, leg], campaign, self.geometry.r, values)
-        ends = by_given[:, LINES].reshape(len(conditions), 3, 12, -1)
-        by_joint = np.einsum(
-            "ne,nev->nv", crossing.by_ends.reshape(len(campaign), 12), ends[place, leg][:, :, 3:]
+        shown, by_ends, by_mounting, by_dial = self._map(
+            self._reading_tangent, *self._dial_arguments(values, campaign, outputs.lines[place])
         )
+        ends = by_given[:, LINES].reshape(len(conditions), 3, 12, -1)
+        by_joint = np.einsum("ne,nev->nv", by_ends[:, 0], ends[place, campaign.leg][:, :, 3:])
         jacobian = np.empty((len(campaign), len(names)))
         jacobian[:, [k for k, n in enumerate(names) if not is_dial(n)]] = np.einsum(
             "nv,nvp->np", by_joint, by_theta[place]
         )
         for k, name in enumerate(names):
             if is_dial(name):
-                jacobian[:, k] = self._by_dial(name, campaign, crossing.by_dial)
-        return Readings(crossing.value, jacobian, crossing.by_gauge)
+                jacobian[:, k] = self._by_dial(name, campaign, by_dial[:, 0])
+        return Readings(shown[:, 0, 0], jacobian, by_mounting[:, 0, BY_GAUGE])
 
     @staticmethod
     def _by_dial(name: str, campaign: Campaign, by_dial: Array) -> Array:

@@ -1,0 +1,295 @@
+"""The machine file: read strictly, written exactly, never overwritten unasked."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orthoglide.errors import FileError, InputError
+from orthoglide.geometry import Geometry
+from orthoglide.machine_file import (
+    UNITS,
+    Controller,
+    Dial,
+    MachineFile,
+    ParameterValue,
+    Stiffness,
+    nominal_machine_file,
+    parse_machine_file,
+    read_machine_file,
+    write_machine_file,
+)
+from orthoglide.units import DEFAULT_TOLERANCE, FAMILIES, unit_of
+
+GOOD = """\
+schema = 1
+name = "the one in the cellar"
+
+[geometry_mm]
+L = 310.25
+d = 80
+r = 31.0
+stroke = [-100.0, 60.0]
+
+[dial_mm]
+resolution = 0.002
+repeatability = 0.005
+placement = 1.5
+
+[drive]
+screw_pitch_mm = 20
+
+[controller]
+zero_mm = [0.5, -0.25, 100]
+sign = [1, -1, 1]
+
+[tolerance]
+joint_offset = 1.5
+axis_tilt = 2e-3
+gauge_drift = 5e-5
+
+[stiffness]
+torsion_Nmm_per_rad = 5e6
+bar_N_per_mm = 4e4
+
+[parameters]
+"joint_offset.x" = { value = 0.25, sigma = 0.01, unit = "mm" }
+"axis_tilt.y.z" = { value = -1e-3, sigma = 0, unit = "rad" }
+
+[provenance]
+version = "0.1.0"
+campaigns = [{ file = "a.csv", sha256 = "00" }]
+"""
+
+
+def write(path: Path, text: str | bytes) -> Path:
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+def test_everything_arrives_in_si(tmp_path: Path) -> None:
+    machine = read_machine_file(write(tmp_path / "m.toml", GOOD))
+    assert machine.geometry == Geometry()
+    assert machine.dial == Dial(2e-6, 5e-6, 1.5e-3)
+    assert machine.screw_pitch == 0.02
+    assert machine.controller == Controller((5e-4, -2.5e-4, 0.1), (1, -1, 1))
+    assert machine.stiffness == Stiffness(5e3, 4e7)
+    assert machine.tolerance["joint_offset"] == 1.5e-3
+    assert machine.tolerance["gauge_drift"] == 5e-8
+    assert machine.tolerance["leg_length"] == 5e-5  # the default
+    assert machine.parameters["joint_offset.x"] == ParameterValue(2.5e-4, 1e-5, "mm")
+    assert machine.parameters["axis_tilt.y.z"] == ParameterValue(-1e-3, 0.0, "rad")
+    assert machine.provenance["campaigns"] == [{"file": "a.csv", "sha256": "00"}]
+    assert machine.file.endswith("m.toml")
+    assert len(machine.sha256) == 64
+
+
+def test_the_least_machine_file(tmp_path: Path) -> None:
+    text = GOOD[: GOOD.index("[dial_mm]")].replace('name = "the one in the cellar"', "")
+    machine = read_machine_file(write(tmp_path / "m.toml", text))
+    assert machine == replace(nominal_machine_file(), name="")
+    assert machine.dial == Dial(resolution=1e-5, repeatability=None, placement=1e-3)
+    assert dict(machine.tolerance) == DEFAULT_TOLERANCE
+
+
+def test_default_tolerances_are_in_their_units() -> None:
+    for family, (unit, value) in FAMILIES.items():
+        assert DEFAULT_TOLERANCE[family] == pytest.approx(value * unit.si, rel=1e-15)
+        assert UNITS[family] == unit == unit_of(f"{family}.x")
+    with pytest.raises(InputError, match="no family 'wobble'"):
+        unit_of("wobble.x")
+
+
+# (replace this, with that, phrase, line)
+MALFORMED: dict[str, tuple[str, str, str, int | None]] = {
+    "no schema": ("schema = 1\n", "", "the machine file has no 'schema'", None),
+    "another schema": ("schema = 1", "schema = 2", "schema must be 1", 1),
+    "schema as text": ("schema = 1", 'schema = "1"', "schema must be 1", 1),
+    "schema as truth": ("schema = 1", "schema = true", "schema must be 1", 1),
+    "name as number": ('"the one in the cellar"', "7", "must be text", 2),
+    "unknown key": ("name =", "owner =", "no key 'owner'", 2),
+    "misspelt key": ("name =", "nmae =", "did you mean 'name'", 2),
+    "unknown table": ("[drive]", "[driver]", "did you mean 'drive'", 15),
+    "misspelt key in a table": ("placement", "placment", "did you mean 'placement'", 13),
+    "key missing": ("r = 31.0\n", "", "geometry_mm has no 'r'", 4),
+    "L in metres": ("L = 310.25", "L = 0.31025", "is it in metres?", 5),
+    "d in metres": ("d = 80", "d = 0.08", "is it in metres?", 6),
+    "r negative": ("r = 31.0", "r = -31", "must be above 1", 7),
+    "d and L exchanged": ("L = 310.25\nd = 80", "L = 80\nd = 310.25", "are they exchanged?", 6),
+    "L as text": ("L = 310.25", 'L = "310.25"', "must be a number", 5),
+    "L as truth": ("L = 310.25", "L = true", "must be a number", 5),
+    "L infinite": ("L = 310.25", "L = inf", "finite", 5),
+    "stroke reversed": ("[-100.0, 60.0]", "[60, -100]", "reversed: give the lower", 8),
+    "stroke as rho": ("[-100.0, 60.0]", "[210.25, 370.25]", "from mechanical zero", 8),
+    "stroke in metres": ("[-100.0, 60.0]", "[-0.1, 0.06]", "not metres", 8),
+    "stroke of one number": ("[-100.0, 60.0]", "60", "list of 2 numbers", 8),
+    "stroke beyond a bar": ("[-100.0, 60.0]", "[-400, 60]", "stay within L", 8),
+    "resolution of zero": ("resolution = 0.002", "resolution = 0", "must be above", 11),
+    "resolution in metres": ("resolution = 0.002", "resolution = 1e-5", "in metres?", 11),
+    "negative repeatability": ("= 0.005", "= -0.005", "must be above 0", 12),
+    "negative placement": ("placement = 1.5", "placement = -1", "must be at least 0", 13),
+    "pitch in metres": ("screw_pitch_mm = 20", "screw_pitch_mm = 0.02", "in metres?", 16),
+    "zero of two numbers": ("[0.5, -0.25, 100]", "[0.5, 1]", "list of 3 numbers", 19),
+    "zero as text": ("[0.5, -0.25, 100]", '[0.5, "a", 1]', "must be a number", 19),
+    "zero far away": ("[0.5, -0.25, 100]", "[0.5, 1e9, 1]", "no more than", 19),
+    "sign of zero": ("sign = [1, -1, 1]", "sign = [1, 0, 1]", "each 1 or -1", 20),
+    "tolerance of no family": ("axis_tilt = 2e-3", "axis_tlit = 2e-3", "mean 'axis_tilt'", 24),
+    "tolerance of zero": ("joint_offset = 1.5", "joint_offset = 0", "must be above 0", 23),
+    "negative stiffness": ("= 4e4", "= -4e4", "must be above 0", 29),
+    "stiffness in SI": ("bar_N_per_mm", "bar_N_per_m", "did you mean 'bar_N_per_mm'", 29),
+    "parameter of no family": ("joint_offset.x", "joint_ofset.x", "mean 'joint_offset'", 32),
+    "parameter of no leg": ("joint_offset.x", "joint_offset.w", "names no parameter", 32),
+    "parameter along its own leg": ("tilt.y.z", "tilt.y.y", "names no parameter", 33),
+    "parameter of the dial": ("joint_offset.x", "gauge_scale.x", "no parameter", 32),
+    "parameter without sigma": (", sigma = 0.01", "", "has no 'sigma'", 32),
+    "parameter with more": ("sigma = 0.01", "sigma = 0.01, sd = 1", "no key 'sd'", 32),
+    "parameter as a number": (
+        '{ value = 0.25, sigma = 0.01, unit = "mm" }', "0.25", "must be a table", 32),
+    "parameter in another unit": ('unit = "mm"', 'unit = "m"', "is in mm, not m", 32),
+    "negative sigma": ("sigma = 0.01", "sigma = -0.01", "must be at least 0", 32),
+    "value not a number": ("value = 0.25", "value = nan", "finite", 32),
+    "not TOML": ("L = 310.25", "L 310.25", "is not TOML", 5),
+    "key twice": ("d = 80", "L = 80", "is not TOML, cannot overwrite a value", 6),
+    "text not closed": ('"0.1.0"', '"0.1.0', "is not TOML", 36),
+    "number beyond all": ("L = 310.25", "L = 1e99999999999999999999", "out of all range", None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", MALFORMED)
+def test_malformed_machine_files_are_refused(kind: str, tmp_path: Path) -> None:
+    old, new, phrase, line = MALFORMED[kind]
+    assert GOOD.count(old) >= 1
+    file = write(tmp_path / "bad.toml", GOOD.replace(old, new, 1))
+    with pytest.raises(FileError) as caught:
+        read_machine_file(file)
+    error = caught.value
+    assert phrase in error.reason
+    assert (error.file, error.line) == (str(file), line)
+    assert "\n" not in str(error)
+
+
+@settings(deadline=None)
+@given(st.integers(0, len(GOOD) - 1), st.integers(0, 5), st.text(max_size=4))
+def test_no_text_brings_more_than_a_file_error(at: int, gone: int, new: str) -> None:
+    with contextlib.suppress(FileError):
+        parse_machine_file(GOOD[:at] + new + GOOD[at + gone :], "m.toml")
+
+
+def test_a_section_that_is_a_value_is_refused(tmp_path: Path) -> None:
+    file = write(
+        tmp_path / "bad.toml",
+        GOOD.replace("[drive]\nscrew_pitch_mm = 20\n", "").replace("\n\n", "\ndrive = 20\n", 1),
+    )
+    with pytest.raises(FileError, match=r"line 3: drive must be a table"):
+        read_machine_file(file)
+
+
+@pytest.mark.parametrize(
+    ("content", "phrase"),
+    [(b"", "is empty"), (b"schema\0", "not text"), (b"name = '\xfc'", "not UTF-8")],
+)
+def test_broken_machine_files_are_refused(content: bytes, phrase: str, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=phrase):
+        read_machine_file(write(tmp_path / "bad.toml", content))
+    with pytest.raises(FileError, match="no such file"):
+        read_machine_file(tmp_path / "none.toml")
+
+
+# --- Writing --------------------------------------------------------------------------------
+
+NAMES = ("joint_offset.x", "rail_bow.z.y", "screw_error.y.sin", "mount_tilt.x.b",
+         "thermal_growth.z", "drive_compliance.x", "axis_tilt.cyclic",
+         "axis_offset.xy.symmetric", "encoder_scale.common")  # fmt: skip
+LENGTH = st.floats(1e-3, 1e-1)
+
+
+@st.composite
+def machines(draw: st.DrawFn) -> MachineFile:
+    value = st.floats(-1.0, 1.0)
+    return MachineFile(
+        name=draw(st.sampled_from(["", 'a "quoted" ü\nname', "plain"])),
+        geometry=Geometry(
+            L=draw(st.floats(0.2, 1.0)),
+            d=draw(st.floats(0.01, 0.1)),
+            r=draw(st.floats(0.01, 0.1)),
+            stroke=(draw(st.floats(-0.1, -1e-3)), draw(st.floats(1e-3, 0.1))),
+        ),
+        dial=Dial(draw(st.floats(1e-6, 1e-4)), draw(st.none() | st.floats(1e-7, 1e-4)), 0.0),
+        screw_pitch=draw(st.none() | LENGTH),
+        controller=Controller(zero=(draw(value), draw(value), draw(value)), sign=(1, -1, 1)),
+        tolerance={"joint_offset": draw(LENGTH), "thermal_growth": draw(LENGTH)},
+        stiffness=Stiffness(draw(st.none() | st.floats(0, 1e6)), draw(st.none() | LENGTH)),
+        parameters={
+            name: ParameterValue(draw(value), abs(draw(value)), unit_of(name).name)
+            for name in draw(st.lists(st.sampled_from(NAMES), unique=True))
+        },
+        provenance={"campaigns": [{"file": "a.csv", "weight": draw(value)}]},
+    )
+
+
+@settings(deadline=None)
+@given(machines())
+def test_a_machine_survives_its_file(tmp_path_factory: pytest.TempPathFactory, machine) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path_factory.mktemp("machine") / "m.toml"
+    write_machine_file(machine, file)
+    again = read_machine_file(file)
+    assert again == machine
+    first = file.read_bytes()
+    write_machine_file(again, file, overwrite=True)
+    assert file.read_bytes() == first
+
+
+def test_a_parameter_keeps_to_its_line(tmp_path: Path) -> None:
+    machine = read_machine_file(write(tmp_path / "m.toml", GOOD))
+    write_machine_file(machine, tmp_path / "n.toml")
+    lines = (tmp_path / "n.toml").read_text().splitlines()
+    assert '"joint_offset.x" = { value = 0.25, sigma = 0.01, unit = "mm" }' in lines
+
+
+def test_machine_files_are_not_overwritten_unasked(tmp_path: Path) -> None:
+    file = write(tmp_path / "m.toml", GOOD)
+    with pytest.raises(FileError, match="not overwritten: choose another name"):
+        write_machine_file(nominal_machine_file(), file)
+    assert file.read_text() == GOOD
+    write_machine_file(nominal_machine_file(), file, overwrite=True)
+    assert read_machine_file(file) == nominal_machine_file()
+    assert os.listdir(tmp_path) == ["m.toml"]
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [
+        MachineFile(parameters={"joint_offset.x": ParameterValue(np.nan, 0.0, "mm")}),
+        MachineFile(parameters={"joint_offset.x": ParameterValue(0.0, np.inf, "mm")}),
+        MachineFile(parameters={"joint_offset.x": ParameterValue(0.0, 0.0, "m")}),
+        MachineFile(parameters={"wobble.x": ParameterValue(0.0, 0.0, "mm")}),
+        MachineFile(parameters={"joint_offset.x@file": ParameterValue(0.0, 0.0, "mm")}),
+        MachineFile(tolerance={"joint_offset": -1.0}),
+        MachineFile(provenance={"none": None}),
+    ],
+)
+def test_what_could_not_be_read_back_is_not_written(machine: MachineFile, tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        write_machine_file(machine, tmp_path / "m.toml")
+    assert os.listdir(tmp_path) == []
+
+
+# --- The controller -------------------------------------------------------------------------
+
+
+def test_the_controller_counts_both_ways() -> None:
+    geometry = Geometry()
+    controller = Controller(zero=(0.0, 0.01, -0.02), sign=(1, -1, 1))
+    assert np.array_equal(controller.to_rho([0.0, 0.01, -0.02], geometry), geometry.zero)
+    moved = controller.to_rho([0.005, 0.015, -0.015], geometry) - geometry.L
+    np.testing.assert_allclose(moved, [0.005, -0.005, 0.005], atol=1e-16)
+    rho = geometry.L + np.random.default_rng(0).uniform(-0.1, 0.06, (4, 5, 3))
+    again = controller.to_rho(controller.from_rho(rho, geometry), geometry)
+    np.testing.assert_allclose(again, rho, atol=1e-15)

@@ -1,0 +1,686 @@
+"""Campaigns: what is read, what is refused and why, and that nothing is lost on the way."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import importlib.resources
+import io
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orthoglide import units
+from orthoglide.errors import FileError, InputError
+from orthoglide.geometry import Geometry
+from orthoglide.machine_file import Controller, nominal_machine_file
+from orthoglide.observations import (
+    CONDITIONS,
+    Campaign,
+    campaign_text,
+    derive_approach,
+    protocol,
+    read_campaign,
+    read_tcp,
+    write_campaign,
+    write_protocol,
+)
+
+KINDS = ("standard", "sweep", "two-gauges")
+PUBLISHED = sorted(
+    file.name
+    for file in importlib.resources.files("orthoglide").joinpath("data").iterdir()
+    if file.name.endswith(".csv")
+)
+
+
+def measured(kind: str = "standard", seed: int = 0) -> Campaign:
+    """A protocol filled in with plausible readings."""
+    sheet = protocol(kind)  # type: ignore[arg-type]
+    noise = np.random.default_rng(seed).normal(size=len(sheet))
+    return sheet.with_readings(np.round(5e-3 + 1e-4 * noise, 5))
+
+
+# --- A small language of faults -------------------------------------------------------------
+# A fault turns the rows of a good file (a header and cells) into those of a bad one.
+
+Rows = list[list[str]]
+Fault = Callable[[Rows], Rows]
+
+
+def good_rows() -> Rows:
+    return list(csv.reader(io.StringIO(campaign_text(measured()))))
+
+
+def as_text(rows: Rows, delimiter: str = ",") -> str:
+    stream = io.StringIO(newline="")
+    csv.writer(stream, delimiter=delimiter, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
+
+
+def cell(column: str, value: str, *lines: int) -> Fault:
+    """Writes a value on the given lines, or on all."""
+
+    def apply(rows: Rows) -> Rows:
+        place = rows[0].index(column)
+        for line in lines or range(2, len(rows) + 1):
+            rows[line - 1][place] = value
+        return rows
+
+    return apply
+
+
+def scaled(factor: float, *columns: str) -> Fault:
+    def apply(rows: Rows) -> Rows:
+        for place in map(rows[0].index, columns):
+            for row in rows[1:]:
+                row[place] = f"{float(row[place]) * factor:.12g}"
+        return rows
+
+    return apply
+
+
+def shifted(offset: float, *columns: str) -> Fault:
+    def apply(rows: Rows) -> Rows:
+        for place in map(rows[0].index, columns):
+            for row in rows[1:]:
+                row[place] = f"{float(row[place]) + offset:.12g}"
+        return rows
+
+    return apply
+
+
+def renamed(**names: str) -> Fault:
+    return lambda rows: [[names.get(name, name) for name in rows[0]], *rows[1:]]
+
+
+def without(*columns: str) -> Fault:
+    def apply(rows: Rows) -> Rows:
+        kept = [k for k, name in enumerate(rows[0]) if name not in columns]
+        return [[row[k] for k in kept] for row in rows]
+
+    return apply
+
+
+def added(column: str, value: str) -> Fault:
+    return lambda rows: [[*rows[0], column], *([*row, value] for row in rows[1:])]
+
+
+def chained(*faults: Fault) -> Fault:
+    def apply(rows: Rows) -> Rows:
+        for fault in faults:
+            rows = fault(rows)
+        return rows
+
+    return apply
+
+
+def still(leg: str) -> Fault:
+    """Puts the carriage of a leg to mechanical zero throughout."""
+    return cell(f"rho_{leg}_mm", "310.25")
+
+
+RHO = ("rho_x_mm", "rho_y_mm", "rho_z_mm")
+TO_TRAVEL = renamed(**{name: name.replace("rho", "travel") for name in RHO})
+
+MALFORMED: dict[str, tuple[Fault, str, int]] = {
+    # units and coordinates
+    "commands in metres": (scaled(1e-3, *RHO), "in metres: give millimetres", 2),
+    "one command in metres": (
+        chained(*(cell(name, "0.31025", 8) for name in RHO)), "in metres: give millimetres", 8),
+    "readings in metres": (scaled(1e-3, "reading_mm"), "not metres", 2),
+    "readings in micrometres": (scaled(1e3, "reading_mm"), "more than its leg can move", 14),
+    "gauge in metres": (scaled(1e-3, "gauge_mm"), "gauge_mm is in metres", 2),
+    "controller's values as rho": (shifted(-310.25, *RHO), "name the columns travel_x_mm", 2),
+    "rho as controller's values": (TO_TRAVEL, "name the columns rho_x_mm", 2),
+    "travel in metres": (
+        chained(shifted(-310.25, *RHO), scaled(1e-3, *RHO), TO_TRAVEL), "not metres", 2),
+    "outside the stroke": (
+        cell("rho_x_mm", "372", 4), "372 mm of axis x is outside its stroke of 210.25 to 370.25",
+        4),
+    "travel outside the stroke": (
+        chained(shifted(-310.25, *RHO), cell("rho_y_mm", "-100.1", 5), TO_TRAVEL),
+        "-100.1 mm of axis y is outside its stroke of -100 to 60 mm", 5),
+    "both kinds of command": (added("travel_x_mm", "0"), "both rho_ and travel_", 1),
+    # setups
+    "setup mixes legs": (
+        chained(cell("leg", "y", 4), cell("direction", "x", 4)),
+        "has another leg here than on line 2", 4),
+    "setup mixes directions": (cell("direction", "z", 6), "another direction here", 6),
+    "setup mixes gauges": (cell("gauge_mm", "150", 6), "another gauge_mm here", 6),
+    "setup mixes bars": (
+        chained(added("bar", ""), cell("bar", "1", 6)), "another bar here", 6),
+    "setup with a single posture": (
+        lambda rows: [*rows[:3], *(row for row in rows[3:] if row[0] != "xy-0.5")],
+        "has a single posture", 2),
+    "direction along the leg": (cell("direction", "x", 2), "the leg's own axis", 2),
+    "gauge off the leg": (cell("gauge_mm", "-20"), "off the leg", 2),
+    "gauge behind the carriage": (
+        cell("gauge_mm", "250"), "off the leg, which runs from -100.0 to 210.2 mm", 6),
+    "no such leg": (cell("leg", "w", 3), "none of x, y, z", 3),
+    "no such direction": (cell("direction", "up", 3), "none of x, y, z, -x", 3),
+    "no such bar": (chained(added("bar", ""), cell("bar", "3", 3)), "not 1, 2 or empty", 3),
+    "setup without a name": (cell("setup", "", 3), "setup is empty: fill it in", 3),
+    # sequence
+    "duplicate rows": (
+        lambda rows: [*rows, rows[1]], "the reading of line 2 stands here again", 56),
+    "repeats not numbered": (cell("repeat", "1"), "count it up in column repeat", 8),
+    "order used twice": (cell("order", "2", 6), "order 2 stands for another command on line 4", 6),
+    "time runs back": (cell("time_s", "1e4", 4), "time_s runs back from line 4 to here", 5),
+    "fractional order": (cell("order", "1.5", 3), "not a whole number from 0", 3),
+    "fractional repeat": (cell("repeat", "1.5", 3), "not a whole number from 1", 3),
+    "repeat from zero": (cell("repeat", "0", 3), "not a whole number from 1", 3),
+    "order half filled in": (cell("order", "", 3), "order is empty", 3),
+    "approach of 2": (added("approach_x", "2"), "not +1 or -1", 2),
+    "nothing moves": (
+        chained(*map(still, "xyz"), cell("rho_x_mm", "310.3", 4)), "no axis moves", 2),
+    # numbers
+    "NaN": (cell("reading_mm", "NaN", 7), "not a finite number", 7),
+    "infinite": (cell("rho_y_mm", "-inf", 7), "not a finite number", 7),
+    "empty reading": (cell("reading_mm", "", 7), "reading_mm is empty", 7),
+    "empty command": (cell("rho_z_mm", "", 7), "rho_z_mm is empty", 7),
+    "sheet not filled in": (cell("reading_mm", ""), "no readings yet", 2),
+    "word for a number": (cell("reading_mm", "ca. 3", 7), "'ca. 3', not a number", 7),
+    "unit in the cell": (cell("reading_mm", "3.1 mm", 7), "without its unit", 7),
+    "decimal comma in quotes": (cell("reading_mm", "3,1", 7), "write it like 12.34", 7),
+    "number out of all range": (cell("reading_mm", "1e400", 7), "out of range", 7),
+    "a slip of the pen": (cell("reading_mm", "815", 7), "correct a slip", 7),
+    "negative sigma": (added("sigma_mm", "-0.01"), "above 0", 2),
+    "zero sigma": (added("sigma_mm", "0"), "above 0", 2),
+    "kelvin": (added("temperature_C", "293"), "from -40 to 100", 2),
+    "negative load": (added("load_N", "-5"), "from 0 to 10000", 2),
+    # columns and rows
+    "missing column": (without("reading_mm"), "has no column reading_mm", 1),
+    "missing columns": (without("leg", "gauge_mm"), "has no column leg, gauge_mm", 1),
+    "misspelt column": (renamed(reading_mm="readings_mm"), "did you mean 'reading_mm'", 1),
+    "column in capitals": (renamed(gauge_mm="Gauge_mm"), "did you mean 'gauge_mm'", 1),
+    "another table altogether": (
+        lambda rows: [["a", "b"], ["1", "2"]], "the first line must name setup, leg", 1),
+    "column named twice": (added("leg", "x"), "names column 'leg' twice", 1),
+    "header only": (lambda rows: rows[:1], "a header but no rows", 1),
+    "a field too few": (
+        lambda rows: [*rows[:4], rows[4][:-1], *rows[5:]], "has 11 fields where", 5),
+    "a field too many": (
+        lambda rows: [*rows[:4], [*rows[4], "1"], *rows[5:]], "part the columns by semicolons", 5),
+}  # fmt: skip
+
+BROKEN: dict[str, tuple[bytes, str, int | None]] = {
+    "empty file": (b"", "is empty", None),
+    "blank file": (b"\n \n", "is empty", None),
+    "spreadsheet": (b"PK\x03\x04rest", "export the sheet as CSV", None),
+    "UTF-16": ("setup,leg".encode("utf-16"), "save it as UTF-8", None),
+    "binary": (b"setup,leg\n\x00\x01", "not text", None),
+    "Latin-1": (b"setup,leg\nM\xfcller,x\n", "not UTF-8 text", 2),
+    "unclosed quotes": (b'setup,leg\n"xy,x\n', "close the quotes", 2),
+}
+
+
+def write(path: Path, content: str | bytes) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def assert_refused(error: FileError, file: Path, phrase: str, line: int | None) -> None:
+    assert phrase in error.reason
+    assert (error.file, error.line) == (str(file), line)
+    assert str(error).startswith(str(file))
+    assert "\n" not in str(error)
+    assert ":" in error.reason  # what is wrong: what would be right
+    assert not error.reason.endswith(".")
+
+
+@pytest.mark.parametrize("kind", MALFORMED)
+def test_malformed_rows_are_refused(kind: str, tmp_path: Path) -> None:
+    fault, phrase, line = MALFORMED[kind]
+    file = write(tmp_path / "bad.csv", as_text(fault(good_rows())))
+    with pytest.raises(FileError) as caught:
+        read_campaign(file)
+    assert_refused(caught.value, file, phrase, line)
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_broken_files_are_refused(kind: str, tmp_path: Path) -> None:
+    content, phrase, line = BROKEN[kind]
+    file = write(tmp_path / "bad.csv", content)
+    with pytest.raises(FileError) as caught:
+        read_campaign(file)
+    assert_refused(caught.value, file, phrase, line)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 4), st.integers(0, 11), st.text(max_size=6))
+def test_no_cell_brings_more_than_a_file_error(
+    tmp_path_factory: pytest.TempPathFactory, row: int, column: int, text: str
+) -> None:
+    rows = good_rows()
+    rows[row][column] = text
+    file = write(
+        tmp_path_factory.mktemp("fuzz") / "c.csv", as_text(rows).encode("utf-8", "replace")
+    )
+    with contextlib.suppress(FileError):
+        assert read_campaign(file).n == len(rows) - 1
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="no such file: check the name"):
+        read_campaign(tmp_path / "none.csv")
+    with pytest.raises(FileError, match="cannot be read"):
+        read_campaign(tmp_path)
+
+
+def test_the_good_file_that_all_faults_start_from_is_read(tmp_path: Path) -> None:
+    campaign = read_campaign(write(tmp_path / "standard.csv", as_text(good_rows())))
+    assert campaign.same_as(measured())
+    assert campaign.warnings == ()
+    assert len(campaign.sha256) == 64
+    assert list(campaign.line) == list(range(2, 56))
+
+
+# --- What is accepted -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_data_is_read_without_a_warning(name: str) -> None:
+    source = importlib.resources.files("orthoglide").joinpath("data", name)
+    with importlib.resources.as_file(source) as path:
+        campaign = read_campaign(path)
+    differences = "differences" in name
+    assert len(campaign) == (12 if differences else 18)
+    assert [s.name for s in campaign.setups] == ["xy", "xz", "yx", "yz", "zx", "zy"]
+    assert {s.gauge for s in campaign.setups} == {0.155125}
+    assert campaign.warnings == ()
+
+
+def test_published_values_arrive_in_si() -> None:
+    source = importlib.resources.files("orthoglide").joinpath("data", "experiment2.csv")
+    with importlib.resources.as_file(source) as path:
+        campaign = read_campaign(path)
+    assert campaign.reading[1] == 8e-5
+    assert campaign.command[1].tolist() == [0.37025, 0.304392941, 0.304392941]
+    assert campaign.approach[:3].tolist() == [[1, 1, 1], [1, -1, -1], [-1, -1, -1]]
+    assert np.isnan(campaign.time).all()
+    assert campaign.name == "experiment2"
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "comma"), [(",", "."), (";", "."), (";", ","), ("\t", ","), ("\t", ".")]
+)
+def test_delimiters_byte_order_mark_and_blank_lines(
+    delimiter: str, comma: str, tmp_path: Path
+) -> None:
+    rows = good_rows()
+    numbers = [rows[0].index(name) for name in (*RHO, "gauge_mm", "time_s", "reading_mm")]
+    for row in rows[1:]:
+        for place in numbers:
+            row[place] = row[place].replace(".", comma)
+    rows.insert(3, [""] * len(rows[0]))
+    text = as_text(rows, delimiter).replace("\n", "\r\n")
+    file = write(tmp_path / "standard.csv", b"\xef\xbb\xbf" + text.encode())
+    campaign = read_campaign(file)
+    assert campaign.same_as(measured())
+    assert campaign.line[:4].tolist() == [2, 3, 5, 6]
+
+
+def test_columns_in_any_order(tmp_path: Path) -> None:
+    file = write(tmp_path / "standard.csv", as_text([row[::-1] for row in good_rows()]))
+    assert read_campaign(file).same_as(measured())
+
+
+def test_unknown_columns_are_a_warning(tmp_path: Path) -> None:
+    rows = chained(added("operator", "me"), added("comment", "-"))(good_rows())
+    campaign = read_campaign(write(tmp_path / "standard.csv", as_text(rows)))
+    assert [("operator" in w, "comment" in w) for w in campaign.warnings] == [
+        (True, False),
+        (False, True),
+    ]
+
+
+def test_a_leg_that_hardly_moves_is_a_warning(tmp_path: Path) -> None:
+    rows = [row for row in good_rows() if row[0] != "zx-0.5"]
+    place, leg = rows[0].index("rho_z_mm"), rows[0].index("leg")
+    for row in rows[1:]:
+        if row[leg] == "z":
+            row[place] = "310.25"
+    campaign = read_campaign(write(tmp_path / "c.csv", as_text(rows)))
+    assert len(campaign.warnings) == 1
+    assert campaign.warnings[0].startswith("leg z moves by only 0 mm along its own axis")
+
+
+def test_partly_recorded_conditions_are_warnings_and_count_as_none(tmp_path: Path) -> None:
+    rows = chained(
+        added("temperature_C", "21"), cell("temperature_C", "", 2), cell("temperature_C", "23", 5)
+    )(good_rows())
+    campaign = read_campaign(write(tmp_path / "c.csv", as_text(rows)))
+    assert "temperature_C is empty in 1 of 54 rows" in campaign.warnings[0]
+    assert campaign.temperature_rise[:4].tolist() == [0, 0, 0, 2]
+
+
+def test_travel_columns_go_through_the_controller(tmp_path: Path) -> None:
+    geometry = Geometry()
+    controller = Controller(zero=(0.5, -0.2, 0.0), sign=(1, -1, 1))
+    campaign = measured()
+    shown = controller.from_rho(campaign.command, geometry) * 1e3
+    rows = TO_TRAVEL(good_rows())
+    for row, values in zip(rows[1:], shown, strict=True):
+        row[4:7] = [f"{v:.6f}" for v in values]
+    machine = replace(nominal_machine_file(), controller=controller)
+    read = read_campaign(write(tmp_path / "c.csv", as_text(rows)), machine)
+    np.testing.assert_allclose(read.command, campaign.command, atol=1e-12)
+    assert np.array_equal(read.approach, campaign.approach)
+
+
+def test_readings_may_wait_in_a_sheet(tmp_path: Path) -> None:
+    write_protocol("sweep", tmp_path / "sheet.csv")
+    sheet = read_campaign(tmp_path / "sheet.csv", require_readings=False)
+    assert sheet.same_as(replace(protocol("sweep"), name="sheet"))
+    with pytest.raises(FileError, match="no readings yet"):
+        read_campaign(tmp_path / "sheet.csv")
+
+
+def test_recorded_approach_is_taken_and_empty_is_unknown(tmp_path: Path) -> None:
+    rows = chained(added("approach_x", "-1"), cell("approach_x", "", 2))(good_rows())
+    campaign = read_campaign(write(tmp_path / "standard.csv", as_text(rows)))
+    assert campaign.approach[:2, 0].tolist() == [0, -1]
+    assert np.array_equal(campaign.approach[:, 1:], measured().approach[:, 1:])
+
+
+# --- Approach -------------------------------------------------------------------------------
+
+
+def approach_by_hand(command: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """The sentence of FORMAT.md, one axis and one row at a time."""
+    result = np.zeros_like(command)
+    for axis in range(3):
+        last, before = 1.0, None
+        for row in sorted(range(len(order)), key=lambda k: order[k]):
+            if before is not None and command[row, axis] != command[before, axis]:
+                last = 1.0 if command[row, axis] > command[before, axis] else -1.0
+            result[row, axis], before = last, row
+    return result
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=12),
+    st.randoms(use_true_random=False),
+)
+def test_approach_follows_the_sequence(steps: list[tuple[int, int, int]], random) -> None:  # type: ignore[no-untyped-def]
+    order = list(range(len(steps)))
+    random.shuffle(order)
+    command = 0.3 + 0.01 * np.array(steps, dtype=float)
+    expected = approach_by_hand(command, np.array(order))
+    assert np.array_equal(derive_approach(command, order), expected)
+
+
+def test_rounding_is_no_move() -> None:
+    command = np.array([[0.3, 0.3, 0.3], [0.31, 0.3 - 4e-7, 0.29]])
+    assert derive_approach(command, [0, 1])[1].tolist() == [1, 1, -1]
+
+
+def test_two_dials_of_one_visit_share_their_approach() -> None:
+    sweep = protocol("sweep")
+    for axis in range(3):
+        assert np.array_equal(sweep.approach[::2, axis], sweep.approach[1::2, axis])
+
+
+# --- The campaign itself --------------------------------------------------------------------
+
+
+def full_campaign() -> Campaign:
+    """Every optional column in use, with values that are no short decimals."""
+    rng = np.random.default_rng(3)
+    sweep = measured("sweep")
+    n = len(sweep)
+    setups = tuple(replace(s, sign=-1, bar=k % 3) for k, s in enumerate(sweep.setups))
+    return replace(
+        sweep,
+        setups=setups,
+        command=sweep.command + rng.uniform(-1e-7, 1e-7, (n, 3)),
+        approach=np.where(rng.random((n, 3)) < 0.1, 0, sweep.approach),
+        temperature=20 + rng.random(n),
+        load=np.where(rng.random(n) < 0.2, 0.0, rng.random(n)),
+        reading=rng.normal(scale=1e-3, size=n),
+        sigma=np.where(rng.random(n) < 0.1, np.nan, rng.random(n) * 1e-5),
+    )
+
+
+@pytest.mark.parametrize("campaign", [*map(measured, KINDS), full_campaign()], ids=[*KINDS, "full"])
+def test_a_campaign_survives_its_file(campaign: Campaign, tmp_path: Path) -> None:
+    file = tmp_path / f"{campaign.name}.csv"
+    write_campaign(campaign, file)
+    again = read_campaign(file)
+    assert again.same_as(campaign)
+    assert campaign_text(again) == file.read_text()
+
+
+@settings(deadline=None)
+@given(st.floats(-1e3, 1e3), st.sampled_from([1e-3, 1.0, 1e3]))
+def test_units_are_exact_both_ways(value: float, factor: float) -> None:
+    assert units.to_si(units.from_si(value, factor), factor) == value
+
+
+def test_same_as_sees_every_difference() -> None:
+    campaign = measured()
+    assert campaign.same_as(replace(campaign, line=campaign.line + 1, file="elsewhere"))
+    for name in ("command", "approach", "time", "load", "repeat", "order", "reading"):
+        changed = getattr(campaign, name).copy()
+        changed[-1] += 1
+        assert not campaign.same_as(replace(campaign, **{name: changed})), name
+
+
+def test_files_are_not_overwritten_unasked_and_leave_nothing_behind(tmp_path: Path) -> None:
+    file = write(tmp_path / "c.csv", "mine")
+    with pytest.raises(FileError, match="not overwritten"):
+        write_campaign(measured(), file)
+    assert file.read_text() == "mine"
+    write_campaign(measured(), file, overwrite=True)
+    assert read_campaign(file).n == 54
+    assert os.listdir(tmp_path) == ["c.csv"]
+    with pytest.raises(FileError, match="choose another place"):
+        write_campaign(measured(), tmp_path / "none" / "c.csv")
+
+
+def test_an_interrupted_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write(tmp_path / "c.csv", "mine")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_campaign(measured(), file, overwrite=True)
+    assert file.read_text() == "mine"
+    assert os.listdir(tmp_path) == ["c.csv"]
+
+
+def test_subset_keeps_what_it_needs() -> None:
+    campaign = replace(full_campaign(), temperature=np.linspace(20, 21, 252))
+    mask = campaign.leg == 1
+    part = campaign.subset(mask)
+    assert [s.name for s in part.setups] == ["yx-0.5", "yz-0.5"]
+    assert part.same_as(campaign.subset(np.flatnonzero(mask)))
+    assert np.array_equal(part.temperature_rise, campaign.temperature_rise[mask])
+    assert np.array_equal(part.conditions, campaign.conditions[mask])
+    names = [[c.setups[k].name for k in c.setup] for c in (part, campaign)]
+    assert names[0] == [name for name, kept in zip(names[1], mask, strict=True) if kept]
+    assert len(campaign.subset([])) == 0
+
+
+def test_relabelling_three_times_is_no_change() -> None:
+    campaign = measured("sweep")
+    once = campaign.relabelled()
+    assert once.setups[0].leg == (campaign.setups[0].leg + 1) % 3
+    assert np.array_equal(once.command[:, 1], campaign.command[:, 0])
+    assert np.array_equal(once.leg, (campaign.leg + 1) % 3)
+    assert not once.same_as(campaign)
+    assert once.relabelled().relabelled().same_as(campaign)
+    # the sequence relabelled is the relabelled sequence
+    assert np.array_equal(once.approach, derive_approach(once.command, once.order))
+
+
+def test_weight_forbids_relabelling() -> None:
+    campaign = measured()
+    with pytest.raises(InputError, match="acts along z"):
+        replace(campaign, load=np.ones(len(campaign))).relabelled()
+
+
+def test_conditions_have_their_columns() -> None:
+    campaign = full_campaign()
+    assert campaign.conditions.shape == (len(campaign), len(CONDITIONS))
+    by_name = dict(zip(CONDITIONS, campaign.conditions.T, strict=True))
+    assert np.array_equal(by_name["rho_z"], campaign.command[:, 2])
+    assert np.array_equal(by_name["approach_y"], campaign.approach[:, 1])
+    assert np.array_equal(by_name["load"], campaign.load)
+    assert np.isfinite(campaign.conditions).all()
+
+
+def test_rows_are_the_arrays_one_by_one() -> None:
+    campaign = full_campaign()
+    row = list(campaign.rows)[7]
+    assert row.setup is campaign.setups[campaign.setup[7]]
+    assert row.command == tuple(campaign.command[7])
+    assert (row.repeat, row.line, row.posture) == (1, 9, "+60")
+
+
+def test_arrays_are_the_campaigns_own_and_cannot_be_changed() -> None:
+    reading = np.zeros(54)
+    campaign = measured().with_readings(reading)
+    reading[0] = 1.0
+    assert campaign.reading[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        campaign.reading[0] = 1.0
+
+
+def test_arrays_must_fit_each_other() -> None:
+    campaign = measured()
+    with pytest.raises(InputError, match="command must have shape"):
+        replace(campaign, command=campaign.command[:5])
+    with pytest.raises(InputError, match="posture labels"):
+        replace(campaign, posture=("zero",))
+    with pytest.raises(InputError, match="one of the 1 setups"):
+        replace(campaign, setups=campaign.setups[:1])
+
+
+# --- Data frames ----------------------------------------------------------------------------
+
+
+def test_a_frame_reads_like_its_file(tmp_path: Path) -> None:
+    write_campaign(full_campaign(), tmp_path / "sweep.csv")
+    campaign = full_campaign()
+    words = pd.read_csv(tmp_path / "sweep.csv", dtype=str)
+    assert Campaign.from_frame(words, name="sweep").same_as(campaign)
+    numbers = Campaign.from_frame(pd.read_csv(tmp_path / "sweep.csv"), name="sweep")
+    assert numbers.setups == campaign.setups
+    assert np.array_equal(numbers.approach, campaign.approach)
+    for name in ("command", "reading", "sigma", "temperature", "load", "time"):
+        given, read = getattr(campaign, name), getattr(numbers, name)
+        np.testing.assert_allclose(read, given, rtol=1e-15, atol=1e-15)  # mm were binary already
+
+
+def test_a_frame_with_controller_values() -> None:
+    columns = dict(zip(TO_TRAVEL(good_rows())[0], zip(*good_rows()[1:], strict=True), strict=True))
+    controller = Controller(zero=(0.31025, 0.31025, 0.31025))
+    campaign = Campaign.from_frame(columns, name="standard", controller=controller)
+    np.testing.assert_allclose(campaign.command, measured().command, atol=1e-15)
+
+
+def test_a_bad_frame_names_its_row() -> None:
+    frame = pd.DataFrame(good_rows()[1:], columns=good_rows()[0])
+    frame.loc[3, "reading_mm"] = np.nan
+    with pytest.raises(FileError, match="frame, line 5: reading_mm is empty"):
+        Campaign.from_frame(frame)
+    with pytest.raises(FileError, match="unequal length"):
+        Campaign.from_frame({"setup": ["a"], "leg": []})
+
+
+# --- Protocols ------------------------------------------------------------------------------
+
+
+def test_the_standard_protocol_is_the_chapters() -> None:
+    sheet = protocol("standard")
+    geometry = Geometry()
+    assert len(sheet) == 6 * 3 * 3
+    for name in ("zero", "xmax", "xmin", "ymax", "ymin", "zmax", "zmin"):
+        leg = sheet.leg if name == "zero" else np.full(len(sheet), "xyz".index(name[0]))
+        rows = (np.array(sheet.posture) == name[-3:].replace("ero", "zero")) & (sheet.leg == leg)
+        expected = np.tile(geometry.command(name), (rows.sum(), 1))
+        assert rows.sum() == (18 if name == "zero" else 6)
+        np.testing.assert_allclose(sheet.command[rows], expected, atol=6e-10)
+
+
+@pytest.mark.parametrize("kind", ["sweep", "two-gauges"])
+def test_a_sweep_reaches_inner_postures_from_both_sides(kind: str) -> None:
+    sheet = protocol(kind)  # type: ignore[arg-type]
+    assert len(sheet) == 252 * len({round(s.gauge, 6) for s in sheet.setups})
+    own = sheet.approach[np.arange(len(sheet)), sheet.leg]
+    ends = ("+60", "-100")
+    for label in set(sheet.posture):
+        sides = set(own[np.array(sheet.posture) == label])
+        assert sides == ({1.0} if label == ends[0] else {-1.0} if label == ends[1] else {1.0, -1.0})
+
+
+def test_protocols_follow_the_geometry() -> None:
+    small = Geometry(L=0.2, d=0.05, r=0.02, stroke=(-0.04, 0.03))
+    sheet = protocol("two-gauges", small)
+    assert small.in_stroke(sheet.command).all()
+    assert {s.gauge for s in sheet.setups} == {0.07, 0.13}
+    assert set(sheet.posture) == {"+0", "+10", "+20", "+30", "-10", "-20", "-30", "-40"}
+
+
+def test_time_never_runs_back_in_a_protocol() -> None:
+    for kind in KINDS:
+        sheet = protocol(kind)  # type: ignore[arg-type]
+        assert (np.diff(sheet.time) >= 0).all()
+        assert np.max(np.diff(sheet.time)) == 600.0
+
+
+def test_no_such_protocol() -> None:
+    with pytest.raises(InputError, match="it is one of standard, sweep, two-gauges"):
+        protocol("fast")  # type: ignore[arg-type]
+
+
+# --- TCP points -----------------------------------------------------------------------------
+
+TCP = "rho_x_mm,rho_y_mm,rho_z_mm,p_x_mm,p_y_mm,p_z_mm\n"
+POINTS = ["310.25,310.25,310.25,0.1,0.2,0.3", "350.25,307.66,307.66,40.1,,0.3"]
+
+
+def test_tcp_points(tmp_path: Path) -> None:
+    points = read_tcp(write(tmp_path / "c.tcp.csv", TCP + "\n".join(POINTS)))
+    assert points.command[0].tolist() == [0.31025] * 3
+    assert points.p[0].tolist() == [1e-4, 2e-4, 3e-4]
+    assert np.isnan(points.p).tolist() == [[False] * 3, [False, True, False]]
+    assert not points.approach.any()
+    assert np.isnan(points.sigma).all()
+    assert (len(points), points.line.tolist(), len(points.sha256)) == (2, [2, 3], 64)
+
+
+@pytest.mark.parametrize(
+    ("text", "phrase", "line"),
+    [
+        (TCP + "310.25,310.25,310.25,,,", "are empty: remove the row", 2),
+        (TCP + f"{POINTS[0]}\n0,0,0,1,1,1", "name the columns travel_x_mm", 3),
+        (
+            TCP + "310.25,310.25,310.25,0,0,0\n350.25,307.66,307.66,0.04,0,0",
+            "give millimetres, not metres",
+            2,
+        ),
+        (TCP.replace(",p_z_mm", "") + "310.25,310.25,310.25,0,0", "no column p_z_mm", 1),
+        (TCP + "310.25,310.25,310.25,0,0,far", "not a number", 2),
+        (TCP, "no rows", 1),
+    ],
+)
+def test_malformed_tcp_points(text: str, phrase: str, line: int, tmp_path: Path) -> None:
+    file = write(tmp_path / "c.tcp.csv", text)
+    with pytest.raises(FileError) as caught:
+        read_tcp(file)
+    assert_refused(caught.value, file, phrase, line)
