@@ -23,8 +23,12 @@ MACHINE = Geometry()
 L = MACHINE.L
 DATA = files("orthoglide") / "data"
 COMMAND = np.array([0.350, 0.300, 0.280])  # a posture with nothing special about it
-TABLE2_ROWS = tuple(f"{d}_{leg}{s}" for a, b in ("xy", "xz", "yz") for s in "+-" for d, leg in (
-    (a, b), (b, a)))  # fmt: skip
+TABLE2_ROWS = tuple(
+    f"{row}{sign}"
+    for a, b in ("xy", "xz", "yz")
+    for sign in "+-"
+    for row in (f"{a}_{b}", f"{b}_{a}")
+)
 SETS = {"offsets+lengths": "all", "offsets": "joint_offset", "lengths": "leg_length"}
 SLIPS = (
     ("2", "offsets+lengths", "z_y+"),
@@ -99,8 +103,8 @@ def equation_1() -> Misprint:
         "2008 (1a-c)",
         "p = rho + cos cos L + r",
         "p = rho - cos cos L, as in (2) and (3)",
-        f"p = 0 with the legs along the axes (theta = beta = 0): (1) gives rho = {printed * 1e3:.2f} mm, "
-        f"(3) gives {right * 1e3:+.2f} mm, the mechanical zero",
+        "p = 0 with the legs along the axes (theta = beta = 0): (1) gives "
+        f"rho = {printed * 1e3:.2f} mm, (3) gives {right * 1e3:+.2f} mm, the mechanical zero",
     )
 
 

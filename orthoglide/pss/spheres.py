@@ -57,7 +57,7 @@ def _gap(centres: Array, lengths: Array, leg: int) -> float:
     across = float(np.linalg.norm(offset - height * normal))
     short = float(np.hypot(across - radius, height) - lengths[leg])
     long = float(lengths[leg] - np.hypot(across + radius, height))
-    return max(short, 0.0) if short >= -long else -max(long, 0.0)
+    return max(short, 0.0) if short >= long else -max(long, 0.0)
 
 
 def explain_miss(

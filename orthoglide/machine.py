@@ -1,0 +1,213 @@
+"""``Machine``: what a user keeps of one Orthoglide, nominal or calibrated."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from orthoglide.effects import family_of, is_dial, structured
+from orthoglide.effects.catalogue import check_parameter
+from orthoglide.errors import ClosureError, InputError
+from orthoglide.geometry import Array, Geometry
+from orthoglide.machine_file import (
+    MachineFile,
+    ParameterValue,
+    nominal_machine_file,
+    read_machine_file,
+    write_machine_file,
+)
+from orthoglide.observations import Campaign
+from orthoglide.prediction import Conditions, Model
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the platform is.
+
+    Attributes:
+        p: TCP ``(..., 3)``, metres.
+        R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
+    """
+
+    p: Array
+    R: Array
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One machine: its dimensions, tolerances and identified parameters. Immutable.
+
+    Attributes:
+        spec: everything its machine file holds, SI.
+    """
+
+    spec: MachineFile = field(default_factory=nominal_machine_file)
+
+    @classmethod
+    def nominal(cls) -> Machine:
+        """The Orthoglide of the papers, without errors."""
+        return cls()
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Machine:
+        """A machine from its file (``machine.toml``).
+
+        Raises:
+            FileError: naming file, line and remedy.
+        """
+        spec = read_machine_file(path)
+        for name in spec.parameters:
+            check_parameter(name)
+        return cls(spec)
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the machine file; :meth:`load` reads back the same machine.
+
+        Raises:
+            FileError: where the file stands already and ``overwrite`` is false.
+        """
+        write_machine_file(self.spec, path, overwrite=overwrite)
+
+    @property
+    def geometry(self) -> Geometry:
+        """Nominal dimensions."""
+        return self.spec.geometry
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters that are not zero, SI."""
+        return {name: entry.value for name, entry in self.spec.parameters.items()}
+
+    def tolerance(self, name: str) -> float:
+        """Standard deviation to expect of a parameter or family, SI."""
+        return self.spec.tolerance[family_of(name).name]
+
+    def with_parameters(
+        self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Machine:
+        """The same machine with parameters set, SI; structured members set those they stand for.
+
+        Args:
+            values: such as ``{"joint_offset.x": 1e-3, "axis_tilt.cyclic": 2e-3}``.
+            sigmas: their standard deviations; 0 (known) where not given.
+
+        Raises:
+            InputError: for a name that is no parameter, or a value that is no number.
+        """
+        entries = dict(self.spec.parameters)
+        for name, value in values.items():
+            if not np.isfinite(value):
+                raise InputError(f"{name} must be a finite number, not {value}")
+            sigma = (sigmas or {}).get(name, 0.0)
+            for part, weight in elementary(name).items():
+                entries[part] = ParameterValue(
+                    weight * float(value), abs(weight) * float(sigma), family_of(part).unit.name
+                )
+        machine = Machine(replace(self.spec, parameters=entries, file="", sha256=""))
+        if "model" in self.__dict__:  # the tree is the same: share what is costly to build
+            machine.__dict__["model"] = self.__dict__["model"]
+        return machine
+
+    @cached_property
+    def model(self) -> Model:
+        """The general mechanism with this machine's dimensions."""
+        return Model(self.geometry, self.spec.screw_pitch)
+
+    def _conditions(self, rho: Array, **seen: ArrayLike) -> Conditions:
+        batch = rho.shape[:-1]
+        flat = {
+            name: np.broadcast_to(
+                np.asarray(value, float), (*batch, 3) if name == "approach" else batch
+            ).reshape((-1, 3) if name == "approach" else (-1,))
+            for name, value in seen.items()
+        }
+        return Conditions.at(rho.reshape(-1, 3), **flat)
+
+    def pose(self, rho: ArrayLike, **seen: ArrayLike) -> Pose:
+        """Pose of the platform.
+
+        Args:
+            rho: commands ``(..., 3)``, metres (2008, eq. 2).
+            seen: conditions where they matter: ``approach (..., 3)``, ``time``, ``warming``,
+                ``load (...)``. Approach unknown is the middle of the dead band.
+
+        Raises:
+            ClosureError: where a posture does not close.
+            InputError: for commands that are not numbers or have the wrong shape.
+        """
+        commands = _vectors(rho, "rho")
+        out = self.model.outputs(self._machine_values, self._conditions(commands, **seen))
+        shape = commands.shape[:-1]
+        return Pose(out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3))
+
+    @property
+    def _machine_values(self) -> dict[str, float]:
+        return {n: v for n, v in self.values.items() if not is_dial(n)}
+
+    def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
+        """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""
+        return self.pose(rho, **seen).p
+
+    def jacobian(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
+        """dp/drho ``(..., 3, 3)``: how the TCP follows the drives, errors of the parts included."""
+        commands = _vectors(rho, "rho")
+        conditions = self._conditions(commands, **seen)
+        mechanism = self.model.mechanism
+        moves = self.model.displacements(self._machine_values, conditions)
+        given = mechanism.given(conditions.command, moves)
+        batch = mechanism.batch
+        _, by_given = batch.tangent(batch.close(given), given)
+        return by_given[:, :3, :3].reshape(*commands.shape[:-1], 3, 3)
+
+    def inverse(self, p: ArrayLike, **seen: ArrayLike) -> Array:
+        """Commands ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)`` given all its effects.
+
+        What an effect does depends on the command, so the drives are corrected until the predicted
+        TCP is the wanted one.
+
+        Raises:
+            UnreachableError: naming the leg that is too short.
+            ClosureError: where the drives do not converge.
+        """
+        goal = _vectors(p, "p")
+        rho = self.model.mechanism.inverse(goal)
+        slope = self.jacobian(rho, **seen)
+        for _ in range(30):
+            miss = goal - self.forward(rho, **seen)
+            if np.abs(miss).max(initial=0.0) < 1e-13:
+                return rho
+            rho = rho + np.linalg.solve(slope, miss[..., None])[..., 0]
+        if np.abs(miss).max(initial=0.0) < 1e-11:
+            return rho
+        raise ClosureError("the drives do not converge on the wanted points")
+
+    def readings(self, campaign: Campaign) -> Array:
+        """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
+        return self.model.readings(self.values, campaign)
+
+
+def elementary(name: str, setups: tuple[str, ...] = ()) -> dict[str, float]:
+    """Weights of the parameters that a name stands for: itself, or a structured member's.
+
+    Raises:
+        InputError: for a name that is neither.
+    """
+    members = structured(family_of(name).name, setups)
+    if name in members:
+        return members[name]
+    check_parameter(name, setups)
+    return {name: 1.0}
+
+
+def _vectors(values: ArrayLike, name: str) -> Array:
+    array = np.asarray(values, dtype=float)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InputError(f"{name} must have shape (..., 3), not {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite numbers, in metres")
+    return array
