@@ -24,6 +24,8 @@ MISPRINTS = runpy.run_path(str(ROOT / "examples" / "misprints.py"))
 
 travels = arrays(float, 3, elements=st.floats(-0.100, 0.060))
 shifts = arrays(float, 3, elements=st.floats(-0.004, 0.004))
+# For differences: the corner (60, 60, 60) of the stroke is 10 mm from a singular posture.
+inner = arrays(float, 3, elements=st.floats(-0.100, 0.045))
 legs = st.integers(0, 2)
 properties = settings(max_examples=60, deadline=None)
 
@@ -113,7 +115,7 @@ def test_cyclic_relabelling(travel, offsets, lengths):
 
 
 @properties
-@given(travels, shifts, shifts)
+@given(inner, shifts, shifts)
 def test_jacobians_are_the_derivatives(travel, offsets, lengths):
     rho = L + travel
     p = pss.forward(rho, offsets, lengths)
@@ -223,8 +225,11 @@ def test_a_leg_too_long_and_legs_that_all_miss():
 
 def test_legs_that_just_touch_are_reachable():
     # The largest equal command: the TCP in the plane of the carriages.
-    p = pss.forward(np.full(3, np.sqrt(1.5) * L * (1 - 1e-15)))
-    np.testing.assert_allclose(p, np.sqrt(1.5) * L / 3, atol=1e-7)
+    lengths = np.linspace(-0.05, 0.05, 301)[:, None] * np.ones(3)
+    rho = np.sqrt(1.5) * (L + lengths)
+    np.testing.assert_allclose(pss.forward(rho, 0.0, lengths), rho / 3, atol=1e-7)
+    centres = rho[..., None] * np.eye(3)
+    np.testing.assert_allclose(pss.intersect_spheres(centres, L + lengths), rho / 3, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -283,7 +288,7 @@ def test_spheres_about_the_carriages_are_the_quadratic(travel, offsets, lengths,
 @properties
 @given(
     arrays(float, (3, 3), elements=st.floats(-0.01, 0.01)),
-    travels,
+    inner,
     shifts,
     legs,
     st.integers(1, 2),
@@ -613,6 +618,8 @@ def test_weak_directions_converge_on_the_published_data(name):
         for x0 in (0.0, np.r_[np.full(3, 3e-3), np.zeros(3)], np.full(6, -2e-3))
     ]
     assert all(fit.converged and fit.rank == 6 for fit in fits)
+    # Quadratic at the end: without the second derivatives it takes several times as many.
+    assert fits[0].iterations <= 8
     for fit in fits[1:]:
         np.testing.assert_allclose(fit.values, fits[0].values, atol=1e-12)
 

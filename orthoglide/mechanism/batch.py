@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from orthoglide.errors import ClosureError
+from orthoglide.errors import ClosureError, UnreachableError
 from orthoglide.geometry import Array
 from orthoglide.mechanism.compiled import compiled
 from orthoglide.mechanism.functions import (
@@ -25,6 +27,17 @@ CLOSED = 1e-11
 _CHUNK = 256
 # Compiling takes two seconds once; from here on it is earned back within one call.
 _WORTH_COMPILING = 20_000
+
+
+@contextmanager
+def placed(shape: tuple[int, ...]) -> Iterator[None]:
+    """Errors from within name their place in a batch of ``shape`` that was flattened."""
+    try:
+        yield
+    except (ClosureError, UnreachableError) as error:
+        if error.index:
+            error.index = tuple(int(k) for k in np.unravel_index(error.index[0], shape))
+        raise
 
 
 class Outputs:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal
+from functools import cached_property, partial
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from scipy.linalg.lapack import dgesv
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import LEGS, Array, Geometry, leg_axes
 from orthoglide.mechanism import seed
-from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs
+from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs, placed
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.mobility import Conditioning, Mobility, conditioning, mobility
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, general_tree, nominal_tree
@@ -64,9 +64,9 @@ class Mechanism:
         self._compile = compile
         self._tcp = self.tree.model.getFrameId("x_tcp")
 
-    def __reduce__(self) -> tuple[type[Mechanism], tuple[Geometry]]:
+    def __reduce__(self) -> tuple[Any, tuple[Geometry]]:
         # Constraint objects do not pickle: another process builds its own.
-        return Mechanism, (self.geometry,)
+        return partial(Mechanism, compile=self._compile), (self.geometry,)
 
     @cached_property
     def batch(self) -> BatchClosure:
@@ -246,7 +246,8 @@ class Mechanism:
         moves = None if displacements is None else np.asarray(displacements, float)
         if moves is not None:
             moves = np.broadcast_to(moves, (*rho.shape[:-1], 3, 10)).reshape(-1, 3, 10)
-        return self._outputs(flat, moves, mode).p.reshape(rho.shape)
+        with placed(rho.shape[:-1]):
+            return self._outputs(flat, moves, mode).p.reshape(rho.shape)
 
     def _outputs(self, rho: Array, moves: Array | None, mode: Mode) -> Outputs:
         batch = self.nominal_batch if moves is None else self.batch
@@ -280,13 +281,16 @@ class Mechanism:
             ClosureError: where the drives do not converge.
         """
         target = np.asarray(p, dtype=float)
-        goal = target.reshape(-1, 3)
-        self._check_reach(goal)
         moves = None
         if displacements is not None:
             moves = np.broadcast_to(
                 np.asarray(displacements, float), (*target.shape[:-1], 3, 10)
             ).reshape(-1, 3, 10)
+        with placed(target.shape[:-1]):
+            return self._inverse(target.reshape(-1, 3), moves).reshape(target.shape)
+
+    def _inverse(self, goal: Array, moves: Array | None) -> Array:
+        self._check_reach(goal)
         batch = self.nominal_batch if moves is None else self.batch
         rho = self._perfect_commands(goal)
         x = seed.free_joints(batch.tree, rho - self.geometry.L, goal)
@@ -296,10 +300,10 @@ class Mechanism:
             out, by_given = batch.tangent(x, given)
             miss = goal - out.p
             if np.abs(miss).max(initial=0.0) < 1e-13:
-                return rho.reshape(target.shape)
+                return rho
             rho = rho + np.linalg.solve(by_given[:, :3, :3], miss[..., None])[..., 0]
         if np.abs(miss).max(initial=0.0) < 1e-12:
-            return rho.reshape(target.shape)
+            return rho
         raise ClosureError("the drives do not converge on the wanted points")
 
     def _perfect_commands(self, goal: Array) -> Array:

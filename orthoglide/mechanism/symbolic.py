@@ -86,13 +86,15 @@ def joint_transform(joint: Any, q: Any) -> Transform:
         InputError: for a kind of joint that is not supported.
     """
     kind = joint.shortname()
-    if joint.nq == joint.nv == 1 and "Mimic" not in kind and "Helical" not in kind:
+    # By name too: helical and composite joints can have as many coordinates as these.
+    plain = kind.startswith(("JointModelR", "JointModelP"))
+    if plain and joint.nq == joint.nv == 1:
         axis = np.asarray(joint.createData().S).ravel()
         return _screw_free(axis, q)
-    if joint.nq == 2 and joint.nv == 1:  # a revolute without limits: (cos, sin)
+    if plain and joint.nq == 2 and joint.nv == 1:  # a revolute without limits: (cos, sin)
         axis = np.asarray(joint.createData().S).ravel()[3:]
         return Transform(_rotation(axis, q[0], q[1]), ca.SX(3, 1))
-    if joint.nq == 7:
+    if joint.nq == 7 and "FreeFlyer" in kind:
         return Transform(_quaternion(q[3:7]), q[0:3])
     if joint.nq == 4 and joint.nv == 3 and "Spherical" in kind:
         return Transform(_quaternion(q), ca.SX(3, 1))
@@ -149,9 +151,11 @@ class SymbolicTree:
         return result
 
     def _frame(self, name: str) -> tuple[int, Transform]:
-        if not self.model.existFrame(name):
+        named = [frame for frame in self.model.frames if frame.name == name]
+        if not named:
             raise InputError(f"the model has no frame {name!r}")
-        frame = self.model.frames[self.model.getFrameId(name)]
+        # A joint and a link may share a name: then the link is meant.
+        frame = next((f for f in named if f.type == pin.FrameType.BODY), named[0])
         return int(frame.parentJoint), Transform.from_se3(frame.placement)
 
     def frame(self, name: str) -> Transform:

@@ -147,7 +147,9 @@ def _step(problem: _Problem, state: _State) -> tuple[Array, Array, Array]:
 
 def _search(problem: _Problem, state: _State, step: Array, gain: float) -> _State | None:
     """Halve the step until the objective falls; None where it never does."""
-    slack = 1e-13 * state.cost
+    # Rounding of carriages and readings moves the objective by this much: no fall shows below it.
+    size = problem.length + np.abs(problem.target) + np.abs(state.model)
+    slack = 4e-16 * (float(np.linalg.norm(size * problem.weight)) * state.cost**0.5 + state.cost)
     for halving in range(40):
         trial = state.x.copy()
         trial[problem.free] += step * 0.5**halving

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.pss.spheres import DEGENERATE, Mode, check_mode, explain_miss
+from orthoglide.pss.spheres import DEGENERATE, TOUCH, Mode, check_mode, explain_miss
 
 NOMINAL = Geometry()
 """The prototype's dimensions, the default of every function here."""
@@ -175,8 +175,7 @@ def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) 
         square = half_b * half_b
         root = square - leading * constant
         if not root.min(initial=0.0) >= 0:
-            # Legs that just touch give a discriminant of rounding size, of either sign.
-            if not (root >= -4e-16 * square).all():
+            if not (root >= -TOUCH * square).all():
                 return False
             np.maximum(root, 0.0, out=root)
         np.sqrt(root, out=root)
@@ -195,7 +194,7 @@ def _no_meeting(carriages: Array, bars: Array, shape: tuple[int, ...]) -> Except
         share = (carriages - bars) * (carriages + bars) / (2 * carriages)
         half_b = 1 - np.sum(share / carriages, axis=-1)
         root = half_b**2 - np.sum(share**2, axis=-1) * np.sum(carriages**-2.0, axis=-1)
-        failed = ~(root >= -4e-16 * half_b**2)
+        failed = ~(root >= -TOUCH * half_b**2)
     first = int(np.argmax(failed))
     index = tuple(int(i) for i in np.unravel_index(first, shape[:-1])) if shape[:-1] else ()
     if not np.isfinite(carriages[first] + bars[first]).all():

@@ -20,6 +20,9 @@ Mode = Literal["machine", "other"]
 DEGENERATE = 1e-9
 """Carriage triangles and TCP tetrahedra flatter than this (relative) count as singular."""
 
+TOUCH = 4e-15
+"""Legs that just touch give a discriminant of rounding size, of either sign (relative)."""
+
 
 class SphereDerivatives(NamedTuple):
     """How the intersection moves.
@@ -136,7 +139,7 @@ def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "mach
     foot = along_u[..., None] * np.cross(v, w) + along_v[..., None] * np.cross(w, u)
     foot = foot / ww[..., None]
     height2 = squares[..., 0] - np.sum(foot * foot, axis=-1)
-    missed = height2 < -4e-16 * squares[..., 0]
+    missed = height2 < -TOUCH * squares[..., 0]
     if np.any(missed):
         index = tuple(int(i) for i in np.argwhere(missed)[0])
         centre = np.broadcast_to(c, (*shape, 3))[index]

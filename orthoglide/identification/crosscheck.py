@@ -1,0 +1,159 @@
+"""The cross-check of an identification: the reduction's own fit, and the linear system (11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide import pss
+from orthoglide.errors import CrossCheckError
+from orthoglide.geometry import LEGS, Array
+from orthoglide.identification.least_squares import Nuisances
+from orthoglide.identification.problem import Problem
+
+AGREEMENT = 1e-9
+"""Metres: two derivations of one model that disagree by more have an error."""
+
+_SIX = tuple(f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS)
+
+
+@dataclass(frozen=True)
+class CrossCheck:
+    """How far the independent derivations are apart, metres.
+
+    Attributes:
+        reduction: parameters, mechanism against the reduction's nonlinear fit, largest difference.
+        linear: fitted readings, mechanism against system (11), largest difference.
+        linear_bound: what second-order terms allow of ``linear``, root mean square over the noise.
+        linear_size: the same norm of the difference itself.
+        linear_values: parameters that the linear system gives ``(P,)``.
+    """
+
+    reduction: float
+    linear: float
+    linear_bound: float
+    linear_size: float
+    linear_values: Array
+
+    @property
+    def second_order(self) -> bool:
+        """Whether the linear system is as near as theory asks."""
+        return self.linear_size <= self.linear_bound * (1 + 1e-6) + AGREEMENT
+
+
+def reduction_fit(
+    problem: Problem, nuisance: Nuisances, *, linear: bool = False
+) -> pss.ReadingFit:
+    """The reduction's fit of the same problem: same noise, priors, datums and placements.
+
+    Args:
+        problem: with no unknowns but joint offsets and leg lengths.
+        nuisance: the frozen columns.
+        linear: fit system (11), generalised to any readings, instead.
+    """
+    group = np.concatenate(
+        [np.full(len(c), k, dtype=np.intp) for k, c in enumerate(problem.campaigns)]
+    )
+    setups = [s for c in problem.campaigns for s in c.setups]
+    rows = problem.setup_of_row
+    held = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
+    for k in range(len(problem.campaigns)):
+        names, matrix = problem.elementary(k)
+        for name, weights in zip(names, matrix, strict=True):
+            held[k, _SIX.index(name), :-1] += weights
+        for name, value in problem.held[k].items():
+            held[k, _SIX.index(name), -1] += value
+    # The last parameter is held at one: it carries what the machine file already says.
+    return pss.fit_readings(
+        np.concatenate([c.command for c in problem.campaigns]),
+        np.array([s.leg for s in setups])[rows],
+        np.array([s.axis for s in setups])[rows],
+        np.array([s.gauge for s in setups])[rows],
+        problem.measured,
+        problem.sigma,
+        signs=np.array([float(s.sign) for s in setups])[rows],
+        free=np.append(np.ones(len(problem.unknowns), dtype=bool), False),
+        prior_sd=np.append(problem.prior_sd, np.inf),
+        nuisance=nuisance.columns,
+        precision=nuisance.precision,
+        x0=np.append(problem.start, 1.0),
+        group=group,
+        maps=held,
+        geometry=problem.machine.geometry,
+        linear=linear,
+    )
+
+
+def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -> CrossCheck | None:
+    """Compare an identification with the reduction and with system (11).
+
+    Args:
+        problem: the same.
+        nuisance: the frozen columns.
+        x: identified by the mechanism ``(P,)``, SI.
+        value: readings that the mechanism predicts at ``x`` ``(n,)``, datums apart, metres.
+
+    Returns:
+        The differences, or ``None`` where the reduction cannot represent what was asked.
+
+    Raises:
+        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
+    """
+    if not problem.representable:
+        return None
+    own = reduction_fit(problem, nuisance)
+    difference = float(np.max(np.abs(own.values[:-1] - x), initial=0.0))
+    if not own.converged or difference > AGREEMENT:
+        raise CrossCheckError(
+            f"the mechanism and the reduction disagree by {difference * 1e3:.3g} mm on the same "
+            f"readings: do not use these values, and report the campaign",
+            difference=difference,
+        )
+    linear = reduction_fit(problem, nuisance, linear=True)
+    fitted = value + nuisance.columns @ nuisance.solve(problem.measured - value)
+    apart = fitted - linear.readings
+    size = float(np.linalg.norm(apart * nuisance.weight)) / float(np.linalg.norm(nuisance.weight))
+    return CrossCheck(
+        difference,
+        float(np.max(np.abs(apart), initial=0.0)),
+        _second_order_bound(problem, nuisance, x, value),
+        size,
+        linear.values[:-1],
+    )
+
+
+def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -> float:
+    """Largest norm of the difference between nonlinear and linear fit that theory allows.
+
+    With f(x) = J0 x + e and residual q of the nonlinear fit, the linear fit is P0 (f + q), P0 the
+    projection on the linear system's columns: the difference is (1 - P0) e - P0 q, no longer than
+    |e| + |P0 q| in the norm of the noise.
+    """
+    commands = np.concatenate([c.command for c in problem.campaigns])
+    setups = [s for c in problem.campaigns for s in c.setups]
+    rows = problem.setup_of_row
+    sign = np.array([float(s.sign) for s in setups])[rows]
+    by_six = sign[:, None] * pss.reading_jacobian(
+        commands,
+        np.array([s.leg for s in setups])[rows],
+        np.array([s.axis for s in setups])[rows],
+        np.array([s.gauge for s in setups])[rows],
+        geometry=problem.machine.geometry,
+    )
+    by_x = np.zeros((len(commands), len(x)))
+    constant = np.zeros(len(commands))
+    for k, part in enumerate(problem.rows):
+        names, matrix = problem.elementary(k)
+        columns = [_SIX.index(name) for name in names]
+        by_x[part] = by_six[part][:, columns] @ matrix
+        held = [problem.held[k].get(name, 0.0) for name in _SIX]
+        constant[part] = by_six[part] @ np.array(held)
+    prior = np.diag(1 / problem.prior_sd)
+    jacobian = np.vstack([nuisance.project(by_x), prior])
+    remainder = nuisance.project(value - by_x @ x - constant)
+    residual = np.concatenate([nuisance.project(problem.measured - value), -x / problem.prior_sd])
+    basis, _ = np.linalg.qr(jacobian)
+    bound = float(np.linalg.norm(remainder) + np.linalg.norm(basis.T @ residual))
+    return bound / float(np.linalg.norm(nuisance.weight))
+

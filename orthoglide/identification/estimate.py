@@ -1,0 +1,160 @@
+"""``Estimate``: what an identification found, how sure it is, and how it was checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.effects import family_of, is_dial
+from orthoglide.geometry import Array
+from orthoglide.identification.crosscheck import CrossCheck
+from orthoglide.identification.least_squares import Linearised, Nuisances
+from orthoglide.identification.problem import Problem
+from orthoglide.identification.scores import Scores
+from orthoglide.identification.weakness import WeakDirection
+from orthoglide.machine import Machine
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Result of :func:`~orthoglide.identification.identify`.
+
+    Attributes:
+        problem: what was asked of which readings.
+        x: identified values ``(P,)``, SI, in the order of ``names``.
+        covariance: ``(P, P)``, SI, scaled by ``sigma_scale`` squared.
+        sigma_scale: sqrt(chi2 / dof) where lack of fit remains, else 1.
+        scores: of this fit.
+        nominal: scores of the machine as it was before (the unknowns at zero).
+        weak: directions that the readings hardly see.
+        check: against the reduction and system (11); ``None`` where they cannot represent it.
+        method: ``nlp``, ``nested`` or ``reduction``.
+        iterations: of the solver.
+        optimality: step that a Newton iteration would still make, in sigmas.
+        warnings: what a user should know, in sentences.
+        at: linearisation at the fit.
+        nuisance: datums and placements of the fit.
+    """
+
+    problem: Problem
+    x: Array
+    covariance: Array
+    sigma_scale: float
+    scores: Scores
+    nominal: Scores
+    weak: tuple[WeakDirection, ...]
+    check: CrossCheck | None
+    method: str
+    iterations: int
+    optimality: float
+    warnings: tuple[str, ...]
+    at: Linearised = field(repr=False)
+    nuisance: Nuisances = field(repr=False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what was identified."""
+        return self.problem.names
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Identified values by name, SI."""
+        return dict(zip(self.names, self.x.tolist(), strict=True))
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """Standard deviations by name, SI, scaled."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlations of the identified values ``(P, P)``."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        return np.asarray(self.covariance / sd / sd[:, None])
+
+    @property
+    def coverage_factor(self) -> float:
+        """Half width of a 95 % interval in sigmas: normal, or Student's t where sigmas are scaled."""
+        from scipy.special import ndtri, stdtrit
+
+        if self.sigma_scale == 1.0:
+            return float(ndtri(0.975))
+        return float(stdtrit(max(self.scores.dof, 1), 0.975))
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """95 % interval of one identified value, SI."""
+        half = self.coverage_factor * self.sigmas[name]
+        return self.values[name] - half, self.values[name] + half
+
+    @property
+    def on_bound(self) -> tuple[str, ...]:
+        """Names of values that ended on a bound."""
+        near = np.abs(self.x) >= self.problem.bound * (1 - 1e-6)
+        return tuple(name for name, hit in zip(self.names, near, strict=True) if hit)
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Fitted readings ``(n,)`` of all campaigns, datums and placements included, metres."""
+        rest = self.problem.measured - self.at.value
+        return np.asarray(self.at.value + self.nuisance.columns @ self.nuisance.solve(rest))
+
+    @property
+    def residuals(self) -> Array:
+        """Readings less fitted ``(n,)``, metres."""
+        return self.problem.measured - self.predicted
+
+    @cached_property
+    def predicted_before(self) -> Array:
+        """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
+        from orthoglide.identification.least_squares import predict
+
+        value = predict(self.problem, np.zeros(len(self.x)))
+        return np.asarray(
+            value + self.nuisance.columns @ self.nuisance.solve(self.problem.measured - value)
+        )
+
+    @property
+    def machine(self) -> Machine:
+        """The calibrated machine: the last campaign's where values are own to each."""
+        return self.machine_of(len(self.problem.campaigns) - 1)
+
+    def machine_of(self, campaign: int) -> Machine:
+        """The calibrated machine as one campaign saw it; dials are left out."""
+        names, matrix = self.problem.elementary(campaign)
+        values = dict(zip(names, (matrix @ self.x).tolist(), strict=True))
+        spread = np.sqrt(np.maximum(np.diag(matrix @ self.covariance @ matrix.T), 0.0))
+        sigmas = dict(zip(names, spread.tolist(), strict=True))
+        kept = {n: v for n, v in values.items() if not is_dial(n)}
+        return self.problem.machine.with_parameters(kept, sigmas)
+
+    def __str__(self) -> str:
+        return fit_report(self)
+
+
+def fit_report(estimate: Estimate) -> str:
+    """A table for people: value +- sigma, share of the tolerance, correlations, checks."""
+    lines = []
+    for name, value in estimate.values.items():
+        unit, sigma = family_of(name).unit, estimate.sigmas[name]
+        text = f"{name:<24} {value / unit.si:+.4g} +- {sigma / unit.si:.2g} {unit.name}"
+        lines.append(text + ("   (on its bound)" if name in estimate.on_bound else ""))
+    s = estimate.scores
+    lines.append(
+        f"residual rms {s.rms * 1e3:.4f} mm, deviations {s.deviation_rms * 1e3:.3f} mm, "
+        f"chi2 {s.chi2:.1f} on {s.dof} degrees of freedom"
+    )
+    lines.extend(str(weak) for weak in estimate.weak)
+    lines.extend(estimate.warnings)
+    return "\n".join(lines)
+
+
+def as_mapping(estimate: Estimate) -> Mapping[str, tuple[float, float, str]]:
+    """Identified values as files show them: value, sigma and unit by name."""
+    shown = {}
+    for name, value in estimate.values.items():
+        unit = family_of(name).unit
+        shown[name] = (value / unit.si, estimate.sigmas[name] / unit.si, unit.name)
+    return shown

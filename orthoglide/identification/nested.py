@@ -1,0 +1,111 @@
+"""The identification with the closure nested: Newton on the unknowns alone, for many postures.
+
+Every step closes all postures and takes the readings' derivatives from the constraint Jacobians,
+so that time and memory grow linearly with the number of postures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.errors import ClosureError, SolverError
+from orthoglide.geometry import Array
+from orthoglide.identification.least_squares import (
+    Linearised,
+    Normal,
+    Nuisances,
+    linearise,
+    normal,
+    predict,
+)
+from orthoglide.identification.problem import Problem
+
+_MOST_STEPS = 60
+_SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown
+_SLOW = 0.1  # Gauss-Newton that shrinks its steps less than this wants second derivatives
+
+
+@dataclass(frozen=True)
+class NestedResult:
+    """Where the nested method ended.
+
+    Attributes:
+        x: unknowns ``(P,)``, SI.
+        iterations: steps taken.
+        at: linearisation at ``x``.
+    """
+
+    x: Array
+    iterations: int
+    at: Linearised
+
+
+def solve_nested(problem: Problem, nuisance: Nuisances, start: Array) -> NestedResult:
+    """Minimise the cost over the unknowns, from ``start`` ``(P,)``.
+
+    Gauss-Newton, and Newton with differenced gradients where that is slow: along weak directions
+    the curvature of the model outweighs the readings.
+
+    Raises:
+        SolverError: where the steps do not settle.
+    """
+    x, previous = start, np.inf
+    for iteration in range(_MOST_STEPS):
+        at = linearise(problem, x)
+        here = normal(problem, at, nuisance)
+        scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))
+        step = _solve(here.information, -here.gradient, scale)
+        size = float(np.max(np.abs(step) / scale))
+        if size > _SETTLED and size > _SLOW * previous:
+            step = _newton_step(problem, nuisance, here, scale)
+            size = float(np.max(np.abs(step) / scale))
+        if size <= _SETTLED:
+            return NestedResult(x, iteration, at)
+        x, previous = _search(problem, nuisance, here, step), size
+    raise SolverError(
+        "the identification did not settle; free fewer parameters, or keep the tolerances as priors",
+        evidence={"last_step_in_sigmas": size},
+    )
+
+
+def _solve(matrix: Array, right: Array, scale: Array) -> Array:
+    scaled = matrix * scale * scale[:, None]
+    return np.asarray(scale * np.linalg.lstsq(scaled, right * scale, rcond=1e-14)[0])
+
+
+def _newton_step(problem: Problem, nuisance: Nuisances, here: Normal, scale: Array) -> Array:
+    count = len(scale)
+    hessian = np.empty((count, count))
+    for k in range(count):
+        # Small against the curvature of the machine, large against rounding.
+        width = max(1e-2 * scale[k], 1e-4 * problem.tolerance[k])
+        ends = []
+        for side in (1, -1):
+            x = here.x.copy()
+            x[k] += side * width
+            ends.append(normal(problem, linearise(problem, x), nuisance).gradient)
+        hessian[:, k] = (ends[0] - ends[1]) / (2 * width)
+    hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
+    values, vectors = np.linalg.eigh(hessian)
+    # Modulus and floor keep the step a descent where the cost is not convex.
+    turned = vectors.T @ (-here.gradient * scale)
+    return scale * (vectors @ (turned / np.maximum(np.abs(values), 1e-8)))
+
+
+def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) -> Array:
+    """Halve the step until the cost falls."""
+    factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
+    for _ in range(30):
+        x = here.x + factor * step
+        try:
+            residual = nuisance.project(problem.measured - predict(problem, x))
+        except ClosureError:
+            factor /= 2
+            continue
+        cost = float(residual @ residual + np.sum((here.prior * x) ** 2))
+        if cost <= here.cost * (1 + 1e-12):
+            return x
+        factor /= 2
+    return here.x + factor * step

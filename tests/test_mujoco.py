@@ -1,0 +1,118 @@
+"""MuJoCo as an independent witness: its constraints, its derivatives, a model of its own."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from orthoglide.geometry import Geometry
+from orthoglide.mechanism import Mechanism
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from tests.mujoco_machine import Array, Dimensions, MujocoMachine, prpar_mjcf, six_bar_mjcf
+
+NOMINAL = Geometry()
+OTHER = Geometry(L=0.5, d=0.11, r=0.047, stroke=(-0.12, 0.08))
+MECHANISM = {g: Mechanism(g, compile=False) for g in (NOMINAL, OTHER)}
+
+
+def commands(n: int, seed: int, geometry: Geometry = NOMINAL) -> Array:
+    return geometry.L + np.random.default_rng(seed).uniform(*geometry.stroke, (n, 3))
+
+
+def dimensions(geometry: Geometry = NOMINAL, moves: Array | None = None) -> Dimensions:
+    """A machine whose parts have the errors that displacements ``(3, 10)`` stand for."""
+    moves = np.zeros((3, len(VIRTUAL_NAMES))) if moves is None else moves
+    of = dict(zip(VIRTUAL_NAMES, moves.T, strict=True))
+    lateral = np.zeros((3, 3))
+    for leg in range(3):
+        lateral[leg, leg] = of["travel"][leg]
+        lateral[leg, (leg + 1) % 3] = of["lateral_b"][leg]
+        lateral[leg, (leg + 2) % 3] = of["lateral_c"][leg]
+    return Dimensions(
+        geometry.L,
+        geometry.d,
+        geometry.r,
+        length=np.stack([of["stretch1"], of["stretch2"]], axis=1),
+        lateral=lateral,
+        turn=np.stack([of["turn_a"], of["turn_b"], of["turn_c"]], axis=1),
+        half=np.stack([of["width1"], of["width2"]], axis=1),
+    )
+
+
+@pytest.mark.parametrize("build", [prpar_mjcf, six_bar_mjcf], ids=["prpar", "six-bars"])
+@pytest.mark.parametrize("geometry", [NOMINAL, OTHER], ids=["nominal", "other"])
+def test_nominal_machine(build: Callable[[Dimensions], str], geometry: Geometry) -> None:
+    witness = MujocoMachine(build(dimensions(geometry)), geometry.L)
+    rho = commands(100, 1, geometry)
+    p = MECHANISM[geometry].forward(rho)
+    for command, expected in zip(rho, p, strict=True):
+        place, turn = witness.pose(command)
+        assert np.abs(place - expected).max() < 1e-12
+        assert np.abs(turn - np.eye(3)).max() < 1e-12
+
+
+def test_closed_machine_in_mujoco_has_the_mobility_of_ours() -> None:
+    witness = MujocoMachine(prpar_mjcf(dimensions()), NOMINAL.L)
+    for command in commands(10, 2):
+        data = witness.close(command)
+        rows = data.efc_J.reshape(data.nefc, -1)
+        values = np.linalg.svd(rows, compute_uv=False)
+        ours = MECHANISM[NOMINAL].mobility(command)
+        assert rows.shape == (ours.rows, ours.joints)
+        assert int(np.sum(values > 1e-7 * values[0])) == ours.rank
+
+
+# Names of virtual joints, and how far they are displaced: ten times what to expect, and more.
+ERRORS = {
+    "joint_offset": {"travel": 5e-3},
+    "leg_length": {"stretch1": 2e-3, "stretch2": 2e-3},
+    "bar_mismatch": {"stretch1": 5e-4, "stretch2": -5e-4},
+    "axis_offset": {"lateral_b": 3e-3, "lateral_c": -2e-3},
+    "mount_tilt.a": {"turn_a": 2e-2},
+    "mount_tilt.b": {"turn_b": 2e-2},
+    "hinge": {"turn_c": 2e-2},
+    "parallelogram_width": {"width1": 5e-4, "width2": 5e-4},
+    "platform_off_its_link": {"width1": 1e-3, "width2": -1e-3},
+}
+
+
+def compare(rho: Array, moves: Array, tolerance: float) -> float:
+    """Check poses with errors against MuJoCo's six bars; by how much the errors turn them."""
+    mechanism, most = MECHANISM[NOMINAL], 0.0
+    witness = MujocoMachine(six_bar_mjcf(dimensions(NOMINAL, moves)), NOMINAL.L)
+    given = mechanism.given(rho, np.broadcast_to(moves, (len(rho), *moves.shape)))
+    out = mechanism.batch.outputs(mechanism.batch.close(given), given)
+    for k, command in enumerate(rho):
+        place, turn = witness.pose(command)
+        assert np.abs(out.p[k] - place).max() < tolerance
+        assert np.abs(out.R[k] - turn).max() < tolerance
+        assert np.abs(mechanism.close(command, moves).p - place).max() < tolerance
+        most = max(most, float(np.abs(turn - np.eye(3)).max()))
+    return most
+
+
+@pytest.mark.parametrize("leg", range(3), ids="xyz")
+@pytest.mark.parametrize("name", ERRORS)
+def test_errors_of_one_leg(name: str, leg: int) -> None:
+    moves = np.zeros((3, len(VIRTUAL_NAMES)))
+    for joint, value in ERRORS[name].items():
+        moves[leg, VIRTUAL_NAMES.index(joint)] = value
+    most = compare(commands(10, 3), moves, 1e-11)
+    turns = name in ("bar_mismatch", "mount_tilt.a", "mount_tilt.b", "parallelogram_width")
+    assert (most > 1e-6) == turns
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_all_errors_at_once(seed: int) -> None:
+    moves = 3e-3 * np.random.default_rng(seed).standard_normal((3, len(VIRTUAL_NAMES)))
+    assert compare(commands(10, seed), moves, 1e-11) > 1e-3
+
+
+def test_mujoco_refuses_what_the_mechanism_refuses() -> None:
+    witness = MujocoMachine(six_bar_mjcf(dimensions()), NOMINAL.L)
+    with pytest.raises(ArithmeticError):
+        witness.close(np.full(3, 0.7))
+    with pytest.raises(ArithmeticError):
+        MECHANISM[NOMINAL].close(np.full(3, 0.7))

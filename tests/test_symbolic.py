@@ -1,0 +1,248 @@
+"""The symbolic tree against Pinocchio: this machine's two trees, and robots of other makers."""
+
+from collections.abc import Callable
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import Geometry
+from orthoglide.mechanism.symbolic import SymbolicTree, Transform, joint_transform, rotation_error
+from orthoglide.mechanism.tree import Tree, general_tree, nominal_tree
+
+# Name of the file, kind of root, and the kinds of joint for which it was chosen.
+ROBOTS = [
+    ("panda.urdf", None),
+    ("ur5_robot.urdf", None),
+    ("double_pendulum_continuous.urdf", None),
+    ("kinova.urdf", None),
+    ("tiago.urdf", None),
+    ("talos_left_arm.urdf", None),
+    ("solo12.urdf", pin.JointModelFreeFlyer),
+    ("allegro_left_hand.urdf", None),
+    ("anymal-kinova.urdf", pin.JointModelFreeFlyer),
+    ("romeo_small.urdf", pin.JointModelFreeFlyer),
+    ("double_pendulum.urdf", pin.JointModelSpherical),
+]
+
+
+@cache
+def urdf_path(name: str) -> Path:
+    """A URDF of the data package, by the name of its file."""
+    try:
+        files = metadata.files("example-robot-data") or []
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    found = sorted(str(f.locate()) for f in files if f.name == name)
+    assert found, f"example-robot-data has no {name} any more: choose another robot"
+    return Path(found[0])
+
+
+def robot(name: str, root: type | None) -> pin.Model:
+    path = str(urdf_path(name))
+    return pin.buildModelFromUrdf(path) if root is None else pin.buildModelFromUrdf(path, root())
+
+
+def configurations(model: pin.Model, n: int, seed: int = 0) -> list[np.ndarray]:
+    """Random configurations, far beyond any limits; quaternions and circles are normalised."""
+    rng = np.random.default_rng(seed)
+    neutral = pin.neutral(model)
+    return [pin.integrate(model, neutral, 2.0 * rng.standard_normal(model.nv)) for _ in range(n)]
+
+
+def largest_difference(model: pin.Model, n: int = 5) -> float:
+    """Largest entry by which any frame of any configuration differs from Pinocchio's, metres."""
+    tree, places = SymbolicTree(model), {}
+    for k, frame in enumerate(model.frames):
+        # A joint and a link may share a name: then the link is meant.
+        if frame.name not in places or frame.type == pin.FrameType.BODY:
+            places[frame.name] = k
+    transforms = [tree.frame(name) for name in places]
+    every = ca.Function(
+        "every", [tree.q], [ca.horzcat(*(ca.horzcat(t.R, t.t) for t in transforms))]
+    )
+    data, worst = model.createData(), 0.0
+    for q in configurations(model, n):
+        pin.framesForwardKinematics(model, data, q)
+        expected = np.hstack([data.oMf[k].homogeneous[:3] for k in places.values()])
+        worst = max(worst, float(np.abs(every(q).full() - expected).max()))
+    return worst
+
+
+@pytest.mark.parametrize("build", [nominal_tree, general_tree])
+@pytest.mark.parametrize("geometry", [Geometry(), Geometry(L=0.5, d=0.11, r=0.047)])
+def test_this_machine(build: Callable[[Geometry], Tree], geometry: Geometry) -> None:
+    assert largest_difference(build(geometry).model, 20) < 1e-12
+
+
+@pytest.mark.parametrize(("name", "root"), ROBOTS)
+def test_other_robots(name: str, root: type | None) -> None:
+    model = robot(name, root)
+    assert model.nframes > 3
+    assert largest_difference(model) < 1e-12
+
+
+def test_the_robots_cover_every_kind_of_joint() -> None:
+    kinds = {
+        joint.shortname() for name, root in ROBOTS for joint in list(robot(name, root).joints)[1:]
+    }
+    assert {"JointModelFreeFlyer", "JointModelSpherical", "JointModelRX", "JointModelRZ"} <= kinds
+    assert any("RUB" in kind for kind in kinds)  # without limits: (cos, sin)
+    assert any("RevoluteUnaligned" in kind for kind in kinds)
+    assert any(kind.startswith("JointModelP") for kind in kinds)
+
+
+def test_joints_by_hand() -> None:
+    oblique = np.array([1.0, -2.0, 0.5]) / np.linalg.norm([1.0, -2.0, 0.5])
+    model = pin.Model()
+    parent = 0
+    for k, joint in enumerate(
+        [
+            pin.JointModelPY(),
+            pin.JointModelPrismaticUnaligned(oblique),
+            pin.JointModelRevoluteUnaligned(oblique),
+            pin.JointModelRUBX(),
+            pin.JointModelSpherical(),
+            pin.JointModelFreeFlyer(),
+        ]
+    ):
+        parent = model.addJoint(parent, joint, pin.SE3.Random(), f"j{k}")
+        model.addFrame(pin.Frame(f"f{k}", parent, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    assert largest_difference(model, 20) < 1e-12
+
+
+def test_an_oblique_joint_without_limits() -> None:
+    model = pin.buildModelFromXML(
+        """<robot name="one"><link name="a"/><link name="b"/>
+        <joint name="j" type="continuous"><parent link="a"/><child link="b"/>
+        <origin xyz="1 2 3" rpy="0.1 0.2 0.3"/><axis xyz="1 -2 0.5"/></joint></robot>"""
+    )
+    assert "UnboundedUnaligned" in model.joints[1].shortname()
+    assert largest_difference(model, 20) < 1e-12
+
+
+def chain(*joints: Any) -> pin.JointModelComposite:
+    """One composite joint of several."""
+    composite = pin.JointModelComposite()
+    for joint in joints:
+        composite.addJoint(joint, pin.SE3.Random())
+    return composite
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pin.JointModelPlanar,
+        pin.JointModelTranslation,
+        pin.JointModelSphericalZYX,
+        lambda: pin.JointModelUniversal(np.array([1.0, 0, 0]), np.array([0, 1.0, 0])),
+        lambda: pin.JointModelHX(0.01),
+        lambda: pin.JointModelHelicalUnaligned(np.array([0.0, 0.6, 0.8]), 0.01),
+        lambda: chain(pin.JointModelRX(), pin.JointModelRY()),
+        lambda: chain(pin.JointModelRX()),
+        lambda: chain(pin.JointModelRUBX()),
+        lambda: chain(pin.JointModelTranslation(), pin.JointModelSpherical()),
+    ],
+    ids=["planar", "translation", "zyx", "universal", "helical", "oblique-helical"]
+    + [f"composite-{k}" for k in ("two", "revolute", "unbounded", "flyer")],
+)
+def test_unsupported_joints_are_refused(kind: Callable[[], Any]) -> None:
+    model = pin.Model()
+    model.addJoint(0, kind(), pin.SE3.Identity(), "odd")
+    model.addFrame(pin.Frame("tip", 1, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    tree = SymbolicTree(model)
+    with pytest.raises(InputError, match="not supported"):
+        tree.frame("tip")
+
+
+def test_a_mimic_joint_is_refused() -> None:
+    text = """<robot name="two">
+      <link name="a"/><link name="b"/><link name="c"/>
+      <joint name="one" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+      <joint name="two" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/>
+        <mimic joint="one" multiplier="2" offset="0.1"/></joint></robot>"""
+    model = pin.buildModelFromXML(text, mimic=True)
+    assert "Mimic" in model.joints[2].shortname()
+    with pytest.raises(InputError, match="not supported"):
+        SymbolicTree(model).frame("c")
+
+
+def test_unknown_frames_are_refused() -> None:
+    tree = SymbolicTree(nominal_tree().model)
+    with pytest.raises(InputError, match="no frame 'nose'"):
+        tree.frame("nose")
+    with pytest.raises(InputError, match="no frame 'nose'"):
+        tree.relative("x_tcp", "nose")
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ("x_tcp", "z_tcp"),
+        ("x_bar2_tip", "x_knuckle_tip"),
+        ("x_carriage", "x_tcp"),
+        ("base", "y_tcp"),
+    ],
+)
+def test_relative_transforms(first: str, second: str) -> None:
+    model = general_tree().model
+    tree = SymbolicTree(model)
+    between = tree.relative(first, second)
+    compare = ca.Function("compare", [tree.q], [ca.horzcat(between.R, between.t)])
+    data = model.createData()
+    for q in configurations(model, 10):
+        pin.framesForwardKinematics(model, data, q)
+        one, two = (data.oMf[model.getFrameId(name)] for name in (first, second))
+        expected = one.actInv(two).homogeneous[:3]
+        assert np.abs(compare(q).full() - expected).max() < 1e-12
+
+
+def test_relative_transforms_skip_what_both_frames_share() -> None:
+    tree = SymbolicTree(general_tree().model)
+    between = tree.relative("x_bar2_tip", "x_knuckle_tip")
+    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(ca.vec(between.R), between.t))}
+    model = tree.model
+    for name in ("x_slide", "x_theta", "x_travel", "x_turn_a", "y_slide"):
+        assert f"q_{model.joints[model.getJointId(name)].idx_q}" not in used
+    assert f"q_{model.joints[model.getJointId('x_bar1')].idx_q}" in used
+
+
+def test_transforms_read_by_cancellation() -> None:
+    one, two = pin.SE3.Random(), pin.SE3.Random()
+    a, b = Transform.from_se3(one), Transform.from_se3(two)
+    product, back = a @ b.inverse(), Transform.identity() @ a
+    for own, expected in ((product, one * two.inverse()), (back, one)):
+        assert np.abs(ca.DM(own.R).full() - expected.rotation).max() < 1e-14
+        assert np.abs(ca.DM(own.t).full().ravel() - expected.translation).max() < 1e-14
+
+
+def test_derivatives_equal_pinocchios_jacobian() -> None:
+    model = general_tree().model
+    tree = SymbolicTree(model)
+    place = tree.frame("y_tcp").t
+    slope = ca.Function("slope", [tree.q], [ca.jacobian(place, tree.q)])
+    data, frame = model.createData(), model.getFrameId("y_tcp")
+    for q in configurations(model, 5):
+        expected = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+        assert np.abs(slope(q).full() - expected).max() < 1e-12
+
+
+def test_rotation_error_is_regular_at_the_identity() -> None:
+    turn = ca.SX.sym("turn", 3)
+    R = ca.SX.eye(3)
+    for k, kind in enumerate((pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())):
+        model = pin.Model()
+        model.addJoint(0, kind, pin.SE3.Identity(), "one")
+        R = R @ joint_transform(model.joints[1], turn[k]).R
+    error = ca.Function("error", [turn], [rotation_error(R), ca.jacobian(rotation_error(R), turn)])
+    value, slope = (out.full() for out in error(np.zeros(3)))
+    assert np.array_equal(value, np.zeros((3, 1)))
+    assert np.abs(slope - np.eye(3)).max() < 1e-15
