@@ -36,7 +36,7 @@ def axis_index(name: str) -> int:
     """
     if name not in LEGS:
         raise InputError(f"there is no leg or axis {name!r}: it is one of x, y, z")
-    return LEGS.index(name)  # type: ignore[arg-type]
+    return LEGS.index(name)
 
 
 def leg_axes(leg: int) -> tuple[int, int, int]:

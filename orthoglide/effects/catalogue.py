@@ -27,11 +27,7 @@ CATALOGUE: Mapping[str, Family] = MappingProxyType(
 """Families by name, in the order of tables."""
 
 MOTIONS: Mapping[str, tuple[int, tuple[Motion, ...]]] = MappingProxyType(
-    {
-        name: moved
-        for family in CATALOGUE.values()
-        for name, moved in family.parameters().items()
-    }
+    {name: moved for family in CATALOGUE.values() for name, moved in family.parameters().items()}
 )
 """Every parameter of the machine itself: from name to leg (0, 1, 2) and motions."""
 
@@ -141,4 +137,4 @@ def structured(name: str, setups: Iterable[str] = ()) -> dict[str, dict[str, flo
 
 def _cyclic_sign(parameter: str) -> float:
     _, leg, toward = parameter.split(".")
-    return 1.0 if (LEGS.index(leg) + 1) % 3 == LEGS.index(toward) else -1.0  # type: ignore[arg-type]
+    return 1.0 if (LEGS.index(leg) + 1) % 3 == LEGS.index(toward) else -1.0

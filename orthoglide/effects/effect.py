@@ -133,7 +133,7 @@ def relabelled(name: str) -> str:
     parts = name.split(".")
     turned: list[str] = [parts[0]]
     for part in parts[1:]:
-        turned.append(_next(part) if part in LEGS else part)  # type: ignore[arg-type]
+        turned.append(_next(part) if part in LEGS else part)
     return ".".join(turned)
 
 

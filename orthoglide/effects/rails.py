@@ -53,9 +53,7 @@ RAIL_TILT = Family(
     because="as an axis tilt, but the carriage leans with its rail",
     sentence="the rail is out of square and the carriage leans with it",
     look_at="the rail's seat with a level: does the carriage lean with it?",
-    members=sideways(
-        lambda axis, sign: (Motion(f"lateral_{axis}", _travel), _turned(axis, sign))
-    ),
+    members=sideways(lambda axis, sign: (Motion(f"lateral_{axis}", _travel), _turned(axis, sign))),
 )
 
 RAIL_BOW = Family(

@@ -2,10 +2,10 @@
 
 from orthoglide.identification.crosscheck import CrossCheck
 from orthoglide.identification.estimate import Estimate
-from orthoglide.identification.identify import Method, identify, solve
 from orthoglide.identification.noise import Noise, noise_of
 from orthoglide.identification.problem import Problem, Unknown, build_problem
 from orthoglide.identification.scores import Scores
+from orthoglide.identification.solving import Method, identify, solve
 from orthoglide.identification.weakness import WeakDirection
 
 __all__ = [

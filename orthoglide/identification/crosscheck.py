@@ -42,9 +42,7 @@ class CrossCheck:
         return self.linear_size <= self.linear_bound * (1 + 1e-6) + AGREEMENT
 
 
-def reduction_fit(
-    problem: Problem, nuisance: Nuisances, *, linear: bool = False
-) -> pss.ReadingFit:
+def reduction_fit(problem: Problem, nuisance: Nuisances, *, linear: bool = False) -> pss.ReadingFit:
     """The reduction's fit of the same problem: same noise, priors, datums and placements.
 
     Args:
@@ -156,4 +154,3 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
     basis, _ = np.linalg.qr(jacobian)
     bound = float(np.linalg.norm(remainder) + np.linalg.norm(basis.T @ residual))
     return bound / float(np.linalg.norm(nuisance.weight))
-

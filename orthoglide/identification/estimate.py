@@ -77,7 +77,7 @@ class Estimate:
 
     @property
     def coverage_factor(self) -> float:
-        """Half width of a 95 % interval in sigmas: normal, or Student's t where sigmas are scaled."""
+        """Half width of a 95 % interval in sigmas: normal, or Student's t where they are scaled."""
         from scipy.special import ndtri, stdtrit
 
         if self.sigma_scale == 1.0:

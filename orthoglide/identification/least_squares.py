@@ -42,9 +42,7 @@ def linearise(problem: Problem, x: Array) -> Linearised:
         values.append(readings.value)
         jacobians.append(readings.jacobian @ matrix)
         slopes.append(readings.by_gauge)
-    return Linearised(
-        x, np.concatenate(values), np.concatenate(jacobians), np.concatenate(slopes)
-    )
+    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), np.concatenate(slopes))
 
 
 def predict(problem: Problem, x: Array) -> Array:

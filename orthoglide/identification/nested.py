@@ -65,7 +65,7 @@ def solve_nested(problem: Problem, nuisance: Nuisances, start: Array) -> NestedR
             return NestedResult(x, iteration, at)
         x, previous = _search(problem, nuisance, here, step), size
     raise SolverError(
-        "the identification did not settle; free fewer parameters, or keep the tolerances as priors",
+        "the identification did not settle; free fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},
     )
 

@@ -12,23 +12,25 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
+from orthoglide.effects import MACHINE_PARAMETERS
 from orthoglide.errors import SolverError
 from orthoglide.geometry import Array
-from orthoglide.effects import MACHINE_PARAMETERS
 from orthoglide.identification.least_squares import Nuisances
 from orthoglide.identification.problem import Problem
 from orthoglide.mechanism.functions import LINES, closure_functions
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.dial import DIAL_FAMILIES, mountings
 
-_OPTIONS = {
+_OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
     "ipopt.tol": 1e-9,
     "ipopt.constr_viol_tol": 1e-9,
-    "ipopt.acceptable_iter": 0,
+    "ipopt.acceptable_tol": 1e-6,  # where rounding keeps it from more; what it is worth we check
+    "ipopt.acceptable_iter": 4,
     "ipopt.max_iter": 200,
     "ipopt.nlp_scaling_method": "none",
     "ipopt.mu_init": 1e-9,
@@ -64,7 +66,7 @@ class _Layout:
     """Distinct postures of one campaign and where its rows find theirs."""
 
     conditions: Conditions
-    place: Array
+    place: NDArray[np.intp]
 
 
 class Nlp:
@@ -113,9 +115,7 @@ class Nlp:
         """Closures of all postures, and predicted readings of all rows, as MX."""
         model = problem.machine.model
         closures, readings, first = [], [], 0
-        for k, (campaign, layout) in enumerate(
-            zip(problem.campaigns, self._layouts, strict=True)
-        ):
+        for k, (campaign, layout) in enumerate(zip(problem.campaigns, self._layouts, strict=True)):
             count = len(layout.conditions)
             theta, dials = _parameters(problem, k, x)
             moves = model.displacement.map(count)(

@@ -86,7 +86,9 @@ def repeat_variance(campaigns: Sequence[Campaign]) -> tuple[float, int]:
     """
     total, count = 0.0, 0
     for campaign in campaigns:
-        table = np.column_stack([campaign.setup, campaign.command, campaign.approach, campaign.load])
+        table = np.column_stack(
+            [campaign.setup, campaign.command, campaign.approach, campaign.load]
+        )
         order = np.lexsort([campaign.order, *table.T[::-1]])
         same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
         steps = np.diff(campaign.reading[order])[same]

@@ -125,9 +125,7 @@ class Problem:
     def setup_of_row(self) -> NDArray[np.int64]:
         """Setup of each stacked reading, numbered over all campaigns ``(n,)``."""
         first = np.cumsum([0, *[len(c.setups) for c in self.campaigns]])
-        return np.concatenate(
-            [c.setup + f for c, f in zip(self.campaigns, first, strict=False)]
-        )
+        return np.concatenate([c.setup + f for c, f in zip(self.campaigns, first, strict=False)])
 
     @property
     def setup_count(self) -> int:

@@ -36,9 +36,7 @@ class Scores:
     cv_rms: float
 
 
-def score(
-    problem: Problem, nuisance: Nuisances, at: Linearised, chi2: float, rank: int
-) -> Scores:
+def score(problem: Problem, nuisance: Nuisances, at: Linearised, chi2: float, rank: int) -> Scores:
     """Score a fit.
 
     Args:
@@ -87,9 +85,7 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt(np.mean(squares))) if squares else float("nan")
 
 
-def left_out_rms(
-    problem: Problem, nuisance: Nuisances, at: Linearised, residual: Array
-) -> float:
+def left_out_rms(problem: Problem, nuisance: Nuisances, at: Linearised, residual: Array) -> float:
     """Root mean square of readings predicted with every visit to their station left out, metres.
 
     With leverage ``H`` of the linear problem (unknowns, datums, placements, priors), the residual
@@ -116,5 +112,7 @@ def leverage_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Arr
     prior = np.concatenate([1 / problem.prior_sd, np.sqrt(nuisance.precision)])
     augmented = np.vstack([top, np.diag(prior)])
     scale = np.linalg.norm(augmented, axis=0)
-    left, singular, _ = np.linalg.svd(augmented / np.where(scale > 0, scale, 1), full_matrices=False)
+    left, singular, _ = np.linalg.svd(
+        augmented / np.where(scale > 0, scale, 1), full_matrices=False
+    )
     return left[:n, singular > 1e-10 * singular[0]]

@@ -71,7 +71,9 @@ def weak_directions(
     if not weak.any():
         return ()
     # Back in SI, then the sparsest basis of the weak space, so that legs stand apart.
-    basis = _sparse_basis((right[weak] / seen) / np.linalg.norm(right[weak] / seen, axis=1)[:, None])
+    basis = _sparse_basis(
+        (right[weak] / seen) / np.linalg.norm(right[weak] / seen, axis=1)[:, None]
+    )
     found = []
     for direction in basis:
         seen_along = float(np.linalg.norm(jacobian @ direction))
@@ -109,5 +111,8 @@ def _named(
     ordered = dict(sorted(shares.items(), key=lambda item: names.index(item[0])))
     sign = np.sign(next(iter(ordered.values())))
     return WeakDirection(
-        {n: float(sign * v) for n, v in ordered.items()}, sigma / unit.si, with_priors / unit.si, unit.name
+        {n: float(sign * v) for n, v in ordered.items()},
+        sigma / unit.si,
+        with_priors / unit.si,
+        unit.name,
     )

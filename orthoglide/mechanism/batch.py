@@ -1,4 +1,4 @@
-"""Closure of many postures at once: CasADi functions mapped over a batch, compiled where it pays."""
+"""Closure of many postures at once: CasADi functions mapped, and compiled where it pays."""
 
 from __future__ import annotations
 
@@ -38,6 +38,10 @@ def placed(shape: tuple[int, ...]) -> Iterator[None]:
         if error.index:
             error.index = tuple(int(k) for k in np.unravel_index(error.index[0], shape))
         raise
+
+
+def _view(array: Array) -> Any:
+    return memoryview(array)  # type: ignore[arg-type]
 
 
 class Outputs:
@@ -108,10 +112,10 @@ class BatchClosure:
         for start in range(0, n, _CHUNK):
             part = slice(start, min(start + _CHUNK, n))
             buffer, evaluate = self._buffer(name, part.stop - part.start)
-            buffer.set_arg(0, memoryview(x[part]))
-            buffer.set_arg(1, memoryview(given[part]))
+            buffer.set_arg(0, _view(x[part]))
+            buffer.set_arg(1, _view(given[part]))
             for k, result in enumerate(results):
-                buffer.set_res(k, memoryview(result[part]))
+                buffer.set_res(k, _view(result[part]))
             evaluate()
         return [np.moveaxis(r, 1, -1) if r.ndim == 3 else r for r in results]
 

@@ -1,4 +1,4 @@
-"""The loop closures of a tree as Pinocchio constraints: closure residual and constraint Jacobian."""
+"""The loop closures of a tree in Pinocchio: closure residual and constraint Jacobian."""
 
 from __future__ import annotations
 

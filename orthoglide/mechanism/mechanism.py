@@ -106,7 +106,9 @@ class Mechanism:
         q = self._start(command, displacements, mode, guess)
         moving = self.tree.passive if legs == "rigid" else self.tree.free
         step = self._least_squares_step if legs == "rigid" else self._newton_step
-        for iteration in range(_STEPS):
+        iterations = 0
+        while iterations < _STEPS:
+            iterations += 1
             residual = self.loops.update(q)
             change = step(residual, self.loops.newton_matrix()[:, moving])
             largest = float(np.abs(change).max())
@@ -115,7 +117,7 @@ class Mechanism:
             q[moving] -= change * min(1.0, _LONGEST_STEP / max(largest, _LONGEST_STEP))
             if largest < 1e-8:  # quadratic: the step just made leaves its square
                 break
-        return self._checked(q, iteration + 1, mode, legs)
+        return self._checked(q, iterations, mode, legs)
 
     def _start(
         self, command: ArrayLike, displacements: ArrayLike | None, mode: Mode, guess: Posture | None
@@ -218,7 +220,7 @@ class Mechanism:
     # Batches, by CasADi --------------------------------------------------------------------
 
     def given(self, commands: Array, displacements: Array | None = None) -> Array:
-        """``[drives; virtual joints]`` ``(N, 33)`` for commands ``(N, 3)``, moves ``(N, 3, 10)``."""
+        """``[drives; virtual]`` ``(N, 33)`` for commands ``(N, 3)`` and moves ``(N, 3, 10)``."""
         moves = np.zeros((len(commands), VIRTUAL_COUNT))
         if displacements is not None:
             moves = np.asarray(displacements, dtype=float).reshape(len(commands), VIRTUAL_COUNT)

@@ -64,12 +64,12 @@ class Conditioning:
 
     @property
     def distance_to_parallel_singularity(self) -> float:
-        """Smallest singular value of drho/dp: 1 where the machine is isotropic, 0 where singular."""
+        """Smallest singular value of drho/dp: 1 where isotropic, 0 where singular."""
         return 1 / self.transmission[-1]
 
     @property
     def distance_to_serial_singularity(self) -> float:
-        """Smallest singular value of dp/drho: 1 where the machine is isotropic, 0 where singular."""
+        """Smallest singular value of dp/drho: 1 where isotropic, 0 where singular."""
         return self.transmission[0]
 
 

@@ -47,7 +47,7 @@ def _virtual(name: str, joint: Callable[[], Any]) -> Extra:
     return Extra(name, Kind.VIRTUAL, joint)
 
 
-# Joints that follow a URDF joint and carry everything behind it, in the leg's axes a, b, c = x, y, z.
+# Joints that follow a URDF joint and carry all that is behind it; the leg's a, b, c = x, y, z.
 BEHIND: dict[str, tuple[Extra, ...]] = {
     "slide": (
         _virtual("travel", pin.JointModelPX),

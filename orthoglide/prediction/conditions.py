@@ -57,7 +57,9 @@ class Conditions:
         c = campaign.conditions
         return cls(c[:, :3], c[:, 3:6], c[:, 6], c[:, 7], c[:, 8])
 
-    def merged(self, *, with_approach: bool, with_time: bool) -> tuple[Conditions, NDArray[np.intp]]:
+    def merged(
+        self, *, with_approach: bool, with_time: bool
+    ) -> tuple[Conditions, NDArray[np.intp]]:
         """Distinct conditions and, for each row, which of them it saw.
 
         Args:

@@ -37,9 +37,15 @@ def displacement_function(geometry: Geometry, pitch: float | None) -> Any:
                     conditions = _leg_conditions(geometry, pitch, seen, leg, driven)
                     place = (leg, motion.joint)
                     joints[place] = joints.get(place, 0) + motion.basis(conditions) * theta[k]
-    moves = [joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES]
+    moves = [
+        joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES
+    ]
     return ca.Function(
-        "displacement", [theta, seen], [ca.densify(ca.vertcat(*moves))], ["theta", "conditions"], ["moves"]
+        "displacement",
+        [theta, seen],
+        [ca.densify(ca.vertcat(*moves))],
+        ["theta", "conditions"],
+        ["moves"],
     )
 
 

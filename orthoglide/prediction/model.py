@@ -1,4 +1,4 @@
-"""Conditions and parameters -> poses and readings, with sensitivities to every parameter at once."""
+"""Conditions and parameters -> poses and readings, with sensitivities to all parameters."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ class Model:
     def sensitivities(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Outputs, Array]:
-        """Poses and bars, and their derivative ``(n, 48, P)`` by machine parameters, loops closed."""
+        """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed."""
         moves, by_theta = self.displacement_derivative(values, conditions, names)
         given = self.mechanism.given(conditions.command, moves)
         batch = self.mechanism.batch

@@ -1,0 +1,427 @@
+"""The contract of every effect, checked for every parameter of the catalogue alike.
+
+A new effect must pass here before anything else: it is nothing at zero, its derivatives are right,
+it has words and a tolerance, it turns with the labels of the legs, and it does what the
+independent machine of ``rig.py`` does.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from orthoglide import effects, pss, units
+from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, relabelled, structured
+from orthoglide.errors import InputError
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.mechanism.functions import LINES, ROTATION, TCP
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.observations import Campaign
+from orthoglide.observations.campaign import Setup
+from orthoglide.prediction import Conditions, Model, tolerance_of
+from tests.rig import Array, Pose, Rig, parameter_names
+
+PITCH = 0.02
+GEOMETRY = Geometry()
+# A mounting of every kind: each leg and direction, both signs, both bars and the median line.
+SETUPS = (
+    Setup("top", 0, 1, 1, 0.155),
+    Setup("side", 0, 2, -1, 0.11, 1),
+    Setup("left", 1, 0, 1, 0.2, 2),
+    Setup("right", 1, 2, 1, 0.155),
+    Setup("below", 2, 0, -1, 0.155),
+    Setup("behind", 2, 1, 1, 0.12, 1),
+)
+DIAL_PARAMETERS = tuple(
+    f"{name}.{setup.name}"
+    for name, family in CATALOGUE.items()
+    if family.group == "dial"
+    for setup in (SETUPS[1], SETUPS[3])
+)
+MACHINE = pytest.mark.parametrize("name", MACHINE_PARAMETERS)
+EVERY = pytest.mark.parametrize("name", MACHINE_PARAMETERS + DIAL_PARAMETERS)
+
+# The rest of the carriages' path and of the bars' lengths: nothing that turns a short link.
+ON_SPHERES = (
+    "joint_offset", "encoder_scale", "screw_error", "backlash", "drive_compliance", "axis_offset",
+    "axis_tilt", "rail_bow", "leg_length", "thermal_growth", "thermal_drift",
+)  # fmt: skip
+
+
+@cache
+def model() -> Model:
+    return Model(GEOMETRY, PITCH, compile=False)
+
+
+@cache
+def campaign(load: float = 5.0) -> Campaign:
+    """Random postures of the stroke, all setups, everything that a condition can be."""
+    rng = np.random.default_rng(1)
+    n = 30
+    return Campaign(
+        name="contract",
+        setups=SETUPS,
+        setup=np.arange(n) % len(SETUPS),
+        command=GEOMETRY.L + rng.uniform(*GEOMETRY.stroke, (n, 3)),
+        approach=rng.choice([-1.0, 0.0, 1.0], (n, 3)),
+        time=60.0 * np.arange(n),
+        temperature=20 + 8 * rng.random(n),
+        load=load * (1 + rng.random(n)),
+        repeat=np.ones(n, dtype=int),
+        order=np.arange(n),
+        posture=("",) * n,
+        reading=np.full(n, np.nan),
+        sigma=np.full(n, np.nan),
+        line=np.arange(n) + 2,
+    )
+
+
+def tolerance(name: str) -> float:
+    return tolerance_of(name, {})
+
+
+def rig_outputs(values: dict[str, float], seen: Campaign) -> tuple[Pose, Array]:
+    """Poses and readings of the independent machine."""
+    rig = Rig(errors=values, screw_pitch=PITCH)
+    setups = [seen.setups[k] for k in seen.setup]
+    pose = rig.pose(seen.command, seen.approach, seen.time, seen.temperature_rise, seen.load)
+    shown = rig.readings(
+        pose.lines,
+        seen.leg,
+        [s.direction for s in setups],
+        [s.gauge for s in setups],
+        [s.bar for s in setups],
+        [s.name for s in setups],
+        seen.time,
+    )
+    return pose, shown
+
+
+def outputs(values: dict[str, float], seen: Campaign) -> Array:
+    """TCP, rotation and bars' ends ``(n, 48)``."""
+    machine = {k: v for k, v in values.items() if not effects.is_dial(k)}
+    return model().outputs(machine, Conditions.of(seen)).values
+
+
+@cache
+def background() -> dict[str, float]:
+    """Small errors of everything, so that nothing is looked at about a symmetrical point only."""
+    rng = np.random.default_rng(2)
+    return {
+        n: 0.3 * tolerance(n) * float(rng.standard_normal())
+        for n in MACHINE_PARAMETERS + DIAL_PARAMETERS
+    }
+
+
+# -- words and numbers -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_family_is_declared_in_full(name: str) -> None:
+    family = CATALOGUE[name]
+    assert family.name == name
+    assert (family.unit, family.tolerance) == units.FAMILIES[name]
+    assert family.tolerance > 0
+    for text in (family.because, family.sentence, family.look_at):
+        assert len(text.split()) >= 4
+        assert text == text.strip()
+        assert not text.endswith(".")
+    assert family.group in ("structure", "drive", "temperature", "load", "dial")
+    assert bool(family.parameters()) == (family.group != "dial")
+
+
+def test_catalogue_and_files_know_the_same_families() -> None:
+    assert set(CATALOGUE) == set(units.FAMILIES)
+    assert len({family.sentence for family in CATALOGUE.values()}) == len(CATALOGUE)
+
+
+def test_catalogue_and_rig_know_the_same_parameters() -> None:
+    names = [setup.name for setup in SETUPS]
+    assert set(effects.expand(CATALOGUE, names)) == set(parameter_names(names))
+
+
+@MACHINE
+def test_motions_are_of_joints_that_exist(name: str) -> None:
+    leg, motions = effects.family_of(name).parameters()[name]
+    assert leg == LEGS.index(name.split(".")[1])  # type: ignore[arg-type]
+    assert motions
+    assert {motion.joint for motion in motions} <= set(VIRTUAL_NAMES)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["joint_offset.w", "axis_tilt.x.x", "axis_tilt.x", "mount_tilt.x.c", "nose.x",
+     "gauge_scale.", "gauge_scale.nowhere"],
+)  # fmt: skip
+def test_what_is_no_parameter_is_refused(name: str) -> None:
+    with pytest.raises(InputError):
+        effects.expand([name], [setup.name for setup in SETUPS])
+
+
+def test_a_vector_of_parameters_takes_no_families() -> None:
+    with pytest.raises(InputError, match="joint_offset has joint_offset"):
+        model().vector({"joint_offset": 1.0})
+
+
+# -- zero, derivatives, linearity --------------------------------------------------------------
+
+
+def test_the_nominal_machine_is_the_reduction() -> None:
+    seen = campaign()
+    found = outputs({}, seen)
+    assert np.abs(found[:, TCP] - pss.forward(seen.command)).max() < 1e-12
+    assert np.abs(found[:, ROTATION] - np.eye(3).ravel()).max() < 1e-12
+
+
+@EVERY
+def test_zero_is_nominal(name: str) -> None:
+    seen = campaign()
+    assert np.array_equal(model().readings({name: 0.0}, seen), model().readings({}, seen))
+    assert np.abs(outputs({name: 0.0}, seen) - outputs({}, seen)).max() == 0.0
+
+
+@EVERY
+def test_a_tolerance_is_seen_somewhere(name: str) -> None:
+    seen = campaign()
+    change = model().readings({name: tolerance(name)}, seen) - model().readings({}, seen)
+    moved = outputs({name: tolerance(name)}, seen)[:, TCP] - outputs({}, seen)[:, TCP]
+    assert max(np.abs(change).max(), np.abs(moved).max()) > 1e-8
+    if effects.is_dial(name):
+        assert np.abs(moved).max() == 0.0
+        touched = np.array([s.name for s in seen.setups])[seen.setup] == name.split(".")[1]
+        assert np.abs(change[~touched]).max() == 0.0
+
+
+def four_point(function: Callable[[float], Array], step: float) -> Array:
+    """Central differences of fourth order."""
+    near, far = (function(k * step) - function(-k * step) for k in (1, 2))
+    return np.asarray((8 * near - far) / (12 * step))
+
+
+@pytest.mark.parametrize("about", ["nominal", "background"])
+@EVERY
+def test_derivatives_equal_central_differences(name: str, about: str) -> None:
+    seen = campaign()
+    base = {} if about == "nominal" else background()
+    start = base.get(name, 0.0)
+    step = 0.5 * tolerance(name)
+    # Below this a change of one tolerance is rounding of the readings.
+    floor = 1e-13 / step
+
+    own = model().linearised(base, seen, [name])
+    numeric = four_point(lambda h: model().readings({**base, name: start + h}, seen), step)
+    slope = own.jacobian[:, 0]
+    assert np.abs(own.value - model().readings(base, seen)).max() < 1e-14
+    assert np.abs(slope - numeric).max() <= 1e-6 * np.abs(numeric).max() + floor
+
+    if not effects.is_dial(name):
+        machine = {k: v for k, v in base.items() if not effects.is_dial(k)}
+        out, by_name = model().sensitivities(machine, Conditions.of(seen), [name])
+        assert np.abs(out.values - outputs(machine, seen)).max() < 1e-14
+        numeric = four_point(lambda h: outputs({**machine, name: start + h}, seen), step)
+        for part in (TCP, ROTATION, LINES):
+            scale = np.abs(numeric[:, part]).max()
+            error = np.abs(by_name[:, part, 0] - numeric[:, part]).max()
+            assert error <= 1e-6 * scale + floor
+
+
+def test_derivative_by_the_gauges_place() -> None:
+    seen = campaign()
+
+    def at(h: float) -> Array:
+        moved = [Setup(s.name, s.leg, s.axis, s.sign, s.gauge + h, s.bar) for s in seen.setups]
+        return model().readings(background(), replace(seen, setups=tuple(moved)))
+
+    own = model().linearised(background(), seen, []).by_gauge
+    assert np.abs(own - four_point(at, 1e-3)).max() < 1e-10
+    assert np.abs(own).max() > 0.1
+
+
+def test_all_derivatives_at_once_are_those_one_by_one() -> None:
+    seen, names = campaign(), list(MACHINE_PARAMETERS + DIAL_PARAMETERS)
+    shuffled = [names[k] for k in np.random.default_rng(3).permutation(len(names))]
+    together = model().linearised(background(), seen, shuffled).jacobian
+    for k in range(0, len(shuffled), 7):
+        alone = model().linearised(background(), seen, [shuffled[k]]).jacobian[:, 0]
+        assert np.abs(together[:, k] - alone).max() < 1e-14
+
+
+# -- labels ------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_relabelling_the_legs_relabels_the_effect(name: str) -> None:
+    seen = campaign(load=0.0)
+    value = 10 * tolerance(name)
+    if effects.is_dial(name):
+        turned = name  # a setup keeps its name
+    else:
+        turned = relabelled(name)
+        assert turned in MACHINE_PARAMETERS
+        assert relabelled(relabelled(turned)) == name
+    shown = model().readings({name: value}, seen)
+    assert np.abs(model().readings({turned: value}, seen.relabelled()) - shown).max() < 1e-13
+    p, q = (outputs({n: value}, c)[:, TCP] for n, c in ((name, seen), (turned, seen.relabelled())))
+    assert np.abs(np.roll(p, 1, axis=1) - q).max() < 1e-13
+
+
+@MACHINE
+def test_relabelling_the_legs_relabels_the_motions(name: str) -> None:
+    """Also of what does nothing without a load, which does not turn with the labels."""
+    command = GEOMETRY.L + np.array([0.03, -0.07, 0.011])
+    approach, force = np.array([1.0, -1.0, 1.0]), np.array([3.0, -2.0, 5.0])
+    moves = []
+    for parameter, k in ((name, 0), (relabelled(name), 1)):
+        turned = [np.roll(x, k) for x in (command, approach, force)]
+        seen = np.concatenate([*turned[:2], [100.0, 3.0], turned[2]])
+        theta = model().vector({parameter: tolerance(parameter)})
+        moves.append(model().displacement(theta, seen).full().reshape(3, -1))
+    assert moves[0].any()
+    assert np.abs(np.roll(moves[0], 1, axis=0) - moves[1]).max() < 1e-16
+
+
+# -- other machines ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("times", [1, 10, -10])
+@EVERY
+def test_agrees_with_the_independent_machine(name: str, times: int) -> None:
+    seen, values = campaign(), {name: times * tolerance(name)}
+    pose, shown = rig_outputs(values, seen)
+    found = outputs(values, seen)
+    assert np.abs(found[:, TCP] - pose.p).max() < 1e-9
+    assert np.abs(found[:, ROTATION].reshape(-1, 3, 3) - pose.R).max() < 1e-9
+    assert np.abs(found[:, LINES].reshape(-1, 3, 2, 2, 3) - pose.lines).max() < 1e-9
+    assert np.abs(model().readings(values, seen) - shown).max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    names = [n for n in MACHINE_PARAMETERS + DIAL_PARAMETERS if "compliance" not in n]
+    values = {n: tolerance(n) * float(rng.standard_normal()) for n in names}
+    pose, shown = rig_outputs(values, campaign())
+    found = outputs(values, campaign())
+    # Growth is of the nominal bar here and of the longer one there: 1e-5 of 0.05 mm.
+    assert np.abs(found[:, TCP] - pose.p).max() < 1e-8
+    assert np.abs(found[:, ROTATION].reshape(-1, 3, 3) - pose.R).max() < 1e-8
+    assert np.abs(model().readings(values, campaign()) - shown).max() < 1e-8
+    assert np.abs(pose.p - pss.forward(campaign().command)).max() > 1e-3
+
+
+@pytest.mark.parametrize("times", [1, 10, -10])
+@pytest.mark.parametrize(
+    "name", [n for n in MACHINE_PARAMETERS if n.partition(".")[0] in ON_SPHERES]
+)
+def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, times: int) -> None:
+    seen, value = campaign(), times * tolerance(name)
+    family, leg = name.split(".")[0], LEGS.index(name.split(".")[1])  # type: ignore[arg-type]
+    toward = LEGS.index(name.split(".")[2]) if name.count(".") == 2 and "screw" not in name else leg
+    told = seen.command[:, leg] - GEOMETRY.L
+    low, high = GEOMETRY.stroke
+    u = (told - (low + high) / 2) / ((high - low) / 2)
+    turn = 2 * np.pi * told / PITCH
+    p = pss.forward(seen.command)
+    # Force of the load on the drive by virtual work: the row of z in dp/drho.
+    force = -seen.load * pss.velocity_jacobian(p, seen.command)[:, 2, leg]
+    along = {
+        "joint_offset": 1.0, "encoder_scale": told, "backlash": -seen.approach[:, leg] / 2,
+        "screw_error": np.sin(turn) if name.endswith("sin") else np.cos(turn),
+        "drive_compliance": force, "axis_offset": 1.0, "axis_tilt": told, "rail_bow": u**2 - 1,
+    }  # fmt: skip
+    longer = {
+        "leg_length": 1.0, "thermal_growth": GEOMETRY.L * seen.temperature_rise,
+        "thermal_drift": GEOMETRY.L * seen.time,
+    }  # fmt: skip
+    centres = seen.command[:, :, None] * np.eye(3)
+    lengths = np.full((len(seen), 3), GEOMETRY.L)
+    centres[:, leg, toward] += value * along.get(family, 0.0)
+    lengths[:, leg] += value * longer.get(family, 0.0)
+    expected = pss.intersect_spheres(centres, lengths)
+    found = outputs({name: value}, seen)
+    assert np.abs(expected - p).max() > 1e-9
+    assert np.abs(found[:, TCP] - expected).max() < 1e-12
+    assert np.abs(found[:, ROTATION] - np.eye(3).ravel()).max() < 1e-12
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_what_the_rail_does_follows_the_true_travel(leg: str) -> None:
+    toward = LEGS[(LEGS.index(leg) + 1) % 3]  # type: ignore[arg-type]
+    for family in ("axis_tilt", "rail_tilt", "rail_bow"):
+        rail = {f"{family}.{leg}.{toward}": 10 * tolerance(family)}
+        moved, seen = {**rail, f"joint_offset.{leg}": 5e-3}, campaign()
+        shifted = seen.command + 5e-3 * np.eye(3)[LEGS.index(leg)]  # type: ignore[arg-type]
+        one, other = outputs(moved, seen), outputs(rail, replace(seen, command=shifted))
+        assert np.abs(one - other).max() < 1e-13
+
+
+# -- structured members ------------------------------------------------------------------------
+
+MEMBERS = [
+    (name, member)
+    for name, family in CATALOGUE.items()
+    if family.group != "dial"
+    for member in structured(name)
+]
+
+
+@pytest.mark.parametrize(("family", "member"), MEMBERS)
+def test_structured_members_sum_to_their_parts(family: str, member: str) -> None:
+    weights = structured(family)[member]
+    assert set(weights) <= set(MACHINE_PARAMETERS)
+    assert set(weights.values()) <= {1.0, -1.0}
+    conditions = Conditions.of(campaign())
+    value = tolerance(family)
+    together = model().displacements({n: w * value for n, w in weights.items()}, conditions)
+    parts = [w * model().displacements({n: value}, conditions) for n, w in weights.items()]
+    assert np.abs(together).max() > 0
+    assert np.abs(together - sum(parts)).max() < 1e-18
+    slopes = model().linearised({}, campaign(), list(weights)).jacobian @ list(weights.values())
+    four = four_point(
+        lambda h: model().readings({n: h * w for n, w in weights.items()}, campaign()), value / 2
+    )
+    assert np.abs(slopes - four).max() <= 1e-6 * np.abs(four).max() + 2e-13 / value
+
+
+def test_structured_members_are_the_symmetries_they_are_called() -> None:
+    for family in ("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"):
+        members = structured(family)
+        assert len(members) == 8
+        assert len(members[f"{family}.common"]) == 6
+        cyclic = members[f"{family}.cyclic"]
+        assert {n: -w for n, w in cyclic.items() if w < 0} == {
+            f"{family}.{k}": 1.0 for k in ("y.x", "z.y", "x.z")
+        }
+        for weights in (members[f"{family}.common"], cyclic):
+            assert {relabelled(n): w for n, w in weights.items()} == weights
+        for pair in ("xy", "yz", "zx"):
+            one, other = f"{family}.{pair[0]}.{pair[1]}", f"{family}.{pair[1]}.{pair[0]}"
+            assert members[f"{family}.{pair}.symmetric"] == {one: 1.0, other: 1.0}
+            assert members[f"{family}.{pair}.antisymmetric"] == {one: 1.0, other: -1.0}
+    assert set(structured("mount_tilt")) == {"mount_tilt.a.common", "mount_tilt.b.common"}
+    assert structured("joint_offset") == {
+        "joint_offset.common": {f"joint_offset.{leg}": 1.0 for leg in LEGS}
+    }
+
+
+def test_a_dials_common_member_is_all_its_setups() -> None:
+    names = [setup.name for setup in SETUPS]
+    weights = structured("gauge_scale", names)["gauge_scale.common"]
+    assert weights == {f"gauge_scale.{name}": 1.0 for name in names}
+    shown = model().readings({n: 0.01 for n in weights}, campaign())
+    assert np.abs(shown - 1.01 * model().readings({}, campaign())).max() < 1e-15
+
+
+def test_common_axis_offsets_and_joint_offset_are_one_translation() -> None:
+    seen, value = campaign(), 1e-3
+    values = {"joint_offset.y": value, "axis_offset.x.y": value, "axis_offset.z.y": value}
+    shift = outputs(values, seen)[:, TCP] - outputs({}, seen)[:, TCP]
+    assert np.abs(shift - [0.0, value, 0.0]).max() < 1e-13
+
+
+def test_without_a_pitch_the_screw_has_no_error() -> None:
+    plain = Model(GEOMETRY, None, compile=False)
+    conditions = Conditions.of(campaign())
+    assert not plain.displacements({"screw_error.x.sin": 1e-3}, conditions).any()
