@@ -453,6 +453,19 @@ def test_far_commands_close_on_the_right_pose_or_not_at_all() -> None:
     assert refused > 50
 
 
+def test_carriages_beyond_the_origin_close_on_the_right_pose_or_not_at_all() -> None:
+    closed = 0
+    for r in np.random.default_rng(5).uniform(-0.4, 0.4, (200, 3)):
+        for close in (lambda c: mechanism().close(c).p, mechanism().forward):
+            try:
+                p = close(r)
+            except ClosureError:
+                continue
+            closed += 1
+            assert np.abs(p - pss.forward(r)).max() < 1e-7
+    assert closed > 20
+
+
 def test_whatever_the_legs_reach_near_the_stroke_closes() -> None:
     low, high = NOMINAL.stroke
     rho = NOMINAL.L + np.random.default_rng(25).uniform(1.3 * low, 1.3 * high, (300, 3))
@@ -500,6 +513,9 @@ def test_bad_arguments_are_refused() -> None:
         own.close(np.full((2, 3), 0.3))
     with pytest.raises(InputError, match="displacements"):
         own.close(NOMINAL.zero, np.zeros((3, 9)))
+    for wrong in (np.nan, [0.3, 0.3], [0.3, np.inf, 0.3]):
+        with pytest.raises(InputError, match=r"shape \(\.\.\., 3\)"):
+            own.forward(wrong)
     with pytest.raises(InputError, match="finite"):
         own.inverse([0.0, np.inf, 0.0])
 

@@ -42,8 +42,8 @@ class NestedResult:
     at: Linearised
 
 
-def solve_nested(problem: Problem, nuisance: Nuisances, start: Array) -> NestedResult:
-    """Minimise the cost over the unknowns, from ``start`` ``(P,)``.
+def solve_nested(problem: Problem, nuisance: Nuisances, start: Linearised) -> NestedResult:
+    """Minimise the cost over the unknowns, from the linearisation ``start``.
 
     Gauss-Newton, and Newton with differenced gradients where that is slow: along weak directions
     the curvature of the model outweighs the readings.
@@ -51,9 +51,8 @@ def solve_nested(problem: Problem, nuisance: Nuisances, start: Array) -> NestedR
     Raises:
         SolverError: where the steps do not settle.
     """
-    x, previous = start, np.inf
+    at, previous = start, np.inf
     for iteration in range(_MOST_STEPS):
-        at = linearise(problem, x)
         here = normal(problem, at, nuisance)
         scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))
         step = _solve(here.information, -here.gradient, scale)
@@ -62,8 +61,8 @@ def solve_nested(problem: Problem, nuisance: Nuisances, start: Array) -> NestedR
             step = _newton_step(problem, nuisance, here, scale)
             size = float(np.max(np.abs(step) / scale))
         if size <= _SETTLED:
-            return NestedResult(x, iteration, at)
-        x, previous = _search(problem, nuisance, here, step), size
+            return NestedResult(at.x, iteration, at)
+        at, previous = linearise(problem, _search(problem, nuisance, here, step)), size
     raise SolverError(
         "the identification did not settle; free fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},

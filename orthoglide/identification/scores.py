@@ -94,12 +94,16 @@ def left_out_rms(problem: Problem, nuisance: Nuisances, at: Linearised, residual
     basis = leverage_basis(problem, nuisance, at)
     station = stations(problem)
     left_out = np.full(len(residual), np.nan)
-    for k in range(int(station.max()) + 1):
-        rows = np.flatnonzero(station == k)
-        block = np.eye(len(rows)) - basis[rows] @ basis[rows].T
+    order, size = np.argsort(station, kind="stable"), np.bincount(station)
+    first = np.cumsum(size) - size
+    for visits in np.unique(size):  # stations alike in size are solved together
+        rows = order[first[size == visits][:, None] + np.arange(visits)]
+        near = basis[rows]
+        block = np.eye(visits) - near @ near.swapaxes(1, 2)
         # A setup's datum is gone with its last other station: nothing predicts such a block.
-        if np.linalg.eigvalsh(block)[0] > 1e-6:
-            left_out[rows] = np.linalg.solve(block, residual[rows] * nuisance.weight[rows])
+        kept = np.linalg.eigvalsh(block)[:, 0] > 1e-6
+        whitened = (residual * nuisance.weight)[rows[kept]]
+        left_out[rows[kept]] = np.linalg.solve(block[kept], whitened[..., None])[..., 0]
     left_out /= nuisance.weight
     known = np.isfinite(left_out)
     return float(np.sqrt(np.mean(left_out[known] ** 2))) if known.any() else float("nan")

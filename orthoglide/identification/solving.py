@@ -114,11 +114,11 @@ def solve(problem: Problem, *, method: Method = "auto", start: Array | None = No
     # Slopes at a first Gauss-Newton step: nearer to the fitted machine than the nominal one.
     nuisance = nuisances(problem, first.by_gauge)
     _determined(problem, first, nuisance)
-    nuisance = nuisances(problem, linearise(problem, _one_step(problem, first, nuisance)).by_gauge)
-    x, iterations, used = _solved(problem, nuisance, first, method)
-    at = linearise(problem, x)
+    near = linearise(problem, _one_step(problem, first, nuisance))
+    nuisance = nuisances(problem, near.by_gauge)
+    at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
-    return _estimate(problem, nuisance, at, used, iterations, optimality)
+    return _estimate(problem, nuisance, at, first, used, iterations, optimality)
 
 
 def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array:
@@ -150,21 +150,22 @@ def _determined(problem: Problem, first: Linearised, nuisance: Nuisances) -> Non
 
 
 def _solved(
-    problem: Problem, nuisance: Nuisances, first: Linearised, method: Method
-) -> tuple[Array, int, str]:
+    problem: Problem, nuisance: Nuisances, first: Linearised, near: Linearised, method: Method
+) -> tuple[Linearised, int, str]:
+    """Where a method ends, linearised by ourselves; ``near`` is one step on from ``first``."""
     if method == "reduction":
         fit = reduction_fit(problem, nuisance)
-        return fit.values[:-1], fit.iterations, "reduction"
+        return linearise(problem, fit.values[:-1]), fit.iterations, "reduction"
     if method == "nested" or (method == "auto" and posture_count(problem) > NLP_POSTURES):
-        nested = solve_nested(problem, nuisance, first.x)
-        return nested.x, nested.iterations, "nested"
+        nested = solve_nested(problem, nuisance, near)
+        return nested.at, nested.iterations + 1, "nested"
     from orthoglide.identification.nlp import Nlp
 
     here = normal(problem, first, nuisance)
     programme = Nlp(problem, nuisance, 1 / np.sqrt(np.diag(here.information)))
     joints = programme.start_joints(problem, first.x)
     result = programme.solve(problem.measured, first.x, joints)
-    return result.x, result.iterations, "nlp"
+    return linearise(problem, result.x), result.iterations, "nlp"
 
 
 def posture_count(problem: Problem) -> int:
@@ -202,6 +203,7 @@ def _estimate(
     problem: Problem,
     nuisance: Nuisances,
     at: Linearised,
+    first: Linearised,
     method: str,
     iterations: int,
     optimality: float,
@@ -216,14 +218,14 @@ def _estimate(
     check = cross_check(problem, nuisance, at.x, at.value)
     weak = weak_directions(problem.names, here.jacobian, spread * scale**2, scale=scale)
     estimate = Estimate(
-        problem, at.x, spread * scale**2, scale, scores, _nominal_scores(problem, nuisance),
+        problem, at.x, spread * scale**2, scale, scores, _nominal_scores(problem, nuisance, first),
         weak, check, method, iterations, optimality, (), at, nuisance,
     )  # fmt: skip
     return replace(estimate, warnings=_warnings(estimate))
 
 
-def _nominal_scores(problem: Problem, nuisance: Nuisances) -> Scores:
-    zero = linearise(problem, np.zeros(len(problem.unknowns)))
+def _nominal_scores(problem: Problem, nuisance: Nuisances, first: Linearised) -> Scores:
+    zero = linearise(problem, np.zeros(len(problem.unknowns))) if first.x.any() else first
     residual = nuisance.project(problem.measured - zero.value)
     nothing = Linearised(zero.x, zero.value, np.zeros((len(zero.value), 0)), zero.by_gauge)
     fixed = replace(problem, unknowns=())

@@ -64,7 +64,9 @@ def weak_directions(
     """
     norm = np.linalg.norm(jacobian, axis=0)
     seen = np.where(norm > 0, norm, 1.0)
-    _, singular, right = np.linalg.svd(jacobian / seen, full_matrices=True)
+    # Rows of zeros let fewer readings than unknowns span all directions.
+    padded = np.vstack([jacobian / seen, np.zeros((len(names), len(names)))])
+    _, singular, right = np.linalg.svd(padded, full_matrices=False)
     values = np.zeros(len(names))
     values[: len(singular)] = singular
     weak = values < _WEAK

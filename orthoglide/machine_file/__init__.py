@@ -10,7 +10,7 @@ from orthoglide.machine_file.model import (
     nominal_machine_file,
 )
 from orthoglide.machine_file.reading import parse_machine_file, read_machine_file
-from orthoglide.machine_file.writing import write_machine_file
+from orthoglide.machine_file.writing import machine_text, write_machine_file
 from orthoglide.units import UNITS
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "MachineFile",
     "ParameterValue",
     "Stiffness",
+    "machine_text",
     "nominal_machine_file",
     "parse_machine_file",
     "read_machine_file",

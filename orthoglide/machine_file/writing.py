@@ -28,16 +28,29 @@ def write_machine_file(
         FileError: where a file stands already and may not be replaced, or none can be written.
         InputError: where the machine holds what no machine file can.
     """
+    units.write_whole(path, machine_text(machine, str(path)), overwrite=overwrite)
+
+
+def machine_text(machine: MachineFile, file: str = "") -> str:
+    """The text of a machine file, which reads back exactly.
+
+    Args:
+        machine: what to write.
+        file: its name, for errors.
+
+    Raises:
+        InputError: where the machine holds what no machine file can.
+    """
     import tomli_w
 
     try:
         text = tomli_w.dumps(_tables(machine)) + _parameter_lines(machine.parameters)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
-    again = parse_machine_file(text, str(path))  # what could not be read back is never written
+    again = parse_machine_file(text, file)  # what could not be read back is never written
     if replace(again, provenance=machine.provenance) != machine:
         raise InputError("a machine file cannot hold this machine: it would read back differently")
-    units.write_whole(path, text, overwrite=overwrite)
+    return text
 
 
 def _mm(value: Any) -> Any:

@@ -40,8 +40,15 @@ def placed(shape: tuple[int, ...]) -> Iterator[None]:
         raise
 
 
-def _view(array: Array) -> Any:
+def view(array: Array) -> Any:
+    """An array as CasADi's buffers take it."""
     return memoryview(array)  # type: ignore[arg-type]
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Rows in pieces that one mapped call takes and the cache holds."""
+    for start in range(0, count, _CHUNK):
+        yield slice(start, min(start + _CHUNK, count))
 
 
 class Outputs:
@@ -109,13 +116,12 @@ class BatchClosure:
             self._compile(build=True)
         results = [np.empty((n, *shape[::-1])) for shape in shapes]
         x, given = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(given, dtype=float)
-        for start in range(0, n, _CHUNK):
-            part = slice(start, min(start + _CHUNK, n))
+        for part in blocks(n):
             buffer, evaluate = self._buffer(name, part.stop - part.start)
-            buffer.set_arg(0, _view(x[part]))
-            buffer.set_arg(1, _view(given[part]))
+            buffer.set_arg(0, view(x[part]))
+            buffer.set_arg(1, view(given[part]))
             for k, result in enumerate(results):
-                buffer.set_res(k, _view(result[part]))
+                buffer.set_res(k, view(result[part]))
             evaluate()
         return [np.moveaxis(r, 1, -1) if r.ndim == 3 else r for r in results]
 

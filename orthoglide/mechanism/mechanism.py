@@ -243,7 +243,7 @@ class Mechanism:
         Raises:
             ClosureError: naming the first posture that does not close.
         """
-        rho = np.asarray(commands, dtype=float)
+        rho = _vectors(commands, "commands")
         flat = rho.reshape(-1, 3)
         moves = None if displacements is None else np.asarray(displacements, float)
         if moves is not None:
@@ -282,7 +282,7 @@ class Mechanism:
             UnreachableError: naming the leg that is too short, and by how much.
             ClosureError: where the drives do not converge.
         """
-        target = np.asarray(p, dtype=float)
+        target = _vectors(p, "the wanted points")
         moves = None
         if displacements is not None:
             moves = np.broadcast_to(
@@ -316,8 +316,6 @@ class Mechanism:
         return rho
 
     def _check_reach(self, goal: Array) -> None:
-        if not np.isfinite(goal).all():
-            raise InputError("the wanted points must be finite numbers")
         for leg in range(3):
             _, b, c = leg_axes(leg)
             excess = np.hypot(goal[:, b], goal[:, c]) - self.geometry.L
@@ -329,3 +327,10 @@ class Mechanism:
                     excess=float(excess[worst]),
                     index=(worst,),
                 )
+
+
+def _vectors(values: ArrayLike, name: str) -> Array:
+    array = np.asarray(values, dtype=float)
+    if array.shape[-1:] != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite numbers of shape (..., 3), in metres")
+    return array

@@ -64,4 +64,7 @@ def carriage_plane(lines: Array, r: float) -> tuple[Array, Array]:
     centres = lines[:, :, :, 0].mean(axis=2) - r * np.eye(3)
     normal = np.cross(centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    return normal, np.sum(normal * centres[:, 0], axis=-1)
+    offset = np.sum(normal * centres[:, 0], axis=-1)
+    # The legs' order alone would point at the origin once a carriage has passed it.
+    side = np.where(offset < 0, -1.0, 1.0)
+    return normal * side[:, None], offset * side

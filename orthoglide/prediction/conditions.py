@@ -32,6 +32,16 @@ class Conditions:
     def __len__(self) -> int:
         return len(self.command)
 
+    def part(self, rows: slice) -> Conditions:
+        """Some of the postures."""
+        return Conditions(
+            self.command[rows],
+            self.approach[rows],
+            self.time[rows],
+            self.warming[rows],
+            self.load[rows],
+        )
+
     @classmethod
     def at(
         cls,

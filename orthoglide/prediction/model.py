@@ -13,8 +13,8 @@ from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, is_dial
 from orthoglide.effects.catalogue import check_parameter
 from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.batch import Outputs
-from orthoglide.mechanism.functions import LINES
+from orthoglide.mechanism.batch import Outputs, blocks, view
+from orthoglide.mechanism.functions import LINES, OUTPUTS
 from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.dial import (
@@ -126,13 +126,25 @@ class Model:
     def _map(self, function: Any, *arguments: Array) -> list[Array]:
         """Evaluate a CasADi function for rows; outputs with the rows first."""
         n = len(arguments[-1])
-        key = (function.name(), n)
+        rows = [np.ascontiguousarray(np.broadcast_to(a, (n, a.shape[-1]))) for a in arguments]
+        results = [
+            np.empty((n, function.size2_out(k), function.size1_out(k)))
+            for k in range(function.n_out())
+        ]
+        for part in blocks(n):
+            buffer, evaluate = self._buffer(function, part.stop - part.start)
+            for k, row in enumerate(rows):
+                buffer.set_arg(k, view(row[part]))
+            for k, result in enumerate(results):
+                buffer.set_res(k, view(result[part]))  # CasADi stores columns: (columns, rows)
+            evaluate()
+        return results
+
+    def _buffer(self, function: Any, size: int) -> tuple[Any, Any]:
+        key = (function.name(), size)
         if key not in self._mapped:
-            self._mapped[key] = function.map(n)
-        columns = [np.tile(a[:, None], n) if a.ndim == 1 else a.T for a in arguments]
-        results = self._mapped[key].call(columns)
-        # CasADi puts the calls side by side and stores columns: (n, columns, rows) of each.
-        return [r.full().T.reshape(n, -1, function.size1_out(k)) for k, r in enumerate(results)]
+            self._mapped[key] = function.map(size).buffer()
+        return self._mapped[key]
 
     def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Displacements of the virtual joints ``(n, 30)``, metres and radians."""
@@ -166,11 +178,15 @@ class Model:
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Outputs, Array]:
         """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed."""
-        moves, by_theta = self.displacement_derivative(values, conditions, names)
-        given = self.mechanism.given(conditions.command, moves)
-        batch = self.mechanism.batch
-        outputs, by_given = batch.tangent(batch.close(given), given)
-        return outputs, by_given[:, :, 3:] @ by_theta
+        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
+        batch, n = self.mechanism.batch, len(conditions)
+        x = batch.close(given)
+        outputs, by_name = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, len(names)))
+        for part in blocks(n):  # small enough for the cache
+            shown, by_given = batch.tangent(x[part], given[part])
+            _, by_theta = self.displacement_derivative(values, conditions.part(part), names)
+            outputs[part], by_name[part] = shown.values, by_given[:, :, 3:] @ by_theta
+        return Outputs(outputs), by_name
 
     def _merged(
         self, campaign: Campaign, names: Iterable[str]
@@ -205,19 +221,15 @@ class Model:
         """
         machine = [name for name in names if not is_dial(name)]
         conditions, place = self._merged(campaign, [*values, *names])
-        moves, by_theta = self.displacement_derivative(values, conditions, machine)
-        given = self.mechanism.given(conditions.command, moves)
-        batch = self.mechanism.batch
-        outputs, by_given = batch.tangent(batch.close(given), given)
+        outputs, by_name = self.sensitivities(values, conditions, machine)
         shown, by_ends, by_mounting, by_dial = self._map(
             self._reading_tangent, *self._dial_arguments(values, campaign, outputs.lines[place])
         )
-        ends = by_given[:, LINES].reshape(len(conditions), 3, 12, -1)
-        by_joint = np.einsum("ne,nev->nv", by_ends[:, 0], ends[place, campaign.leg][:, :, 3:])
+        ends = by_name[:, LINES].reshape(len(conditions), 3, 12, len(machine))
         jacobian = np.empty((len(campaign), len(names)))
-        jacobian[:, [k for k, n in enumerate(names) if not is_dial(n)]] = np.einsum(
-            "nv,nvp->np", by_joint, by_theta[place]
-        )
+        jacobian[:, [k for k, n in enumerate(names) if not is_dial(n)]] = (
+            by_ends @ ends[place, campaign.leg]
+        )[:, 0]
         for k, name in enumerate(names):
             if is_dial(name):
                 jacobian[:, k] = self._by_dial(name, campaign, by_dial[:, 0])

@@ -1,0 +1,5 @@
+"""``python -m orthoglide``: the command line."""
+
+from orthoglide.cli import main
+
+main()

@@ -1,0 +1,35 @@
+"""The command line; every group of commands is a module beside this one.
+
+Modules import nothing heavy at their top, so that ``orthoglide --help`` is quick: what a command
+needs, it imports when it runs.
+"""
+
+from __future__ import annotations
+
+import click
+
+from orthoglide import __version__
+from orthoglide.cli import identification, kinematics, sheets
+from orthoglide.cli.run import Commands, stop_cleanly
+
+__all__ = ["cli", "main"]
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="orthoglide")
+def cli() -> None:
+    """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
+
+    Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed. Nothing is written unless the
+    run succeeds.
+    """
+
+
+for _command in (*identification.COMMANDS, *sheets.COMMANDS, *kinematics.COMMANDS):
+    cli.add_command(_command)
+
+
+def main() -> None:
+    """Run the command line of this process."""
+    stop_cleanly()
+    cli(prog_name="orthoglide")

@@ -1,0 +1,203 @@
+"""``demo`` and ``identify``: from readings to a folder of results."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orthoglide.cli.options import Names, fit_options, load_machine, out_option, run_options
+from orthoglide.cli.progress import progress
+from orthoglide.errors import InputError
+
+if TYPE_CHECKING:
+    from orthoglide.identification import Estimate
+    from orthoglide.report import Run
+
+DEMO_FOLDER = "orthoglide-demo"
+DEMO_CAMPAIGN = "experiment2.csv"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What ``identify`` was asked for.
+
+    Attributes:
+        free: families or parameters; the base families where empty.
+        priors: whether tolerances act as priors.
+        own: what each campaign has for itself.
+        machine: its file.
+        reduced: whether the analytic reduction identifies.
+        noise_mm: standard deviation of one reading.
+        seed: accepted for all commands; nothing here is drawn.
+    """
+
+    free: tuple[str, ...] = ()
+    priors: bool = True
+    own: tuple[str, ...] = ()
+    machine: Path | None = None
+    reduced: bool = False
+    noise_mm: float | None = None
+    seed: int = 0
+
+    def arguments(self, campaigns: Sequence[Path]) -> dict[str, Any]:
+        """As `result.json` keeps them: names of files, no places."""
+        from orthoglide.effects import BASE_FAMILIES
+
+        return {
+            "campaigns": [path.name for path in campaigns],
+            "free": list(self.free or BASE_FAMILIES),
+            "priors": self.priors,
+            "own": list(self.own),
+            "machine": self.machine.name if self.machine else None,
+            "reduced": self.reduced,
+            "noise_mm": self.noise_mm,
+        }
+
+    def command_line(self, campaigns: Sequence[Path]) -> str:
+        """How to run it again."""
+        words = ["orthoglide", "identify", *(path.name for path in campaigns), "--out", "DIR"]
+        options = {
+            "--free": ",".join(self.free),
+            "--own": ",".join(self.own),
+            "--machine": self.machine.name if self.machine else "",
+            "--noise": "" if self.noise_mm is None else f"{self.noise_mm:g}",
+        }
+        for option, value in options.items():
+            words += [option, value] if value else []
+        flags = {"--no-priors": not self.priors, "--reduced": self.reduced}
+        return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
+
+
+@click.command()
+@click.argument("campaigns", nargs=-1, required=True, type=click.Path(path_type=Path))
+@out_option()
+@click.option(
+    "--free",
+    type=Names(),
+    default=(),
+    metavar="NAME,...",
+    help="Families or parameters to identify.  [default: joint_offset,leg_length]",
+)
+@click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
+@fit_options
+@click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
+@run_options
+def identify(
+    campaigns: tuple[Path, ...],
+    out: Path,
+    free: tuple[str, ...],
+    no_priors: bool,
+    own: tuple[str, ...],
+    machine_path: Path | None,
+    noise_mm: float | None,
+    reduced: bool,
+    seed: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Identify joint offsets and leg lengths (or more) from campaigns of dial readings."""
+    asked = Asked(free, not no_priors, own, machine_path, reduced, noise_mm, seed)
+    run_identify(campaigns, out, asked, quiet=quiet, as_json=as_json)
+
+
+@click.command()
+@out_option(required=False, help=f"Folder for the results.  [default: {DEMO_FOLDER}]")
+@run_options
+def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
+    """Identify the published Orthoglide from its own readings (2008, Experiment 2)."""
+    from importlib.resources import as_file, files
+
+    folder = out or _next_free(DEMO_FOLDER)
+    with as_file(files("orthoglide") / "data" / DEMO_CAMPAIGN) as path:
+        run_identify(
+            (path,),
+            folder,
+            Asked(seed=seed),
+            command="demo",
+            again="orthoglide demo --out DIR",
+            quiet=quiet,
+            as_json=as_json,
+        )
+
+
+COMMANDS = (demo, identify)
+
+
+def run_identify(
+    paths: Sequence[Path],
+    out: Path,
+    asked: Asked,
+    *,
+    command: str = "identify",
+    again: str = "",
+    quiet: bool = False,
+    as_json: bool = False,
+) -> None:
+    """Read, identify, write the folder and say what was found."""
+    from orthoglide.report.folder import check_folder, write_folder
+
+    check_folder(out)
+    with progress(quiet or as_json) as step:
+        step("reading")
+        run = _run_of(paths, asked, command, again or asked.command_line(paths))
+        estimate = _identified(paths, asked, step)
+        step("writing the report")
+        from orthoglide.report import identification_files
+
+        files = identification_files(estimate, run)
+        write_folder(out, files)
+    if as_json:
+        click.echo(files["result.json"], nl=False)
+    elif not quiet:
+        from orthoglide.report.text import summary
+
+        click.echo(summary(estimate))
+        click.echo(f"\nReport: {click.format_filename(out / 'report.html')}")
+
+
+def _run_of(paths: Sequence[Path], asked: Asked, command: str, again: str) -> Run:
+    from orthoglide.report import Run, read_input
+
+    return Run(
+        command=command,
+        arguments=asked.arguments(paths),
+        seed=asked.seed,
+        inputs=tuple(read_input(path) for path in paths),
+        again=again,
+    )
+
+
+def _identified(paths: Sequence[Path], asked: Asked, step: Any) -> Estimate:
+    from orthoglide.effects import BASE_FAMILIES
+    from orthoglide.observations import read_campaign
+
+    machine = load_machine(asked.machine)
+    campaigns = [read_campaign(path, machine.spec) for path in paths]
+    step(f"identifying from {sum(map(len, campaigns))} readings")
+    from orthoglide.identification import identify
+
+    if asked.noise_mm is not None and not asked.noise_mm > 0:
+        raise InputError(f"--noise must be a positive number of millimetres, not {asked.noise_mm}")
+    return identify(
+        campaigns,
+        machine,
+        asked.free or BASE_FAMILIES,
+        own=asked.own,
+        priors=asked.priors,
+        noise=None if asked.noise_mm is None else asked.noise_mm * 1e-3,
+        method="reduction" if asked.reduced else "auto",
+    )
+
+
+def _next_free(name: str) -> Path:
+    """The demo's folder, numbered where earlier ones stand."""
+    folder, number = Path(name), 1
+    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        number += 1
+        folder = Path(f"{name}-{number}")
+    return folder

@@ -1,0 +1,175 @@
+"""``forward`` and ``inverse``: between commands and TCP, on numbers or a CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from orthoglide.cli.options import PATH, load_machine, machine_option
+from orthoglide.errors import InputError
+
+if TYPE_CHECKING:
+    from orthoglide.geometry import Array
+    from orthoglide.machine import Machine
+    from orthoglide.observations.table import Table
+
+# Coordinates may begin with a minus sign, which would else be read as options.
+_NUMBERS = {"ignore_unknown_options": True}
+_DIGITS = 6  # of a millimetre: a picometre short of nothing a machine could show
+
+
+def _arguments(metavar: str) -> Callable[[click.decorators.FC], click.decorators.FC]:
+    def decorate(command: click.decorators.FC) -> click.decorators.FC:
+        for decorator in (
+            click.option("--out", type=PATH, metavar="CSV", help="With --csv: file to write."),
+            click.option("--csv", "table", type=PATH, metavar="CSV", help="Rows to compute."),
+            machine_option,
+            click.argument("numbers", nargs=-1, type=float, metavar=f"[{metavar}]"),
+        ):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+@click.command(context_settings=_NUMBERS)
+@_arguments("RHO_X RHO_Y RHO_Z")
+def forward(
+    numbers: tuple[float, ...], machine_path: Path | None, table: Path | None, out: Path | None
+) -> None:
+    """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm.
+
+    Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0.
+    """
+    _run(numbers, machine_path, table, out, _forward)
+
+
+@click.command(context_settings=_NUMBERS)
+@_arguments("P_X P_Y P_Z")
+def inverse(
+    numbers: tuple[float, ...], machine_path: Path | None, table: Path | None, out: Path | None
+) -> None:
+    """Commands for a TCP: three coordinates in mm, or a CSV of p_x_mm, p_y_mm, p_z_mm.
+
+    With a calibrated machine file these are the commands that bring the real TCP to the point.
+    """
+    _run(numbers, machine_path, table, out, _inverse)
+
+
+COMMANDS = (forward, inverse)
+
+Solve = Callable[["Machine", "Table"], tuple["Table", "Array"]]
+
+
+def _run(
+    numbers: tuple[float, ...],
+    machine_path: Path | None,
+    path: Path | None,
+    out: Path | None,
+    solve: Callable[[Machine, Table | Array], tuple[tuple[str, ...], Array]],
+) -> None:
+    if (path is None) != (out is None):
+        raise InputError("--csv and --out go together: name a file to read and a file to write")
+    if (path is None) == (not numbers):
+        raise InputError("give either three numbers in mm, or --csv and --out")
+    if path is None:
+        _, found = solve(load_machine(machine_path), _vector(numbers))
+        click.echo(" ".join(_number(value) for value in found[0]))
+        return
+    from orthoglide.observations.table import read_table
+
+    assert out is not None
+    table = read_table(path)
+    names, found = solve(load_machine(machine_path), table)
+    _write(table, names, found, out)
+
+
+def _vector(numbers: tuple[float, ...]) -> Array:
+    import numpy as np
+
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise InputError("give exactly three finite numbers, in mm")
+    return np.array([numbers]) * 1e-3
+
+
+def _refuse(message: str, row: int | None) -> NoReturn:
+    raise InputError(message)
+
+
+def _forward(machine: Machine, given: Table | Array) -> tuple[tuple[str, ...], Array]:
+    from orthoglide.observations.checks import check_commands
+    from orthoglide.observations.reading import POINT, RHO, TRAVEL
+
+    if not _is_table(given):
+        rho = check_commands(given, False, machine.spec, _refuse)
+        return POINT, machine.forward(rho)
+    names = TRAVEL if set(TRAVEL) & set(given.names) else RHO
+    rho = check_commands(_columns(given, names, POINT), names == TRAVEL, machine.spec, given.fail)
+    return POINT, machine.forward(rho)
+
+
+def _inverse(machine: Machine, given: Table | Array) -> tuple[tuple[str, ...], Array]:
+    from orthoglide.observations.reading import POINT, RHO
+
+    if not _is_table(given):
+        return RHO, _within(machine, machine.inverse(given), _refuse)
+    goal = _columns(given, POINT, RHO)
+    return RHO, _within(machine, machine.inverse(goal), given.fail)
+
+
+def _is_table(given: Table | Array) -> bool:
+    return hasattr(given, "names")
+
+
+def _columns(table: Table, names: tuple[str, ...], new: tuple[str, ...]) -> Array:
+    import numpy as np
+
+    from orthoglide.observations.table import Column, number
+
+    for name in new:
+        if name in table.names:
+            table.fail(f"has a column {name}, which is to be computed: remove it")
+    table.check_names((*names, *(n for n in table.names if n not in names)), names)
+    return np.array([table.values(name, Column(number(1e-3))) for name in names]).T
+
+
+def _within(machine: Machine, rho: Array, fail: Callable[[str, int | None], NoReturn]) -> Array:
+    """The commands, where the stroke allows them."""
+    import numpy as np
+
+    from orthoglide.geometry import LEGS
+    from orthoglide.observations.checks import STROKE_SLACK
+
+    inside = machine.geometry.in_stroke(rho, STROKE_SLACK)
+    if inside.all():
+        return rho
+    row, axis = np.argwhere(~inside)[0]
+    low, high = ((machine.geometry.L + limit) * 1e3 for limit in machine.geometry.stroke)
+    fail(
+        f"the point needs carriage {LEGS[axis]} at {rho[row, axis] * 1e3:.6f} mm, outside its "
+        f"stroke of {low:g} to {high:g} mm: give a point nearer to the middle",
+        int(row),
+    )
+
+
+def _number(metres: float) -> str:
+    text = f"{metres * 1e3:.{_DIGITS}f}"
+    return text.lstrip("-") if float(text) == 0 else text
+
+
+def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> None:
+    """The rows as they came, with the new columns behind."""
+    import csv
+    import io
+
+    from orthoglide.units import write_whole
+
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*table.names, *names])
+    for row, found in zip(table.rows, values, strict=True):
+        writer.writerow([*row, *map(_number, found)])
+    write_whole(out, stream.getvalue(), overwrite=False)

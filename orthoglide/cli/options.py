@@ -1,0 +1,95 @@
+"""Options that several commands share, as decorators, and what their values mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from orthoglide.machine import Machine
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Decorator = Callable[[Command], Command]
+
+PATH = click.Path(path_type=Path)
+"""A file or folder; that it is there and readable is checked where it is read."""
+
+
+class Names(click.ParamType):
+    """Names parted by commas."""
+
+    name = "NAME,..."
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """A tuple of names."""
+        if isinstance(value, tuple):
+            return value
+        return tuple(part.strip() for part in str(value).split(",") if part.strip())
+
+
+def machine_option(command: Command) -> Command:
+    """``--machine FILE``."""
+    return click.option(
+        "--machine",
+        "machine_path",
+        type=PATH,
+        metavar="FILE",
+        help="Machine file (machine.toml); the nominal Orthoglide where absent.",
+    )(command)
+
+
+def out_option(required: bool = True, help: str = "") -> Decorator[Any]:
+    """``--out DIR`` of the commands that write a folder."""
+    return click.option(
+        "--out",
+        type=PATH,
+        metavar="DIR",
+        required=required,
+        help=help or "Folder for the results; must be new or empty.",
+    )
+
+
+def run_options(command: Command) -> Command:
+    """``--seed``, ``--quiet`` and ``--json``."""
+    options = (
+        click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws."),
+        click.option("--quiet", is_flag=True, help="No progress and no tables."),
+        click.option("--json", "as_json", is_flag=True, help="Print result.json and nothing else."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def fit_options(command: Command) -> Command:
+    """What every fit of campaigns takes: ``--own``, ``--machine``, ``--noise``."""
+    options = (
+        click.option(
+            "--own",
+            type=Names(),
+            default=(),
+            metavar="NAME,...",
+            help="What each campaign has for itself while the rest is shared.",
+        ),
+        machine_option,
+        click.option(
+            "--noise",
+            "noise_mm",
+            type=float,
+            metavar="MM",
+            help="Standard deviation of one reading; else from machine file, rows or repeats.",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def load_machine(path: Path | None) -> Machine:
+    """The machine of ``--machine``."""
+    from orthoglide.machine import Machine
+
+    return Machine.nominal() if path is None else Machine.load(path)

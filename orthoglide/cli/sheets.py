@@ -1,0 +1,156 @@
+"""``protocol`` and ``simulate``: measuring sheets, empty or filled in by a machine file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orthoglide.cli.options import PATH, load_machine, machine_option
+from orthoglide.errors import FileError, InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from orthoglide.machine import Machine
+    from orthoglide.observations import Campaign
+
+KINDS = ("standard", "sweep", "two-gauges")
+TCP_POINTS = 60
+_DATUM = 1e-3  # metres: where a dial's zero may lie
+
+
+def _kind_option(command: Any) -> Any:
+    return click.option(
+        "--kind",
+        type=click.Choice(KINDS),
+        default="standard",
+        show_default=True,
+        help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg.",
+    )(command)
+
+
+@click.command()
+@click.option("--out", type=PATH, required=True, metavar="SHEET.csv", help="File to write.")
+@_kind_option
+@machine_option
+def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
+    """Write a measuring sheet: every row but the reading."""
+    from orthoglide.observations import protocol as make
+    from orthoglide.observations import write_campaign
+
+    sheet = make(kind, load_machine(machine_path).geometry)  # type: ignore[arg-type]
+    write_campaign(sheet, out)
+    click.echo(
+        f"{click.format_filename(out)}: {len(sheet)} readings in {len(sheet.setups)} setups, to be "
+        f"filled in as reading_mm"
+    )
+
+
+@click.command()
+@click.option("--machine", "machine_path", type=PATH, required=True, metavar="FILE",
+              help="Machine file whose [parameters] are the machine's errors.")  # fmt: skip
+@click.option("--out", type=PATH, required=True, metavar="CSV", help="Campaign to write.")
+@_kind_option
+@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+@click.option("--noise", "noise_mm", type=float, metavar="MM",
+              help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
+@click.option("--exact", is_flag=True,
+              help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
+@click.option("--tcp", type=PATH, metavar="TCP.csv",
+              help=f"Also write {TCP_POINTS} exact TCP points, to judge a calibration by.")  # fmt: skip
+def simulate(
+    machine_path: Path,
+    out: Path,
+    kind: str,
+    seed: int,
+    noise_mm: float | None,
+    exact: bool,
+    tcp: Path | None,
+) -> None:
+    """Measure a machine that exists as a file only: a campaign of its readings.
+
+    Each dial has its own datum and stands up to some placement error off its place; readings are
+    noisy and rounded to the dial's resolution.
+    """
+    import numpy as np
+
+    from orthoglide.observations import protocol as make
+    from orthoglide.units import write_whole
+
+    for path in filter(None, (out, tcp)):
+        if path.exists():
+            raise FileError("exists and is not overwritten: choose another name", file=str(path))
+    if seed < 0:
+        raise InputError(f"--seed must be 0 or more, not {seed}")
+    machine = load_machine(machine_path)
+    rng = np.random.default_rng(seed)
+    sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
+    texts = {out: _campaign_text(machine, sheet, rng, noise_mm, exact)}
+    if tcp is not None:
+        texts[tcp] = _tcp_text(machine, rng)
+    for path, text in texts.items():
+        write_whole(path, text, overwrite=False)
+        click.echo(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
+
+
+COMMANDS = (protocol, simulate)
+
+
+def _campaign_text(
+    machine: Machine,
+    sheet: Campaign,
+    rng: np.random.Generator,
+    noise_mm: float | None,
+    exact: bool,
+) -> str:
+    from dataclasses import replace
+
+    import numpy as np
+
+    from orthoglide.observations import campaign_text
+
+    dial, count = machine.spec.dial, len(sheet.setups)
+    sd = _noise(machine, noise_mm)
+    if exact:
+        return campaign_text(sheet.with_readings(np.round(machine.readings(sheet), 15)))
+    off = rng.normal(scale=dial.placement, size=count)
+    placed = (replace(s, gauge=s.gauge + o) for s, o in zip(sheet.setups, off, strict=True))
+    shown = machine.readings(replace(sheet, setups=tuple(placed)))
+    shown = shown + rng.uniform(-_DATUM, _DATUM, count)[sheet.setup]
+    shown = shown + rng.normal(scale=sd, size=len(sheet))
+    steps = np.round(shown / dial.resolution)
+    return campaign_text(sheet.with_readings(np.round(steps * dial.resolution, 12)))
+
+
+def _noise(machine: Machine, noise_mm: float | None) -> float:
+    from orthoglide.identification.noise import PUBLISHED_REPEATABILITY
+
+    if noise_mm is None:
+        repeatability = machine.spec.dial.repeatability
+        return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
+    if not 0 <= noise_mm < 1e3:
+        raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
+    return noise_mm * 1e-3
+
+
+def _tcp_text(machine: Machine, rng: np.random.Generator) -> str:
+    """Commands over the whole stroke and where the TCP is, in the middle of any dead band."""
+    import csv
+    import io
+
+    import numpy as np
+
+    from orthoglide.observations.reading import POINT, RHO
+
+    low, high = machine.geometry.stroke
+    travel = rng.uniform(low, high, (TCP_POINTS, 3))
+    rho = np.round(machine.geometry.L + travel, 9)
+    p = machine.forward(rho)
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*RHO, *POINT])
+    for row in np.hstack([rho, p]) * 1e3:
+        writer.writerow([f"{value:.6f}" for value in row])
+    return stream.getvalue()

@@ -1,0 +1,81 @@
+"""How well each candidate explains a residual: gain, evidence, and the best of the catalogue.
+
+With a candidate's signature S at its tolerance (whitened, projected) and the residual r, the
+Gaussian prior of the tolerance gives
+
+    gain     = r^T S (S^T S + 1)^-1 S^T r              (fall of chi2, prior counted)
+    evidence = (gain - log det(S^T S + 1)) / 2         (log Bayes factor against no effect)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.diagnosis.candidates import Candidate
+from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.geometry import Array
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """Candidates prepared for many residuals at once.
+
+    Attributes:
+        candidates: ``C`` of them.
+        basis: for each, orthonormal columns ``(m, size)`` of its signature.
+        shrink: for each, what the prior leaves of the squared length along them ``(size,)``.
+        occam: for each, log det(S^T S + 1).
+    """
+
+    candidates: tuple[Candidate, ...]
+    basis: tuple[Array, ...]
+    shrink: tuple[Array, ...]
+    occam: Array
+
+    @classmethod
+    def of(
+        cls, signatures: Signatures, chosen: Sequence[Candidate], averaging: Array | None = None
+    ) -> Scoring:
+        """Prepare candidates.
+
+        Args:
+            signatures: at the fit.
+            chosen: candidates of these.
+            averaging: orthonormal columns ``(m, g)`` onto which signatures are projected first.
+        """
+        parts = []
+        for candidate in chosen:
+            signature = signatures.of(candidate)
+            if averaging is not None:
+                signature = averaging.T @ signature
+            parts.append(_decomposed(signature))
+        return cls(
+            tuple(chosen),
+            tuple(p[0] for p in parts),
+            tuple(p[1] for p in parts),
+            np.array([p[2] for p in parts]),
+        )
+
+    def gains(self, residuals: Array) -> Array:
+        """Fall of chi2 ``(C, ...)`` for residuals ``(m, ...)``."""
+        return np.stack(
+            [
+                np.tensordot(shrink, (basis.T @ residuals) ** 2, axes=(0, 0))
+                for basis, shrink in zip(self.basis, self.shrink, strict=True)
+            ]
+        )
+
+    def evidences(self, residuals: Array) -> Array:
+        """Log Bayes factors against no effect ``(C, ...)`` for residuals ``(m, ...)``."""
+        gains = self.gains(residuals)
+        return (gains - self.occam.reshape(-1, *[1] * (gains.ndim - 1))) / 2
+
+
+def _decomposed(signature: Array) -> tuple[Array, Array, float]:
+    left, singular, _ = np.linalg.svd(signature, full_matrices=False)
+    kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
+    square = singular[kept] ** 2
+    return left[:, kept], square / (square + 1), float(np.sum(np.log1p(square)))

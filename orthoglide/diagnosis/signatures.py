@@ -1,0 +1,177 @@
+"""Signatures of all effects at a fitted machine, past what the fit itself explains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.diagnosis.candidates import Candidate, candidates, excited_families
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array
+from orthoglide.identification import Estimate, Problem
+from orthoglide.identification.least_squares import linearise
+from orthoglide.identification.problem import build_problem
+
+# A signature that one tolerance lifts less than this above the noise, in all, is not seen.
+_VISIBLE = 0.3
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """What every effect would show in these readings.
+
+    All vectors are whitened by the noise and projected past datums, placements and everything the
+    fit has freed, with its priors: rows are the augmented readings ``(m,)``.
+
+    Attributes:
+        estimate: the fit around which effects are linearised.
+        names: elementary unknowns beyond the fit ``(E,)``.
+        tolerance: of these ``(E,)``, SI.
+        columns: signatures ``(m, E)``, a unit of SI.
+        residual: what the fit leaves ``(m,)``.
+        fitted: orthonormal columns of what is projected out ``(m, q)``.
+        weight: 1 / sigma of each reading ``(n,)``.
+        candidates: all that are made of these.
+        invisible: names that these readings cannot show, whatever their size within reason.
+    """
+
+    estimate: Estimate
+    names: tuple[str, ...]
+    tolerance: Array
+    columns: Array
+    residual: Array
+    fitted: Array
+    weight: Array
+    candidates: tuple[Candidate, ...]
+    invisible: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return len(self.weight)
+
+    def project(self, rows: Array) -> Array:
+        """Whitened vectors ``(m, ...)`` without what the fit explains."""
+        return np.asarray(rows - self.fitted @ (self.fitted.T @ rows))
+
+    def whiten(self, readings: Array) -> Array:
+        """Readings ``(n, ...)`` in metres as whitened, projected vectors ``(m, ...)``."""
+        padded = np.zeros((len(self.fitted), *readings.shape[1:]))
+        padded[: self.count] = (readings.T * self.weight).T
+        return self.project(padded)
+
+    def of(self, candidate: Candidate) -> Array:
+        """Signature of a candidate at its tolerance ``(m, size)``."""
+        return self.columns @ self.scaled(candidate)
+
+    def scaled(self, candidate: Candidate) -> Array:
+        """Elementary unknowns at tolerance for each of a candidate's parameters ``(E, size)``."""
+        matrix = candidate.columns(self.names)
+        size = np.array(
+            [self.tolerance[np.flatnonzero(column)].max() for column in matrix.T]
+        )
+        return np.asarray(matrix * size)
+
+    @cached_property
+    def degrees(self) -> int:
+        """Degrees of freedom of the residual."""
+        return max(self.count - self.fitted.shape[1] + self._prior_rows, 0)
+
+    @property
+    def _prior_rows(self) -> int:
+        return len(self.fitted) - self.count
+
+    @cached_property
+    def groups(self) -> NDArray[np.intp]:
+        """Station of each reading, approaches apart ``(n,)``."""
+        problem = self.estimate.problem
+        table = np.column_stack(
+            [
+                problem.setup_of_row,
+                np.concatenate([c.command for c in problem.campaigns]),
+                np.concatenate([c.approach for c in problem.campaigns]),
+            ]
+        )
+        return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
+    """The same readings with all parameters of families freed besides those that are."""
+    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
+    free = []
+    for family in families:
+        names = build_problem(
+            problem.machine, problem.campaigns, [family], problem.noise
+        ).unknowns
+        free.extend(
+            u.name.partition("@")[0]
+            for u in names
+            if not any(p in taken for parts in u.parts for p in parts)
+        )
+    if not free:
+        raise InputError("nothing is left in the catalogue to be tried")
+    extra = build_problem(
+        problem.machine, problem.campaigns, tuple(dict.fromkeys(free)), problem.noise
+    )
+    return replace(
+        problem,
+        unknowns=(*problem.unknowns, *extra.unknowns),
+        held=tuple({} for _ in problem.campaigns),
+    )
+
+
+def signatures(estimate: Estimate) -> Signatures:
+    """Linearise all effects of the catalogue at a fit.
+
+    Args:
+        estimate: the fit, whose unknowns, datums and placements are projected out.
+    """
+    problem, nuisance = estimate.problem, estimate.nuisance
+    families = excited_families(problem)
+    wide = extended_problem(problem, families)
+    own = len(problem.unknowns)
+    x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
+    at = linearise(replace(wide, held=problem.held), x)
+    fitted = _fitted_basis(estimate)
+    rows, n = len(fitted), len(problem.measured)
+    weight = nuisance.weight
+
+    def augmented(readings: Array) -> Array:
+        padded = np.zeros((rows, *readings.shape[1:]))
+        padded[:n] = (readings.T * weight).T
+        return np.asarray(padded - fitted @ (fitted.T @ padded))
+
+    columns = augmented(at.jacobian[:, own:])
+    # The fit is stationary but for rounding: what it leaves is already free of what it freed.
+    residual = augmented(problem.measured - at.value + at.jacobian[:, :own] @ estimate.x)
+    tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])
+    names = tuple(u.name for u in wide.unknowns[own:])
+    seen = np.linalg.norm(columns, axis=0) * tolerance > _VISIBLE
+    kept = np.flatnonzero(seen)
+    visible = tuple(names[k] for k in kept)
+    return Signatures(
+        estimate,
+        visible,
+        tolerance[kept],
+        columns[:, kept],
+        residual,
+        fitted,
+        weight,
+        candidates(visible, families),
+        tuple(n for n, s in zip(names, seen, strict=True) if not s),
+    )
+
+
+def _fitted_basis(estimate: Estimate) -> Array:
+    """Orthonormal columns of unknowns, datums and placements with their priors ``(m, q)``."""
+    problem, nuisance = estimate.problem, estimate.nuisance
+    weight = nuisance.weight[:, None]
+    top = np.hstack([estimate.at.jacobian * weight, nuisance.columns * weight])
+    prior = np.concatenate([1 / problem.prior_sd, np.sqrt(nuisance.precision)])
+    full = np.vstack([top, np.diag(prior)])
+    scale = np.linalg.norm(full, axis=0)
+    left, singular, _ = np.linalg.svd(full / np.where(scale > 0, scale, 1), full_matrices=False)
+    return np.asarray(left[:, singular > 1e-10 * singular[0]])
