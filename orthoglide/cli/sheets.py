@@ -77,7 +77,6 @@ def simulate(
     import numpy as np
 
     from orthoglide.observations import protocol as make
-    from orthoglide.units import write_whole
 
     for path in filter(None, (out, tcp)):
         if path.exists():
@@ -90,12 +89,27 @@ def simulate(
     texts = {out: _campaign_text(machine, sheet, rng, noise_mm, exact)}
     if tcp is not None:
         texts[tcp] = _tcp_text(machine, rng)
+    _write_all(texts)
     for path, text in texts.items():
-        write_whole(path, text, overwrite=False)
         click.echo(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
 
 
 COMMANDS = (protocol, simulate)
+
+
+def _write_all(texts: dict[Path, str]) -> None:
+    """All files or none."""
+    from orthoglide.units import write_whole
+
+    written: list[Path] = []
+    try:
+        for path, text in texts.items():
+            write_whole(path, text, overwrite=False)
+            written.append(path)
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        raise
 
 
 def _campaign_text(

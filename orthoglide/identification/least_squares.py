@@ -99,7 +99,7 @@ def nuisances(problem: Problem, by_gauge: Array) -> Nuisances:
     n, setups = len(problem.measured), problem.setup_count
     datum = np.zeros((n, setups))
     datum[np.arange(n), problem.setup_of_row] = 1.0
-    placement = problem.machine.spec.dial.placement
+    placement = problem.placement
     columns, precision = datum, np.zeros(setups)
     if placement > 0:
         columns = np.hstack([datum, datum * by_gauge[:, None]])

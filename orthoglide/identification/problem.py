@@ -52,6 +52,7 @@ class Problem:
         noise: of the readings.
         priors: whether tolerances act as priors about zero.
         held: for each campaign, parameters that are not free, SI.
+        placement: standard deviation of a dial's place along its leg, metres; 0: exact.
     """
 
     machine: Machine
@@ -60,6 +61,7 @@ class Problem:
     noise: Noise
     priors: bool
     held: tuple[Mapping[str, float], ...]
+    placement: float
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -261,7 +263,15 @@ def build_problem(
     for k in range(len(campaigns)):
         set_here = {n for u in unknowns for n in u.parts[k]}
         held.append({n: v for n, v in machine.values.items() if n not in set_here})
-    return Problem(machine, tuple(campaigns), unknowns, noise, priors, tuple(held))
+    return Problem(
+        machine,
+        tuple(campaigns),
+        unknowns,
+        noise,
+        priors,
+        tuple(held),
+        machine.spec.dial.placement,
+    )
 
 
 def _bound(unknown: Unknown, bounds: Mapping[str, float]) -> float:

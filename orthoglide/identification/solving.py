@@ -63,7 +63,8 @@ def identify(
         bounds: by parameter or family, SI: values stay within plus and minus.
         weighting: ``"readings"`` weighs every reading by its noise, with a free datum a setup;
             ``"deviations"`` is the papers' ordinary least squares on differences from each
-            setup's first posture, which takes that posture's reading for exact.
+            setup's first posture, which takes that posture's reading and the dials' places for
+            exact.
         method: ``"nlp"``, ``"nested"``, ``"reduction"`` (the analytic PSS model); ``"auto"`` takes
             the programme up to ``NLP_POSTURES`` postures, and nests the closure beyond.
 
@@ -93,7 +94,7 @@ def _averaged(campaign: Campaign) -> Campaign:
 
 
 def _anchored(problem: Problem) -> Problem:
-    """Averaged readings, equal weights, and each setup's first posture taken for exact."""
+    """Averaged readings, equal weights, each setup's first posture and the dials' places exact."""
     campaigns = tuple(_averaged(c) for c in problem.campaigns)
     sigmas = []
     for campaign in campaigns:
@@ -102,7 +103,7 @@ def _anchored(problem: Problem) -> Problem:
         sigma[first] *= _EXACT
         sigmas.append(sigma)
     noise = replace(problem.noise, sigma=tuple(sigmas))
-    return replace(problem, campaigns=campaigns, noise=noise)
+    return replace(problem, campaigns=campaigns, noise=noise, placement=0.0)
 
 
 def solve(problem: Problem, *, method: Method = "auto", start: Array | None = None) -> Estimate:

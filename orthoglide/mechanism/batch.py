@@ -25,7 +25,7 @@ CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
 
 _CHUNK = 256
-# Compiling takes two seconds once; from here on it is earned back within one call.
+# Compiling takes two seconds once: as much as this many postures have cost by then.
 _WORTH_COMPILING = 20_000
 
 
@@ -85,8 +85,9 @@ class BatchClosure:
 
     Args:
         tree: nominal (rigid legs) or general (with relief and virtual joints).
-        compile: ``True`` to compile at once, ``False`` never, ``None`` where the batch is large or
-            an earlier run has left a compiled copy. Without a C compiler nothing changes but speed.
+        compile: ``True`` to compile at once, ``False`` never, ``None`` once many postures were asked
+            for, or where an earlier run has left a compiled copy. Without a C compiler nothing
+            changes but speed.
     """
 
     def __init__(self, tree: Tree, *, compile: bool | None = None) -> None:
@@ -94,7 +95,7 @@ class BatchClosure:
         self._plain = closure_functions(tree, tree.free, None if len(tree.relief) else RIGID_ROWS)
         self._functions: dict[str, Any] = vars(self._plain).copy()
         self._mapped: dict[tuple[str, int], tuple[Any, Any]] = {}
-        self._pending = compile is None
+        self._pending, self._asked = compile is None, 0
         self.compiled = False
         if compile is not False:
             self._compile(build=bool(compile))
@@ -112,7 +113,8 @@ class BatchClosure:
     def _call(self, name: str, x: Array, given: Array, *shapes: tuple[int, ...]) -> list[Array]:
         """Evaluate a function for all rows; outputs of the given shapes, column-major in CasADi."""
         n = len(given)
-        if self._pending and n >= _WORTH_COMPILING:
+        self._asked += n
+        if self._pending and self._asked >= _WORTH_COMPILING:
             self._compile(build=True)
         results = [np.empty((n, *shape[::-1])) for shape in shapes]
         x, given = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(given, dtype=float)

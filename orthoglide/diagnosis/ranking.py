@@ -1,0 +1,317 @@
+"""One round of the search: what is left, which causes explain it, and which cannot be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.diagnosis.candidates import Candidate
+from orthoglide.diagnosis.evidence import Scoring
+from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.diagnosis.significance import Detection, detect, name_p_value
+from orthoglide.effects import CATALOGUE, family_of
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.geometry import Array
+from orthoglide.identification import Estimate, Problem, solve
+from orthoglide.identification.least_squares import normal
+from orthoglide.identification.problem import build_unknowns
+from orthoglide.machine import elementary
+
+CLASS_WIDTH = 4.0
+"""Fall of chi2 within which two causes cannot be told apart (Wilks: two sigmas)."""
+
+_REFITS = 8
+# Linearised at the fit, a large effect's fall of chi2 is off by second-order terms.
+_MARGIN, _RELATIVE_MARGIN = 12.0, 0.03
+_PLAUSIBLE = 4.0  # tolerances
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate identified properly, with everything else freed again.
+
+    Attributes:
+        candidate: what was added.
+        estimate: the fit with it.
+        evidence: log of the marginal likelihood, by Laplace; differences matter.
+    """
+
+    candidate: Candidate
+    estimate: Estimate
+    evidence: float
+
+    @property
+    def chi2(self) -> float:
+        """Of the fit, priors included."""
+        return self.estimate.scores.chi2
+
+    @property
+    def plausible(self) -> bool:
+        """Whether every parameter that was added stays within four tolerances."""
+        problem = self.estimate.problem
+        sizes = dict(
+            zip(problem.names, np.abs(self.estimate.x) / problem.tolerance, strict=True)
+        )
+        return all(sizes.get(p, 0.0) <= _PLAUSIBLE for p in self.candidate.parameters)
+
+
+def log_evidence(estimate: Estimate) -> float:
+    """Laplace's approximation of the log marginal likelihood, unknowns in tolerances."""
+    here = normal(estimate.problem, estimate.at, estimate.nuisance)
+    scale = estimate.problem.tolerance
+    info = here.information * scale * scale[:, None]
+    return float(-here.cost / 2 - np.linalg.slogdet(info)[1] / 2)
+
+
+def extend(problem: Problem, names: Sequence[str]) -> Problem:
+    """The same problem with more freed: parameters, structured members, campaign suffixes kept."""
+    unknowns = list(problem.unknowns)
+    for name in names:
+        plain, _, stem = name.partition("@")
+        for unknown in build_unknowns(problem.machine, problem.campaigns, [plain]):
+            if unknown.name == name or not stem:
+                unknowns.append(unknown)
+    held = tuple(
+        {n: v for n, v in values.items() if not any(n in u.parts[k] for u in unknowns)}
+        for k, values in enumerate(problem.held)
+    )
+    return replace(problem, unknowns=tuple(unknowns), held=held)
+
+
+def refit(base: Problem, added: Sequence[str], like: Estimate | None = None) -> Estimate:
+    """Identify a problem with effects added, starting from a fit at hand.
+
+    Args:
+        base: without any effect.
+        added: parameters to free besides.
+        like: a fit to start from; unknowns of the same name keep their value.
+    """
+    problem = extend(base, added)
+    start = None
+    if like is not None:
+        known = like.values
+        start = np.array([known.get(name, 0.0) for name in problem.names])
+    return solve(problem, method="nested", start=start)
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one fit leaves, and how each candidate would explain it.
+
+    Attributes:
+        estimate: the fit.
+        signatures: of all effects at it.
+        scoring: of the candidates small enough to be added.
+        detection: is anything left?
+    """
+
+    estimate: Estimate
+    signatures: Signatures
+    scoring: Scoring
+    detection: Detection
+
+    @cached_property
+    def evidences(self) -> Array:
+        """Linearised log Bayes factor of each candidate ``(C,)``."""
+        return self.scoring.evidences(self.signatures.residual)
+
+    @cached_property
+    def gains(self) -> Array:
+        """Linearised fall of chi2 of each candidate ``(C,)``."""
+        return self.scoring.gains(self.signatures.residual)
+
+    def naming(self, candidate: Candidate, rng: np.random.Generator) -> float:
+        """p-value of the naming test."""
+        place = self.scoring.candidates.index(candidate)
+        return name_p_value(self.signatures, self.scoring, place, rng)
+
+
+def look(estimate: Estimate, budget: int, rng: np.random.Generator) -> Round:
+    """Score every candidate of at most ``budget`` parameters at a fit, and test what is left."""
+    seen = signatures(estimate)
+    chosen = [c for c in seen.candidates if c.size <= budget]
+    scoring = Scoring.of(seen, chosen)
+    return Round(estimate, seen, scoring, detect(seen, scoring, rng))
+
+
+def budget(signatures_or_fit: Signatures) -> int:
+    """How many parameters may be added in all: fewer than a third of the degrees of freedom.
+
+    Counted over averages of a station's visits from one side: repeats say nothing of a cause.
+    """
+    from orthoglide.diagnosis.significance import averaging_basis
+
+    dof = averaging_basis(signatures_or_fit, signatures_or_fit.groups).shape[1]
+    return max((dof - 1) // 3, 0)
+
+
+def try_out(
+    base: Problem,
+    added: Sequence[str],
+    found: Round,
+    progress: Callable[[str], None],
+    least: int = 1,
+) -> list[Trial]:
+    """Identify the most promising candidates in the general mechanism, best first.
+
+    Args:
+        base: without effects.
+        added: parameters that are in already.
+        found: scores at the present fit.
+        progress: told what is being tried.
+        least: how many to try whatever their score.
+    """
+    order = np.argsort(-found.evidences, kind="stable")
+    best = found.evidences[order[0]]
+    margin = _MARGIN + _RELATIVE_MARGIN * max(float(found.gains[order[0]]), 0.0) / 2
+    near = [k for i, k in enumerate(order) if i < least or best - found.evidences[k] <= margin]
+    trials = []
+    for k in near[:_REFITS]:
+        candidate = found.scoring.candidates[k]
+        progress(f"trying {candidate.name}")
+        trial = attempt(base, added, candidate, found.estimate)
+        if trial is not None:
+            trials.append(trial)
+    return sorted(trials, key=_order)
+
+
+def attempt(
+    base: Problem, added: Sequence[str], candidate: Candidate, like: Estimate
+) -> Trial | None:
+    """A candidate identified with the rest; ``None`` where that fails."""
+    try:
+        estimate = refit(base, [*added, *candidate.parameters], like)
+    except (NumericsError, InputError):
+        return None
+    return Trial(candidate, estimate, log_evidence(estimate))
+
+
+def _order(trial: Trial) -> tuple[float, int, str]:
+    # Equal but for rounding: the order of the catalogue decides, so that answers are repeatable.
+    place = list(CATALOGUE).index(family_of(trial.candidate.name).name)
+    return (-round(trial.evidence, 2), place, trial.candidate.name)
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A cause that fits the readings as well as the one that was added.
+
+    Attributes:
+        trial: the fit with it instead.
+        weight: probability among all candidates.
+    """
+
+    trial: Trial
+    weight: float
+
+
+def rivals(
+    base: Problem,
+    others: Sequence[str],
+    chosen: Trial,
+    rng: np.random.Generator,
+    progress: Callable[[str], None],
+) -> tuple[float, tuple[Rival, ...]]:
+    """Which candidates could stand in the place of an added one, and how probable each is.
+
+    Args:
+        base: without effects.
+        others: what is added besides the one in question.
+        chosen: the model with it.
+        rng: unused draws keep the sequence of the caller.
+        progress: told what is being tried.
+
+    Returns:
+        Probability of the chosen one among all candidates, and its rivals, most probable first.
+    """
+    without = refit(base, others, chosen.estimate)
+    seen = signatures(without)
+    scale = lack_scale(chosen.estimate)
+    scoring = Scoring.of(seen, [c for c in seen.candidates if c.size <= chosen.candidate.size])
+    gains, evidences = scoring.gains(seen.residual), scoring.evidences(seen.residual)
+    names = [c.name for c in scoring.candidates]
+    own = names.index(chosen.candidate.name)
+    margin = (_MARGIN + CLASS_WIDTH) * scale**2 + _RELATIVE_MARGIN * gains[own]
+    near = [k for k in np.argsort(-gains) if k != own and gains[own] - gains[k] <= margin]
+    near += _under_other_bars(base, others, chosen, scale, scoring, near + [own], progress)
+    trials: dict[int, Trial] = {own: chosen}
+    for k in near[: 2 * _REFITS]:
+        progress(f"comparing with {names[k]}")
+        trial = attempt(base, others, scoring.candidates[k], without)
+        if trial is not None:
+            trials[k] = trial
+    # What was refitted counts as refitted; the rest as linearised, relative to the chosen one.
+    shift = chosen.evidence - evidences[own]
+    final = np.array(
+        [trials[k].evidence if k in trials else evidences[k] + shift for k in range(len(names))]
+    )
+    prior = _prior(scoring.candidates)
+    logs = (final - final.max()) / scale**2 + np.log(prior)
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    members = [
+        Rival(t, float(weights[k]))
+        for k, t in trials.items()
+        if k != own and t.chi2 - chosen.chi2 <= CLASS_WIDTH * scale**2
+    ]
+    return float(weights[own]), tuple(sorted(members, key=lambda r: (-r.weight, _order(r.trial))))
+
+
+def lack_scale(estimate: Estimate) -> float:
+    """sqrt(chi2 / dof) where a fit still lacks something, else 1."""
+    return max(estimate.sigma_scale, 1.0)
+
+
+def _prior(found: Sequence[Candidate]) -> Array:
+    """Families are equally likely; within one, its candidates are."""
+    count: dict[str, int] = {}
+    for candidate in found:
+        count[candidate.family] = count.get(candidate.family, 0) + 1
+    return np.array([1.0 / count[c.family] for c in found])
+
+
+def _under_other_bars(
+    base: Problem,
+    others: Sequence[str],
+    chosen: Trial,
+    scale: float,
+    scoring: Scoring,
+    known: Sequence[int],
+    progress: Callable[[str], None],
+) -> list[int]:
+    """Candidates that fit as well had the dial touched bar 1 or bar 2 where neither is recorded."""
+    if any(s.bar for c in base.campaigns for s in c.setups):
+        return []
+    names = [c.name for c in scoring.candidates]
+    found: list[int] = []
+    for bar in (1, 2):
+        progress(f"had the dials touched bar {bar}")
+        campaigns = tuple(
+            replace(c, setups=tuple(replace(s, bar=bar) for s in c.setups))
+            for c in base.campaigns
+        )
+        other = replace(base, campaigns=campaigns)
+        seen = signatures(refit(other, others, chosen.estimate))
+        again = Scoring.of(seen, [c for c in seen.candidates if c.name in names])
+        gains = again.gains(seen.residual)
+        if not len(gains):
+            continue
+        left = float(seen.residual @ seen.residual) - gains.max()
+        if left - chosen.chi2 > CLASS_WIDTH * scale**2:
+            continue  # with this bar nothing fits as well
+        for k, candidate in enumerate(again.candidates):
+            place = names.index(candidate.name)
+            close = gains.max() - gains[k] <= CLASS_WIDTH * scale**2
+            if close and place not in known and place not in found:
+                found.append(place)
+    return found
+
+
+def elementary_of(candidate: Candidate, setups: tuple[str, ...]) -> set[str]:
+    """Elementary parameters that a candidate sets, campaign suffixes dropped."""
+    return {
+        part for p in candidate.parameters for part in elementary(p.partition("@")[0], setups)
+    }

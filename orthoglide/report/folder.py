@@ -1,0 +1,72 @@
+"""The output folder: it appears whole or not at all, and never over something else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from orthoglide.errors import FileError
+
+
+def check_folder(out: Path) -> Path:
+    """Refuse a place where results cannot go, before any work is done.
+
+    Args:
+        out: the folder to be; new or empty.
+
+    Returns:
+        The folder, resolved.
+
+    Raises:
+        FileError: saying what would do.
+    """
+    target = out.resolve()
+    if target.exists() and not target.is_dir():
+        raise FileError("is a file: name a new folder for the results", file=str(out))
+    if target == Path.cwd():
+        raise FileError("is the folder you are in: name a new one inside it", file=str(out))
+    if target.is_dir() and any(target.iterdir()):
+        raise FileError(
+            "is not empty and results are never overwritten: name a new or empty folder",
+            file=str(out),
+        )
+    if not target.parent.is_dir():
+        raise FileError(
+            "cannot be made where there is no folder to hold it: make that first", file=str(out)
+        )
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise FileError("cannot be made here: choose a place you may write to", file=str(out))
+    return target
+
+
+def write_folder(out: Path, files: Mapping[str, str]) -> None:
+    """Write files into a temporary sibling, then rename it.
+
+    Args:
+        out: the folder; new or empty.
+        files: text by name, ``/`` for folders inside; written in this order, as UTF-8.
+
+    Raises:
+        FileError: where the folder cannot be written.
+    """
+    target = check_folder(out)
+    try:
+        made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        try:
+            for name, text in files.items():
+                path = made / name
+                path.parent.mkdir(exist_ok=True)
+                path.write_text(text, encoding="utf-8", newline="")
+            made.chmod(0o755)  # a temporary folder is its owner's alone
+            made.rename(target)
+        except BaseException:
+            shutil.rmtree(made, ignore_errors=True)
+            raise
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FileError(
+            f"cannot be written ({reason}): choose another place", file=str(out)
+        ) from None

@@ -1,0 +1,51 @@
+"""Numbers for people: as many digits as they are worth, and a true minus sign."""
+
+from __future__ import annotations
+
+import math
+
+_MOST_DECIMALS = 6
+MINUS = "−"
+
+
+def decimals_for(sigma: float, most: int = _MOST_DECIMALS) -> int:
+    """Decimals that show two significant digits of a standard deviation."""
+    if not math.isfinite(sigma) or sigma <= 0:
+        return 3
+    return min(max(1 - math.floor(math.log10(sigma)), 0), most)
+
+
+def signed(value: float, decimals: int) -> str:
+    """A number with its sign; zero has none."""
+    text = f"{abs(value):.{decimals}f}"
+    if float(text) == 0:
+        return text
+    return (MINUS if value < 0 else "+") + text
+
+
+def plain(value: float, decimals: int) -> str:
+    """A number with a sign only where it is negative."""
+    return signed(value, decimals).lstrip("+")
+
+
+def compact(value: float, digits: int = 3) -> str:
+    """Few significant digits, powers of ten where they are shorter; a dash for none."""
+    if not math.isfinite(value):
+        return "–"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·10{_raised(int(exponent))}"
+    return text.replace("-", MINUS)
+
+
+def _raised(exponent: int) -> str:
+    digits = str(abs(exponent)).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return ("⁻" if exponent < 0 else "") + digits
+
+
+def probability(p: float) -> str:
+    """A probability; below a millionth only that."""
+    if not math.isfinite(p):
+        return "–"
+    return "below 10⁻⁶" if p < 1e-6 else f"{p:.2g}" if p < 0.1 else f"{p:.2f}"

@@ -1,0 +1,136 @@
+"""What was found, in words: the sentence a result begins with, and the names of things."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from orthoglide.effects import BASE_FAMILIES, family_of
+from orthoglide.identification import Estimate, WeakDirection
+from orthoglide.report.numbers import compact, decimals_for, signed
+
+_HARDLY = 0.98  # of the deviations before: a fit that leaves more has not helped
+_MOST_NAMED = 4
+_TOLD = {"joint_offset": "joint offset", "leg_length": "leg length"}
+
+
+def headline(estimate: Estimate) -> str:
+    """The result in a sentence: what was found, what it gains, what is left."""
+    return f"{found(estimate)} {gain(estimate)}; {left(estimate)}."
+
+
+def found(estimate: Estimate) -> str:
+    """The values, as the subject of the sentence."""
+    parts = [text for family in BASE_FAMILIES for text in _by_leg(estimate, family)]
+    others = [n for n in estimate.names if family_of(n).name not in BASE_FAMILIES]
+    parts += [f"{parameter_words(n)} {_value(estimate, n)}" for n in others[:_MOST_NAMED]]
+    if len(others) > _MOST_NAMED:
+        parts.append(f"{len(others) - _MOST_NAMED} further parameters")
+    text = listed(parts)
+    return text[:1].upper() + text[1:]
+
+
+def gain(estimate: Estimate) -> str:
+    """What the fit does to the deviations."""
+    before, after = estimate.nominal.deviation_rms * 1e3, estimate.scores.deviation_rms * 1e3
+    verb = "hardly change" if after > _HARDLY * before else "reduce"
+    places = decimals_for(after)
+    return f"{verb} the deviations from {before:.{places}f} to {after:.{places}f} mm"
+
+
+def left(estimate: Estimate) -> str:
+    """What remains, against the noise."""
+    noise = estimate.problem.noise.typical * 1e3
+    if estimate.scores.dof <= 0:
+        return "no reading is left over to judge the fit by"
+    if estimate.sigma_scale > 1:
+        return (
+            f"what is left is {estimate.sigma_scale:.2g} times the noise of a reading "
+            f"({compact(noise, 2)} mm): the machine, or the measurement, has an error that "
+            f"{explained_by(estimate)} cannot explain"
+        )
+    return (
+        f"what is left is no more than the noise of a reading ({compact(noise, 2)} mm): these "
+        f"readings show no further error"
+    )
+
+
+def explained_by(estimate: Estimate) -> str:
+    """The families that were free, in the plural."""
+    families = dict.fromkeys(family_of(name).name for name in estimate.names)
+    return listed([f"{_TOLD.get(f, f.replace('_', ' '))}s" for f in families])
+
+
+def _by_leg(estimate: Estimate, family: str) -> list[str]:
+    """One phrase a family and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
+    groups: dict[str, list[str]] = {}
+    for name in estimate.names:
+        if family_of(name).name == family:
+            groups.setdefault(name.partition("@")[2], []).append(name)
+    phrases = []
+    for campaign, names in groups.items():
+        values = ", ".join(f"{_member(name)} {_value(estimate, name, '')}" for name in names)
+        many = "s" if len(names) > 1 else ""
+        where = f" ({campaign})" if campaign else ""
+        unit = family_of(family).unit.name
+        phrases.append(f"{_TOLD[family]}{many} {values} {unit}{where}")
+    return phrases
+
+
+def _value(estimate: Estimate, name: str, unit: str | None = None) -> str:
+    of = family_of(name).unit
+    # A weak direction leaves sigmas of millimetres where the readings fix the sum to microns.
+    fine = min(estimate.sigmas[name], estimate.problem.noise.typical) / of.si
+    places = min(decimals_for(fine), 2) if of.name == "mm" else decimals_for(fine)
+    text = signed(estimate.values[name] / of.si, places)
+    return f"{text} {of.name}" if unit is None else text
+
+
+def _member(name: str) -> str:
+    return name.partition("@")[0].partition(".")[2]
+
+
+def parameter_words(name: str) -> str:
+    """``axis_tilt.y.z`` as ``axis tilt of leg y toward z``."""
+    plain, _, campaign = name.partition("@")
+    family, _, member = plain.partition(".")
+    words, place = family.replace("_", " "), member.split(".")
+    where = f" ({campaign})" if campaign else ""
+    if family.startswith("gauge_"):
+        return f"{words} of setup {member}{where}"
+    if place[0] not in ("x", "y", "z"):
+        return f"{words}, {member.replace('.', ' ')}{where}"
+    if len(place) == 2 and place[1] in ("x", "y", "z"):
+        return f"{words} of leg {place[0]} toward {place[1]}{where}"
+    tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
+    return f"{words} of leg {place[0]}{tail.get('.'.join(place[1:]), '')}{where}"
+
+
+def weak_words(weak: WeakDirection) -> str:
+    """A weak direction for somebody who never saw an eigenvector."""
+    names = listed([parameter_words(name) for name in weak.parameters])
+    if len(weak.parameters) > 1:
+        text = f"The readings cannot tell {names} apart"
+    else:
+        text = f"The readings hardly see the {names}"
+    shares = listed([f"{signed(share, 2)} × {n}" for n, share in weak.parameters.items()])
+    if weak.sigma == float("inf"):
+        text += f": nothing at all is seen of the combination {shares}."
+    else:
+        text += (
+            f": along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
+            f"sigma) and hardly a reading changes."
+        )
+    if weak.sigma_with_priors < 0.5 * weak.sigma:
+        text += (
+            f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: "
+            f"that is knowledge of how the machine was built, not of what was measured."
+        )
+    return text
+
+
+def listed(parts: Iterable[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    every = list(parts)
+    if len(every) < 2:
+        return "".join(every)
+    return f"{', '.join(every[:-1])} and {every[-1]}"
