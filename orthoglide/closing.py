@@ -1,0 +1,363 @@
+"""Closing the loop: find what is left, trace it to a cause, add it, identify again, judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
+from orthoglide.diagnosis.ranking import (
+    Rival,
+    Round,
+    Trial,
+    budget,
+    lack_scale,
+    look,
+    refit,
+    rivals,
+    try_out,
+)
+from orthoglide.effects import BASE_FAMILIES, is_dial
+from orthoglide.identification import Estimate, Problem, noise_of, solve
+from orthoglide.identification.problem import build_problem
+from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, TcpPoints
+
+Word = Literal["adequate", "explained", "ambiguous", "partial", "unexplained"]
+Progress = Callable[[str], None]
+
+DETECTION = 0.01
+"""Family-wise probability of finding a cause where there is none, in one round."""
+
+LACK = 0.003
+"""Probability of calling what is left significant, whatever its shape, where nothing is."""
+
+NAMING = 0.05
+"""Probability of naming a cause for a structureless residual of the same size."""
+
+_MOST_EFFECTS = 6
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A cause that was added to the model.
+
+    Attributes:
+        trial: the model with it.
+        probability: among all candidates, the rest of the model given.
+        rivals: causes that these readings cannot tell from it.
+        detection_p: of the residual that it was found in.
+        naming_p: of its name.
+        cv_rms: of stations left out, before and after it was added, metres.
+    """
+
+    trial: Trial
+    probability: float
+    rivals: tuple[Rival, ...]
+    detection_p: float
+    naming_p: float
+    cv_rms: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """Of the candidate."""
+        return self.trial.candidate.name
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """What was freed for it."""
+        return self.trial.candidate.parameters
+
+    @property
+    def indistinguishable_from(self) -> tuple[str, ...]:
+        """Names of its rivals."""
+        return tuple(r.trial.candidate.name for r in self.rivals)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate that was identified, whether it was added or not."""
+
+    name: str
+    parameters: tuple[str, ...]
+    p_value: float
+    evidence: float
+    cv_rms: float
+    plausible: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What closing the loop found.
+
+    Attributes:
+        word: adequate, explained, ambiguous, partial or unexplained.
+        base: fit of joint offsets and leg lengths.
+        fit: fit with the effects added.
+        effects: in the order in which they were added.
+        tried: all candidates that were identified.
+        left: what the last fit leaves.
+        stopped: why no further effect was added, in a sentence.
+        known: what the readings say with everything else allowed.
+        own: what each campaign has for itself.
+        blunders: faults of the data, found before any physics.
+        faulty: the base fit with the faulty readings in, where there are any.
+        hold_out: scores on readings held out, or ``None``.
+        tcp: errors at measured TCP points by alignment, or ``None``.
+    """
+
+    word: Word
+    base: Estimate
+    fit: Estimate
+    effects: tuple[Effect, ...]
+    tried: tuple[Tried, ...]
+    left: Round
+    stopped: str
+    known: Knowledge
+    own: tuple[str, ...] = ()
+    blunders: tuple[Any, ...] = ()
+    faulty: Estimate | None = None
+    hold_out: HoldOut | None = None
+    tcp: dict[str, TcpErrors] | None = None
+
+    @cached_property
+    def spread(self) -> tuple[tuple[float, dict[str, float]], ...]:
+        """Weights and parameters of the explanations that fit as well, the chosen one left out."""
+        found = []
+        for effect in self.effects:
+            total = effect.probability + sum(r.weight for r in effect.rivals)
+            for rival in effect.rivals:
+                estimate = rival.trial.estimate
+                values = estimate.problem.values(len(estimate.problem.campaigns) - 1, estimate.x)
+                found.append((rival.weight / total, values))
+        return tuple(found)
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Parameters of the calibrated machine, SI: averaged over what fits as well."""
+        own = self.fit.problem.values(len(self.fit.problem.campaigns) - 1, self.fit.x)
+        averaged = dict(own)
+        for weight, other in self.spread:
+            for name in {*own, *other}:
+                change = other.get(name, 0.0) - own.get(name, 0.0)
+                averaged[name] = averaged.get(name, 0.0) + weight * change
+        return {n: v for n, v in averaged.items() if not is_dial(n)}
+
+    @property
+    def before(self) -> dict[str, float]:
+        """Parameters of the base model, SI."""
+        return self.base.problem.values(len(self.base.problem.campaigns) - 1, self.base.x)
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The calibrated machine, sigmas of the second kind."""
+        sigmas = {n.partition("@")[0]: s for n, s in self.known.sigmas.items()}
+        machine = Machine(replace(self.fit.problem.machine.spec, parameters={}))
+        machine.__dict__["model"] = self.fit.problem.machine.model
+        return machine.with_parameters(self.values, sigmas)
+
+    @cached_property
+    def map(self) -> Map:
+        """Predicted TCP over the workspace, with both kinds of uncertainty."""
+        return tcp_map(self.fit, self.known, self.values, self.spread)
+
+    @property
+    def invisible(self) -> tuple[str, ...]:
+        """Effects that these readings cannot show: not absent, not visible."""
+        return self.left.signatures.invisible
+
+    def report(self, folder: str) -> None:
+        """Write the report of :func:`close_loop` into a new folder.
+
+        Raises:
+            FileError: where the folder exists and is not empty.
+        """
+        from orthoglide.report import write_verdict
+
+        write_verdict(self, folder)
+
+
+def close_loop(
+    campaigns: Campaign | Sequence[Campaign],
+    machine: Machine | None = None,
+    *,
+    own: Sequence[str] = (),
+    noise: float | None = None,
+    holdout: Campaign | None = None,
+    tcp: TcpPoints | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Verdict:
+    """Identify, ask what is left, trace it to a cause, add it, and judge.
+
+    Args:
+        campaigns: one or several.
+        machine: dimensions, tolerances, dial; nominal where absent.
+        own: families or parameters that each campaign has for itself; the rest is shared.
+        noise: standard deviation of one reading, metres.
+        holdout: a campaign that only judges the finished result.
+        tcp: measured points that only judge the finished result.
+        seed: of every random draw; the same seed gives the same answer.
+        progress: told what is going on.
+
+    Raises:
+        InputError: where the campaigns cannot be used.
+        NumericsError: where the base model cannot be identified.
+    """
+    several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
+    machine = machine or Machine.nominal()
+    tell = progress or (lambda _: None)
+    tell("identifying joint offsets and leg lengths")
+    level = noise_of(several, machine.spec.dial, noise)
+    problem = build_problem(machine, several, BASE_FAMILIES, level, own=own)
+    base = solve(problem)
+    from orthoglide.diagnosis.blunders import find_blunders, without
+
+    tell("looking for faults of the data")
+    blunders = find_blunders(base, np.random.default_rng([seed, 0]))
+    faulty = None
+    if blunders:
+        faulty, problem = base, without(problem, blunders)
+        base = solve(problem)
+    verdict = replace(_search(problem, base, seed, tell, tuple(own)), blunders=blunders, faulty=faulty)
+    tell("judging")
+    return judge(verdict, holdout, tcp)
+
+
+def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> Verdict:
+    """Judge a finished verdict; nothing in it changes but the scores."""
+    machine = verdict.fit.problem.machine
+    scored = errors = None
+    if holdout is not None:
+        scored = hold_out(verdict.before, verdict.values, machine, holdout, verdict.own)
+    if tcp is not None:
+        at_points = tcp_map(
+            verdict.fit, verdict.known, verdict.values, verdict.spread, tcp.command
+        )
+        errors = tcp_errors(machine, tcp, verdict.before, verdict.values, at_points.sigma_all)
+    return replace(verdict, hold_out=scored, tcp=errors)
+
+
+@dataclass
+class _Search:
+    """State of the loop; its seed is advanced by every draw, so that answers are repeatable."""
+
+    problem: Problem
+    tell: Progress
+    rng: np.random.Generator
+    effects: list[Effect]
+    tried: list[Tried]
+    limit: int = 0
+
+    def added(self, but: Effect | None = None) -> list[str]:
+        return [p for e in self.effects if e is not but for p in e.parameters]
+
+
+def _search(
+    problem: Problem, base: Estimate, seed: int, tell: Progress, own: tuple[str, ...]
+) -> Verdict:
+    state = _Search(problem, tell, np.random.default_rng([seed, 1]), [], [])
+    tell("testing what is left")
+    found = look(base, 0, state.rng)
+    state.limit = budget(found.signatures)
+    fit, found, stopped = _grow(state, base)
+    _settle(state)
+    fit = refit(problem, state.added(), fit) if state.effects else base
+    found = look(fit, max(state.limit - len(state.added()), 1), state.rng)
+    tell("allowing for everything else")
+    return Verdict(
+        _word(state.effects, found),
+        base,
+        fit,
+        tuple(state.effects),
+        tuple(state.tried),
+        found,
+        stopped,
+        knowledge(fit),
+        own,
+    )
+
+
+def _grow(state: _Search, base: Estimate) -> tuple[Estimate, Round, str]:
+    """Add effects one by one while detection, naming and stations left out all agree."""
+    fit = base
+    while True:
+        room = state.limit - len(state.added())
+        found = look(fit, max(room, 1), state.rng)
+        if found.detection.p_value >= DETECTION:
+            return fit, found, "nothing in the catalogue explains more of the residual than chance"
+        if room < 1 or len(state.effects) >= _MOST_EFFECTS:
+            return fit, found, "these readings are too few to tell a further cause"
+        trials = try_out(state.problem, state.added(), found, state.tell, least=3)
+        if not trials:
+            return fit, found, "no further cause could be identified"
+        best = trials[0]
+        naming = found.naming(best.candidate, state.rng)
+        _note(state, trials, found)
+        if naming >= NAMING:
+            return fit, found, (
+                f"{best.candidate.name} explains no more of the residual than the best of the "
+                f"catalogue would explain of a structureless one (p = {naming:.2f})"
+            )
+        if not best.estimate.scores.cv_rms < fit.scores.cv_rms:
+            return fit, found, f"{best.candidate.name} does not predict stations left out better"
+        scores = (fit.scores.cv_rms, best.estimate.scores.cv_rms)
+        state.effects.append(Effect(best, 1.0, (), found.detection.p_value, naming, scores))
+        fit = best.estimate
+
+
+def _note(state: _Search, trials: list[Trial], found: Round) -> None:
+    names = [c.name for c in found.scoring.candidates]
+    for trial in trials:
+        place = names.index(trial.candidate.name)
+        # Wilks: the fall of chi2 of a candidate alone, not corrected for the search.
+        from scipy.special import chdtrc
+
+        state.tried.append(
+            Tried(
+                trial.candidate.name,
+                trial.candidate.parameters,
+                float(chdtrc(trial.candidate.size, max(float(found.gains[place]), 0.0))),
+                float(found.evidences[place]),
+                trial.estimate.scores.cv_rms,
+                trial.plausible,
+            )
+        )
+
+
+def _settle(state: _Search) -> None:
+    """Weigh every effect against what could stand in its place, and exchange it if it loses."""
+    for _ in range(3):
+        changed = False
+        for k, effect in enumerate(list(state.effects)):
+            others = state.added(but=effect)
+            fit = refit(state.problem, [*others, *effect.parameters], effect.trial.estimate)
+            from orthoglide.diagnosis.ranking import log_evidence
+
+            trial = Trial(effect.trial.candidate, fit, log_evidence(fit))
+            probability, near = rivals(state.problem, others, trial, state.rng, state.tell)
+            better = [r for r in near if r.trial.evidence > trial.evidence + 0.5]
+            if better:
+                winner = max(better, key=lambda r: r.trial.evidence)
+                state.effects[k] = replace(effect, trial=winner.trial)
+                changed = True
+            else:
+                state.effects[k] = replace(
+                    effect, trial=trial, probability=probability, rivals=near
+                )
+        if not changed:
+            return
+
+
+def _word(effects: Sequence[Effect], found: Round) -> Word:
+    left = found.detection.p_value < DETECTION or found.detection.lack_of_fit_p < LACK
+    if not effects:
+        return "unexplained" if left else "adequate"
+    if left:
+        return "partial"
+    return "ambiguous" if any(e.rivals for e in effects) else "explained"

@@ -1,0 +1,167 @@
+"""Judging a finished result on what was not used: readings held out, and TCP points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.effects import BASE_FAMILIES, is_dial
+from orthoglide.geometry import Array
+from orthoglide.identification import solve
+from orthoglide.identification.least_squares import (
+    Linearised,
+    covariance,
+    linearise,
+    normal,
+    nuisances,
+)
+from orthoglide.identification.noise import noise_of
+from orthoglide.identification.problem import Problem, build_problem
+from orthoglide.identification.scores import leverage_basis
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.prediction import Conditions
+
+
+@dataclass(frozen=True)
+class HoldOut:
+    """Readings of another campaign, predicted without those scored; metres."""
+
+    before_rms: float
+    after_rms: float
+
+
+def hold_out(
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    machine: Machine,
+    campaign: Campaign,
+    own: Sequence[str] = (),
+) -> HoldOut:
+    """Score two machines on a campaign that neither has seen.
+
+    What is own to a campaign, its datums and its placements are fitted to the campaign itself; the
+    reading scored is left out each time.
+
+    Args:
+        before: parameters of the base model, SI.
+        after: parameters of the extended model, SI.
+        machine: tolerances and dimensions.
+        campaign: held out.
+        own: families or parameters that each campaign has for itself.
+    """
+    scores = [_left_out(values, machine, campaign, own) for values in (before, after)]
+    return HoldOut(*scores)
+
+
+def _left_out(
+    values: Mapping[str, float], machine: Machine, campaign: Campaign, own: Sequence[str]
+) -> float:
+    held = {n: v for n, v in values.items() if not is_dial(n)}
+    noise = noise_of([campaign], machine.spec.dial)
+    fixed = Machine(replace(machine.spec, parameters={})).with_parameters(held)
+    fixed.__dict__["model"] = machine.model
+    free = [n for n in own if n not in BASE_FAMILIES] + [n for n in own if n in BASE_FAMILIES]
+    problem = build_problem(fixed, [campaign], free or BASE_FAMILIES, noise)
+    if free:
+        estimate = solve(problem, method="nested")
+        at, nuisance = estimate.at, estimate.nuisance
+    else:
+        problem = replace(problem, unknowns=(), held=(held,))
+        at = linearise_fixed(problem)
+        nuisance = nuisances(problem, at.by_gauge)
+    rest = problem.measured - at.value
+    residual = rest - nuisance.columns @ nuisance.solve(rest)
+    share = np.sum(leverage_basis(problem, nuisance, at) ** 2, axis=1)
+    scored = share < 1 - 1e-6
+    return float(np.sqrt(np.mean((residual[scored] / (1 - share[scored])) ** 2)))
+
+
+def linearise_fixed(problem: Problem) -> Linearised:
+    """Predicted readings of a problem in which nothing is free."""
+    parts = [
+        problem.machine.model.linearised(problem.held[k], c, ())
+        for k, c in enumerate(problem.campaigns)
+    ]
+    value = np.concatenate([p.value for p in parts])
+    slope = np.concatenate([p.by_gauge for p in parts])
+    return Linearised(np.zeros(0), value, np.zeros((len(value), 0)), slope)
+
+
+@dataclass(frozen=True)
+class TcpErrors:
+    """Errors of three machines at measured points, metres: mean and largest distance.
+
+    Attributes:
+        nominal: of the machine without errors.
+        before: of the base model.
+        after: of the extended model.
+        inside: share of the coordinates within the 95 % interval stated for ``after``; nan where
+            none is.
+    """
+
+    nominal: tuple[float, float]
+    before: tuple[float, float]
+    after: tuple[float, float]
+    inside: float = float("nan")
+
+
+def tcp_errors(
+    machine: Machine,
+    points: TcpPoints,
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    sigma: Array | None = None,
+) -> dict[str, TcpErrors]:
+    """Judge machines by TCP points: as they are, after the best translation, and rigid motion.
+
+    Args:
+        machine: dimensions.
+        points: measured; missing coordinates are left out.
+        before: parameters of the base model, SI.
+        after: parameters of the extended model, SI.
+        sigma: stated for ``after``, best translation removed ``(n, 3)``, metres.
+    """
+    conditions = Conditions.at(points.command, approach=points.approach)
+    found = {}
+    predicted = {
+        name: machine.model.outputs(
+            {n: v for n, v in values.items() if not is_dial(n)}, conditions
+        ).p
+        for name, values in (("nominal", {}), ("before", before), ("after", after))
+    }
+    for fit in ("none", "translation", "rigid"):
+        figures = {}
+        for name, p in predicted.items():
+            apart = _aligned(p, points.p, fit) - points.p
+            distance = np.sqrt(np.nansum(apart**2, axis=1))
+            figures[name] = (float(distance.mean()), float(distance.max()))
+        inside = float("nan")
+        if sigma is not None and fit == "translation":
+            apart = _aligned(predicted["after"], points.p, fit) - points.p
+            known = np.isfinite(apart)
+            inside = float(np.mean(np.abs(apart[known]) <= 1.96 * sigma[known]))
+        found[fit] = TcpErrors(**figures, inside=inside)
+    return found
+
+
+def _aligned(p: Array, measured: Array, fit: str) -> Array:
+    """Predicted points moved onto the measured by nothing, a translation, or a rigid motion."""
+    if fit == "none":
+        return p
+    complete = np.isfinite(measured).all(axis=1)
+    if fit == "translation" or complete.sum() < 3:
+        return p + np.nanmean(measured - p, axis=0)
+    source, target = p[complete], measured[complete]
+    centre, goal = source.mean(axis=0), target.mean(axis=0)
+    left, _, right = np.linalg.svd((source - centre).T @ (target - goal))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray((p - centre) @ (left @ flip @ right) + goal)
+
+
+def covariance_of(problem: Problem, at: Linearised) -> Array:
+    """Covariance of a problem's unknowns at a linearisation ``(P, P)``, SI."""
+    here = normal(problem, at, nuisances(problem, at.by_gauge))
+    return covariance(here.jacobian, here.prior)[0]
