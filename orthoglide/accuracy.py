@@ -56,7 +56,7 @@ class Knowledge:
 
 
 def knowledge(estimate: Estimate) -> Knowledge:
-    """Allow every other effect of the catalogue at its tolerance, and look at the readings again."""
+    """Allow every other effect of the catalogue at its tolerance, and look at the readings."""
     problem = estimate.problem
     wide = _with_everything(problem)
     own = len(problem.unknowns)
@@ -97,7 +97,9 @@ def _with_everything(problem: Problem) -> Problem:
     )
     # Without a load, drifting time or warmth in the question, their effects do not move the TCP.
     quiet = {"drive_compliance", "thermal_growth", "thermal_drift"}
-    kept = tuple(u for u in others if family_of(u.name).name not in quiet or _varies(problem, u.name))
+    kept = tuple(
+        u for u in others if family_of(u.name).name not in quiet or _varies(problem, u.name)
+    )
     return replace(problem, unknowns=(*problem.unknowns, *kept))
 
 

@@ -15,7 +15,6 @@ from orthoglide.diagnosis.ranking import (
     Round,
     Trial,
     budget,
-    lack_scale,
     look,
     refit,
     rivals,
@@ -224,7 +223,9 @@ def close_loop(
     if blunders:
         faulty, problem = base, without(problem, blunders)
         base = solve(problem)
-    verdict = replace(_search(problem, base, seed, tell, tuple(own)), blunders=blunders, faulty=faulty)
+    verdict = replace(
+        _search(problem, base, seed, tell, tuple(own)), blunders=blunders, faulty=faulty
+    )
     tell("judging")
     return judge(verdict, holdout, tcp)
 
@@ -236,9 +237,7 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
     if holdout is not None:
         scored = hold_out(verdict.before, verdict.values, machine, holdout, verdict.own)
     if tcp is not None:
-        at_points = tcp_map(
-            verdict.fit, verdict.known, verdict.values, verdict.spread, tcp.command
-        )
+        at_points = tcp_map(verdict.fit, verdict.known, verdict.values, verdict.spread, tcp.command)
         errors = tcp_errors(machine, tcp, verdict.before, verdict.values, at_points.sigma_all)
     return replace(verdict, hold_out=scored, tcp=errors)
 
@@ -300,9 +299,13 @@ def _grow(state: _Search, base: Estimate) -> tuple[Estimate, Round, str]:
         naming = found.naming(best.candidate, state.rng)
         _note(state, trials, found)
         if naming >= NAMING:
-            return fit, found, (
-                f"{best.candidate.name} explains no more of the residual than the best of the "
-                f"catalogue would explain of a structureless one (p = {naming:.2f})"
+            return (
+                fit,
+                found,
+                (
+                    f"{best.candidate.name} explains no more of the residual than the best of the "
+                    f"catalogue would explain of a structureless one (p = {naming:.2f})"
+                ),
             )
         if not best.estimate.scores.cv_rms < fit.scores.cv_rms:
             return fit, found, f"{best.candidate.name} does not predict stations left out better"

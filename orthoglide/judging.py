@@ -13,7 +13,6 @@ from orthoglide.identification import solve
 from orthoglide.identification.least_squares import (
     Linearised,
     covariance,
-    linearise,
     normal,
     nuisances,
 )

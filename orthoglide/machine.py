@@ -21,6 +21,7 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
+from orthoglide.mechanism.elastic import Deformation, relief_angles, relief_warnings
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions, Model
 
@@ -32,10 +33,18 @@ class Pose:
     Attributes:
         p: TCP ``(..., 3)``, metres.
         R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
+        relief: angles of the relief joints ``(..., leg, joint)``, radians: how far each leg must
+            twist, and its second bar leave the plane, for the loops to close.
     """
 
     p: Array
     R: Array
+    relief: Array
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Legs that give more than a leg plausibly can, one sentence each."""
+        return relief_warnings(self.relief)
 
 
 @dataclass(frozen=True)
@@ -116,7 +125,7 @@ class Machine:
     @cached_property
     def model(self) -> Model:
         """The general mechanism with this machine's dimensions."""
-        return Model(self.geometry, self.spec.screw_pitch)
+        return Model(self.geometry, self.spec.screw_pitch, stiffness=self.spec.stiffness)
 
     def _conditions(self, rho: Array, **seen: ArrayLike) -> Conditions:
         batch = rho.shape[:-1]
@@ -141,9 +150,27 @@ class Machine:
             InputError: for commands that are not numbers or have the wrong shape.
         """
         commands = _vectors(rho, "rho")
-        out = self.model.outputs(self._machine_values, self._conditions(commands, **seen))
-        shape = commands.shape[:-1]
-        return Pose(out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3))
+        closure, given = self.model.closing(
+            self._machine_values, self._conditions(commands, **seen)
+        )
+        x = closure.close(given)
+        out, shape = closure.outputs(x, given), commands.shape[:-1]
+        relief = relief_angles(closure.tree, x)
+        return Pose(
+            out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3), relief.reshape(*shape, 3, 2)
+        )
+
+    def deformation(self, rho: ArrayLike, **seen: ArrayLike) -> Deformation:
+        """What the machine fights against: deformation, forces and energy by joint.
+
+        Under errors of the parts that do not fit together, and under a ``load``, with the stiffness
+        of the machine file; bars are rigid and legs free to twist where it gives none. Arguments
+        as for :meth:`pose`.
+        """
+        commands = _vectors(rho, "rho")
+        conditions = self._conditions(commands, **seen)
+        found = self.model.deformation(self._machine_values, conditions)
+        return found.reshaped(commands.shape[:-1])
 
     @property
     def _machine_values(self) -> dict[str, float]:
@@ -154,15 +181,11 @@ class Machine:
         return self.pose(rho, **seen).p
 
     def jacobian(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
-        """dp/drho ``(..., 3, 3)``: how the TCP follows the drives, errors of the parts included."""
+        """dp/drho ``(..., 3, 3)``: how the TCP follows the command, all errors included."""
         commands = _vectors(rho, "rho")
         conditions = self._conditions(commands, **seen)
-        mechanism = self.model.mechanism
-        moves = self.model.displacements(self._machine_values, conditions)
-        given = mechanism.given(conditions.command, moves)
-        batch = mechanism.batch
-        _, by_given = batch.tangent(batch.close(given), given)
-        return by_given[:, :3, :3].reshape(*commands.shape[:-1], 3, 3)
+        found = self.model.jacobian(self._machine_values, conditions)
+        return found.reshape(*commands.shape[:-1], 3, 3)
 
     def inverse(self, p: ArrayLike, **seen: ArrayLike) -> Array:
         """Commands ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)`` given all its effects.

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from orthoglide.effects import CATALOGUE, DEFAULT_TOLERANCE, UNITS, unit_of
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import (
-    UNITS,
     Controller,
     Dial,
     MachineFile,
@@ -26,7 +26,6 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
-from orthoglide.units import DEFAULT_TOLERANCE, FAMILIES, unit_of
 
 GOOD = """\
 schema = 1
@@ -99,11 +98,28 @@ def test_the_least_machine_file(tmp_path: Path) -> None:
     assert dict(machine.tolerance) == DEFAULT_TOLERANCE
 
 
+# The contract of files: unit and default tolerance of every family, whatever the catalogue says.
+CONTRACT = {
+    "joint_offset": ("mm", 2), "leg_length": ("mm", 0.05), "axis_tilt": ("rad", 1e-3),
+    "axis_offset": ("mm", 0.3), "mount_tilt": ("rad", 2e-3), "bar_mismatch": ("mm", 0.05),
+    "parallelogram_width": ("mm", 0.1), "rail_bow": ("mm", 0.02), "rail_tilt": ("rad", 1e-3),
+    "encoder_scale": ("1", 1e-4), "screw_error": ("mm", 0.01), "backlash": ("mm", 0.02),
+    "thermal_growth": ("1/K", 5e-6), "gauge_scale": ("1", 0.01), "gauge_direction": ("rad", 0.02),
+    "gauge_drift": ("mm/s", 2e-5),
+}  # fmt: skip
+
+
+def test_the_catalogue_keeps_the_contract_of_files() -> None:
+    for family, (unit, value) in CONTRACT.items():
+        assert (UNITS[family].name, CATALOGUE[family].tolerance) == (unit, value)
+
+
 def test_default_tolerances_are_in_their_units() -> None:
-    for family, (unit, value) in FAMILIES.items():
-        assert DEFAULT_TOLERANCE[family] == pytest.approx(value * unit.si, rel=1e-15)
-        assert UNITS[family] == unit == unit_of(f"{family}.x")
-    with pytest.raises(InputError, match="no family 'wobble'"):
+    for family, entry in CATALOGUE.items():
+        factor = 1e-3 if entry.unit.name.startswith("mm") else 1.0
+        assert DEFAULT_TOLERANCE[family] == pytest.approx(entry.tolerance * factor, rel=1e-15)
+        assert UNITS[family] == entry.unit == unit_of(f"{family}.x")
+    with pytest.raises(InputError, match="no effect 'wobble'"):
         unit_of("wobble.x")
 
 

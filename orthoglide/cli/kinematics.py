@@ -165,7 +165,7 @@ def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> No
     import csv
     import io
 
-    from orthoglide.units import write_whole
+    from orthoglide.files import write_whole
 
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")

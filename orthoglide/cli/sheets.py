@@ -99,7 +99,7 @@ COMMANDS = (protocol, simulate)
 
 def _write_all(texts: dict[Path, str]) -> None:
     """All files or none."""
-    from orthoglide.units import write_whole
+    from orthoglide.files import write_whole
 
     written: list[Path] = []
     try:

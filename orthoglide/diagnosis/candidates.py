@@ -1,4 +1,4 @@
-"""The candidates: every effect that these readings could show, alone, structured, or as a family."""
+"""The candidates: every effect that these readings could show, alone, structured, as a family."""
 
 from __future__ import annotations
 
@@ -56,9 +56,7 @@ def excited_families(problem: Problem) -> tuple[str, ...]:
         "gauge_drift": _varies(campaigns, "time"),
     }
     return tuple(
-        name
-        for name in CATALOGUE
-        if name not in BASE_FAMILIES and conditions.get(name, True)
+        name for name in CATALOGUE if name not in BASE_FAMILIES and conditions.get(name, True)
     )
 
 

@@ -1,4 +1,4 @@
-"""One round of the search: what is left, which causes explain it, and which cannot be told apart."""
+"""One round of the search: what is left, which causes explain it, which cannot be told apart."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ import numpy as np
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures, signatures
-from orthoglide.diagnosis.significance import Detection, detect, name_p_value
+from orthoglide.diagnosis.significance import (
+    Detection,
+    detect,
+    name_p_value,
+    station_degrees,
+)
 from orthoglide.effects import CATALOGUE, family_of
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import Array
 from orthoglide.identification import Estimate, Problem, solve
 from orthoglide.identification.least_squares import normal
 from orthoglide.identification.problem import build_unknowns
-from orthoglide.machine import elementary
+from orthoglide.observations import Campaign
 
 CLASS_WIDTH = 4.0
 """Fall of chi2 within which two causes cannot be told apart (Wilks: two sigmas)."""
@@ -52,9 +57,7 @@ class Trial:
     def plausible(self) -> bool:
         """Whether every parameter that was added stays within four tolerances."""
         problem = self.estimate.problem
-        sizes = dict(
-            zip(problem.names, np.abs(self.estimate.x) / problem.tolerance, strict=True)
-        )
+        sizes = dict(zip(problem.names, np.abs(self.estimate.x) / problem.tolerance, strict=True))
         return all(sizes.get(p, 0.0) <= _PLAUSIBLE for p in self.candidate.parameters)
 
 
@@ -137,15 +140,12 @@ def look(estimate: Estimate, budget: int, rng: np.random.Generator) -> Round:
     return Round(estimate, seen, scoring, detect(seen, scoring, rng))
 
 
-def budget(signatures_or_fit: Signatures) -> int:
+def budget(seen: Signatures) -> int:
     """How many parameters may be added in all: fewer than a third of the degrees of freedom.
 
-    Counted over averages of a station's visits from one side: repeats say nothing of a cause.
+    Counted over station means: repeats say nothing more of a cause.
     """
-    from orthoglide.diagnosis.significance import averaging_basis
-
-    dof = averaging_basis(signatures_or_fit, signatures_or_fit.groups).shape[1]
-    return max((dof - 1) // 3, 0)
+    return max(int(np.ceil(station_degrees(seen) / 3)) - 1, 0)
 
 
 def try_out(
@@ -236,27 +236,28 @@ def rivals(
     own = names.index(chosen.candidate.name)
     margin = (_MARGIN + CLASS_WIDTH) * scale**2 + _RELATIVE_MARGIN * gains[own]
     near = [k for k in np.argsort(-gains) if k != own and gains[own] - gains[k] <= margin]
-    near += _under_other_bars(base, others, chosen, scale, scoring, near + [own], progress)
     trials: dict[int, Trial] = {own: chosen}
     for k in near[: 2 * _REFITS]:
         progress(f"comparing with {names[k]}")
         trial = attempt(base, others, scoring.candidates[k], without)
         if trial is not None:
             trials[k] = trial
-    # What was refitted counts as refitted; the rest as linearised, relative to the chosen one.
+    # What was identified counts as such; the rest as linearised, relative to the chosen one.
     shift = chosen.evidence - evidences[own]
     final = np.array(
         [trials[k].evidence if k in trials else evidences[k] + shift for k in range(len(names))]
     )
-    prior = _prior(scoring.candidates)
-    logs = (final - final.max()) / scale**2 + np.log(prior)
+    limit = chosen.chi2 + CLASS_WIDTH * scale**2
+    found = {names[k]: t for k, t in trials.items() if k != own and t.chi2 <= limit}
+    for trial in _under_other_bars(base, others, chosen, limit, progress):
+        place = names.index(trial.candidate.name)
+        if place != own and trial.candidate.name not in found:
+            found[trial.candidate.name] = trial
+            final[place] = max(final[place], trial.evidence)
+    logs = (final - final.max()) / scale**2 + np.log(_prior(scoring.candidates))
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    members = [
-        Rival(t, float(weights[k]))
-        for k, t in trials.items()
-        if k != own and t.chi2 - chosen.chi2 <= CLASS_WIDTH * scale**2
-    ]
+    members = [Rival(t, float(weights[names.index(n)])) for n, t in found.items()]
     return float(weights[own]), tuple(sorted(members, key=lambda r: (-r.weight, _order(r.trial))))
 
 
@@ -277,41 +278,31 @@ def _under_other_bars(
     base: Problem,
     others: Sequence[str],
     chosen: Trial,
-    scale: float,
-    scoring: Scoring,
-    known: Sequence[int],
+    limit: float,
     progress: Callable[[str], None],
-) -> list[int]:
-    """Candidates that fit as well had the dial touched bar 1 or bar 2 where neither is recorded."""
+) -> list[Trial]:
+    """Causes that would fit as well had the dials touched bar 1, or bar 2, where none is recorded.
+
+    A recorded bar is taken at its word. An effect of the dial is the same on either bar.
+    """
     if any(s.bar for c in base.campaigns for s in c.setups):
         return []
-    names = [c.name for c in scoring.candidates]
-    found: list[int] = []
+    found: list[Trial] = []
     for bar in (1, 2):
         progress(f"had the dials touched bar {bar}")
-        campaigns = tuple(
-            replace(c, setups=tuple(replace(s, bar=bar) for s in c.setups))
-            for c in base.campaigns
-        )
-        other = replace(base, campaigns=campaigns)
-        seen = signatures(refit(other, others, chosen.estimate))
-        again = Scoring.of(seen, [c for c in seen.candidates if c.name in names])
-        gains = again.gains(seen.residual)
-        if not len(gains):
-            continue
-        left = float(seen.residual @ seen.residual) - gains.max()
-        if left - chosen.chi2 > CLASS_WIDTH * scale**2:
-            continue  # with this bar nothing fits as well
-        for k, candidate in enumerate(again.candidates):
-            place = names.index(candidate.name)
-            close = gains.max() - gains[k] <= CLASS_WIDTH * scale**2
-            if close and place not in known and place not in found:
-                found.append(place)
+        other = replace(base, campaigns=tuple(_touching(c, bar) for c in base.campaigns))
+        without = refit(other, others, chosen.estimate)
+        seen = signatures(without)
+        small = [c for c in seen.candidates if c.size <= chosen.candidate.size]
+        gains = Scoring.of(seen, small).gains(seen.residual)
+        left = float(seen.residual @ seen.residual) - gains
+        for k in np.argsort(left)[:_REFITS]:
+            if left[k] <= limit + _MARGIN + _RELATIVE_MARGIN * gains[k]:
+                trial = attempt(other, others, small[k], without)
+                if trial is not None and trial.chi2 <= limit:
+                    found.append(trial)
     return found
 
 
-def elementary_of(candidate: Candidate, setups: tuple[str, ...]) -> set[str]:
-    """Elementary parameters that a candidate sets, campaign suffixes dropped."""
-    return {
-        part for p in candidate.parameters for part in elementary(p.partition("@")[0], setups)
-    }
+def _touching(campaign: Campaign, bar: int) -> Campaign:
+    return replace(campaign, setups=tuple(replace(s, bar=bar) for s in campaign.setups))

@@ -70,9 +70,7 @@ class Signatures:
     def scaled(self, candidate: Candidate) -> Array:
         """Elementary unknowns at tolerance for each of a candidate's parameters ``(E, size)``."""
         matrix = candidate.columns(self.names)
-        size = np.array(
-            [self.tolerance[np.flatnonzero(column)].max() for column in matrix.T]
-        )
+        size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
         return np.asarray(matrix * size)
 
     @cached_property
@@ -87,15 +85,7 @@ class Signatures:
     @cached_property
     def groups(self) -> NDArray[np.intp]:
         """Station of each reading, approaches apart ``(n,)``."""
-        problem = self.estimate.problem
-        table = np.column_stack(
-            [
-                problem.setup_of_row,
-                np.concatenate([c.command for c in problem.campaigns]),
-                np.concatenate([c.approach for c in problem.campaigns]),
-            ]
-        )
-        return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+        return self.estimate.problem.station
 
 
 def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
@@ -103,9 +93,7 @@ def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
     taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
     free = []
     for family in families:
-        names = build_problem(
-            problem.machine, problem.campaigns, [family], problem.noise
-        ).unknowns
+        names = build_problem(problem.machine, problem.campaigns, [family], problem.noise).unknowns
         free.extend(
             u.name.partition("@")[0]
             for u in names

@@ -18,10 +18,13 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.geometry import Array
 from orthoglide.identification import Problem
+from orthoglide.identification.least_squares import normal
 from orthoglide.identification.noise import repeat_variance
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
+
+_TIMELY = frozenset({"gauge_drift", "thermal_drift", "thermal_growth"})
 
 
 @dataclass(frozen=True)
@@ -55,16 +58,15 @@ def _with_noise(problem: Problem, readings: Array) -> tuple:  # type: ignore[typ
     return problem.with_readings(readings).campaigns
 
 
-def _noise(
-    problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int
-) -> Array:
+def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
     """Noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
     n = len(problem.measured)
     resolution = problem.machine.spec.dial.resolution
-    scatter = np.sqrt(np.maximum(problem.sigma**2 - resolution**2 / 12, 0.0))
+    variance = problem.sigma**2 + problem.noise.common**2 - resolution**2 / 12
+    scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
     nuisance = signatures.estimate.nuisance
-    placed = nuisance.precision > 0
+    placed = (nuisance.precision > 0) & (np.arange(nuisance.count) < 2 * problem.setup_count)
     if placed.any():
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
@@ -92,14 +94,10 @@ def detect(
     noise = noise_residuals(signatures, rng, draws)
     # Parameters with priors are drawn with the machine: their share of noise alone is part of chi2.
     best = scoring.evidences(noise).max(axis=0) if scoring.candidates else np.zeros(draws)
-    seen = (
-        float(scoring.evidences(signatures.residual).max()) if scoring.candidates else -np.inf
-    )
+    seen = float(scoring.evidences(signatures.residual).max()) if scoring.candidates else -np.inf
     chi2 = np.sum(noise**2, axis=0)
     left = float(signatures.residual @ signatures.residual)
-    return Detection(
-        _p_value(best, seen), _p_value(chi2, left), float(np.quantile(best, 0.95))
-    )
+    return Detection(_p_value(best, seen), _p_value(chi2, left), float(np.quantile(best, 0.95)))
 
 
 def name_p_value(
@@ -111,8 +109,8 @@ def name_p_value(
 ) -> float:
     """Probability that a structureless residual would be explained as well by anything at hand.
 
-    Both are seen through averages over a station's visits from one side, as a systematic error
-    repeats there; causes that change with time are seen reading by reading.
+    A systematic error repeats at every visit to a station from one side, so both residuals are
+    seen through station means; causes that change with time are seen reading by reading.
 
     Args:
         signatures: at the fit.
@@ -122,37 +120,38 @@ def name_p_value(
         draws: how many.
     """
     candidate = scoring.candidates[chosen]
-    groups = signatures.groups
-    if candidate.family in ("gauge_drift", "thermal_drift", "thermal_growth"):
-        groups = np.arange(signatures.count)
-    averaging = averaging_basis(signatures, groups)
-    if not averaging.shape[1]:
+    by_reading = candidate.family in _TIMELY
+    groups = np.arange(signatures.count) if by_reading else signatures.groups
+    left = float(signatures.residual @ signatures.residual)
+    size = left - (0.0 if by_reading else within_groups(signatures))
+    if size <= 0:
         return 1.0
-    # A station's error is one number, the same at every visit, of a size that the noise has not.
-    averaged = Scoring.of(signatures, scoring.candidates, averaging)
-    residual = averaging.T @ signatures.residual
-    size = float(np.linalg.norm(residual))
-    shares = averaged.gains(residual) / size**2
     random = rng.standard_normal((int(groups.max()) + 1, draws))
-    drawn = averaging.T @ signatures.whiten(random[groups])
-    drawn *= size / np.linalg.norm(drawn, axis=0)
-    best = averaged.gains(drawn)[_single(scoring, candidate.size)].max(axis=0) / size**2
-    return _p_value(best, float(shares[chosen]))
+    drawn = signatures.whiten(random[groups])
+    drawn *= np.sqrt(size) / np.linalg.norm(drawn, axis=0)
+    # A cause of few parameters does not compete with families that would fit anything.
+    rivals = [k for k, c in enumerate(scoring.candidates) if c.size <= candidate.size]
+    best = scoring.gains(drawn)[rivals].max(axis=0)
+    return _p_value(best, float(scoring.gains(signatures.residual)[chosen]))
 
 
-def _single(scoring: Scoring, size: int) -> list[int]:
-    """Candidates of no more parameters than the one to be named."""
-    return [k for k, c in enumerate(scoring.candidates) if c.size <= size]
+def within_groups(signatures: Signatures) -> float:
+    """Whitened sum of squares of readings about their station's mean: no cause of the machine."""
+    problem, groups = signatures.estimate.problem, signatures.groups
+    rest = problem.measured - signatures.estimate.at.value
+    weight = signatures.weight**2
+    mean = np.bincount(groups, rest * weight) / np.bincount(groups, weight)
+    return float(np.sum((rest - mean[groups]) ** 2 * weight))
 
 
-def averaging_basis(signatures: Signatures, groups: Array) -> Array:
-    """Orthonormal columns ``(m, g)`` of what readings equal within groups show past the fit."""
-    count = int(groups.max()) + 1
-    indicator = np.zeros((signatures.count, count))
-    indicator[np.arange(signatures.count), groups] = 1.0
-    shown = signatures.whiten(indicator)
-    left, singular, _ = np.linalg.svd(shown, full_matrices=False)
-    return np.asarray(left[:, singular > 1e-6 * max(float(singular.max(initial=0.0)), 1e-300)])
+def station_degrees(signatures: Signatures) -> float:
+    """Degrees of freedom of the station means: stations less datums less what the unknowns take."""
+    estimate = signatures.estimate
+    here = normal(estimate.problem, estimate.at, estimate.nuisance)
+    data = here.jacobian.T @ here.jacobian
+    taken = float(np.trace(np.linalg.lstsq(here.information, data, rcond=1e-12)[0]))
+    stations = int(signatures.groups.max()) + 1
+    return stations - estimate.problem.setup_count - taken
 
 
 def _p_value(draws: Array, seen: float) -> float:

@@ -3,18 +3,23 @@
 from orthoglide.effects.catalogue import (
     BASE_FAMILIES,
     CATALOGUE,
+    DEFAULT_TOLERANCE,
     MACHINE_PARAMETERS,
+    UNITS,
     expand,
     family_of,
     is_dial,
     structured,
+    unit_of,
 )
 from orthoglide.effects.effect import Family, LegConditions, Motion, relabelled
 
 __all__ = [
     "BASE_FAMILIES",
     "CATALOGUE",
+    "DEFAULT_TOLERANCE",
     "MACHINE_PARAMETERS",
+    "UNITS",
     "Family",
     "LegConditions",
     "Motion",
@@ -23,4 +28,5 @@ __all__ = [
     "is_dial",
     "relabelled",
     "structured",
+    "unit_of",
 ]

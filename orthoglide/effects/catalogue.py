@@ -12,6 +12,7 @@ from orthoglide.effects import bars, dials, drives, rails
 from orthoglide.effects.effect import Family, Motion
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS
+from orthoglide.units import Unit, to_si
 
 CATALOGUE: Mapping[str, Family] = MappingProxyType(
     {
@@ -49,6 +50,24 @@ def family_of(name: str) -> Family:
         known = ", ".join(CATALOGUE)
         raise InputError(f"there is no effect {family!r}: the catalogue has {known}")
     return CATALOGUE[family]
+
+
+UNITS: Mapping[str, Unit] = MappingProxyType({n: f.unit for n, f in CATALOGUE.items()})
+"""Unit of every family's parameters."""
+
+DEFAULT_TOLERANCE: Mapping[str, float] = MappingProxyType(
+    {name: to_si(family.tolerance, family.unit.si) for name, family in CATALOGUE.items()}
+)
+"""Default standard deviation to expect of every family, SI."""
+
+
+def unit_of(name: str) -> Unit:
+    """Unit of a parameter such as ``joint_offset.x``, or of a family.
+
+    Raises:
+        InputError: where the catalogue has no such family.
+    """
+    return family_of(name).unit
 
 
 def is_dial(name: str) -> bool:

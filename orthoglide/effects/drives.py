@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from orthoglide.effects.effect import Family, LegConditions, Motion, once
@@ -25,11 +24,15 @@ def _phase(c: LegConditions) -> Any:
 
 
 def _sine(c: LegConditions) -> Any:
-    return 0.0 if c.pitch is None else ca.sin(_phase(c))
+    import casadi  # here, as it is slow to load and files need no more than the names
+
+    return 0.0 if c.pitch is None else casadi.sin(_phase(c))
 
 
 def _cosine(c: LegConditions) -> Any:
-    return 0.0 if c.pitch is None else ca.cos(_phase(c))
+    import casadi
+
+    return 0.0 if c.pitch is None else casadi.cos(_phase(c))
 
 
 JOINT_OFFSET = Family(

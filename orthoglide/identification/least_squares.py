@@ -1,8 +1,9 @@
 """The weighted least-squares problem around one point: nuisances, priors, covariance.
 
 Minimised is ``|(y - f(x) - U z) / sigma|^2 + |x / prior|^2 + sum(precision z^2)``, where ``U``
-holds a column of ones a setup (its datum, free) and a column a setup for where the dial stands
-along the leg (known to its placement). The nuisances z are linear and are projected out.
+holds a column of ones a setup (its datum, free), a column a setup for where the dial stands along
+the leg (known to its placement) and, where readings scatter less than they are rounded, one a
+station for the rounding its visits share. The nuisances z are linear and are projected out.
 """
 
 from __future__ import annotations
@@ -58,8 +59,8 @@ class Nuisances:
     """Columns that the readings contain besides the model.
 
     Attributes:
-        columns: ``(n, k)``: datums, then placements (metres a metre).
-        precision: about zero ``(k,)``: 0 for a datum, 1 / placement^2.
+        columns: ``(n, k)``: datums, then placements (metres a metre), then common roundings.
+        precision: about zero ``(k,)``: 0 for a datum, 1 / placement^2, 1 / rounding^2.
         basis: orthonormal columns of the whitened, prior-augmented columns ``(n + k, k)``.
         weight: 1 / sigma ``(n,)``.
     """
@@ -104,6 +105,11 @@ def nuisances(problem: Problem, by_gauge: Array) -> Nuisances:
     if placement > 0:
         columns = np.hstack([datum, datum * by_gauge[:, None]])
         precision = np.concatenate([precision, np.full(setups, placement**-2)])
+    if problem.noise.common > 0:
+        station = problem.station
+        columns = np.hstack([columns, np.eye(int(station.max()) + 1)[station]])
+        rounded = np.full(int(station.max()) + 1, problem.noise.common**-2)
+        precision = np.concatenate([precision, rounded])
     weight = 1 / problem.sigma
     augmented = np.vstack([columns * weight[:, None], np.diag(np.sqrt(precision))])
     scale = np.linalg.norm(augmented, axis=0)

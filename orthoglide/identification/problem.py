@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.effects import CATALOGUE, expand, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
-from orthoglide.identification.noise import Noise
+from orthoglide.identification.noise import Noise, station_table
 from orthoglide.machine import Machine, elementary
 from orthoglide.observations import Campaign
 
@@ -128,6 +128,14 @@ class Problem:
         """Setup of each stacked reading, numbered over all campaigns ``(n,)``."""
         first = np.cumsum([0, *[len(c.setups) for c in self.campaigns]])
         return np.concatenate([c.setup + f for c, f in zip(self.campaigns, first, strict=False)])
+
+    @cached_property
+    def station(self) -> NDArray[np.int64]:
+        """Station of each stacked reading ``(n,)``: visits that differ in nothing share one."""
+        tables = [station_table(c) for c in self.campaigns]
+        for table, rows in zip(tables, self.rows, strict=True):
+            table[:, 0] = self.setup_of_row[rows]
+        return np.unique(np.concatenate(tables), axis=0, return_inverse=True)[1].reshape(-1)
 
     @property
     def setup_count(self) -> int:

@@ -102,7 +102,7 @@ def _anchored(problem: Problem) -> Problem:
         _, first = np.unique(campaign.setup, return_index=True)
         sigma[first] *= _EXACT
         sigmas.append(sigma)
-    noise = replace(problem.noise, sigma=tuple(sigmas))
+    noise = replace(problem.noise, sigma=tuple(sigmas), common=0.0)
     return replace(problem, campaigns=campaigns, noise=noise, placement=0.0)
 
 

@@ -11,11 +11,9 @@ from orthoglide.machine_file.model import (
 )
 from orthoglide.machine_file.reading import parse_machine_file, read_machine_file
 from orthoglide.machine_file.writing import machine_text, write_machine_file
-from orthoglide.units import UNITS
 
 __all__ = [
     "SCHEMA",
-    "UNITS",
     "Controller",
     "Dial",
     "MachineFile",

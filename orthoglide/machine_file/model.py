@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orthoglide.effects import DEFAULT_TOLERANCE
 from orthoglide.geometry import Array, Geometry
-from orthoglide.units import DEFAULT_TOLERANCE
 
 SCHEMA = 1
 """Version of the machine file that this package reads and writes."""

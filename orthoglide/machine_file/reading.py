@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
-from orthoglide import units
+from orthoglide import files, units
+from orthoglide.effects import CATALOGUE, UNITS, structured
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file.document import Document, Parser, advice
@@ -21,7 +21,6 @@ from orthoglide.machine_file.model import (
     ParameterValue,
     Stiffness,
 )
-from orthoglide.units import UNITS
 
 
 def _number(value: Any) -> Decimal:
@@ -108,14 +107,6 @@ _KEYS: dict[str, dict[str, Parser]] = {
 _TOP: dict[str, Parser] = {"schema": _schema, "name": _text}
 _FREE = ("tolerance", "parameters", "provenance")
 
-_LEG, _LATERAL = r"[xyz]", r"(?:x\.[yz]|y\.[zx]|z\.[xy])"
-_MEMBER = {
-    **dict.fromkeys(("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"), _LATERAL),
-    "mount_tilt": r"[xyz]\.[ab]",
-    "screw_error": r"[xyz]\.(?:sin|cos)",
-}
-_STRUCTURED = r"(?:.+\.)?(?:common|cyclic|symmetric|antisymmetric)"
-
 
 def read_machine_file(path: str | os.PathLike[str]) -> MachineFile:
     """Reads a machine file.
@@ -129,9 +120,9 @@ def read_machine_file(path: str | os.PathLike[str]) -> MachineFile:
     Raises:
         FileError: naming the line and what would be right.
     """
-    content = units.read_bytes(path)
-    machine = parse_machine_file(units.decode(content, path), str(path))
-    return replace(machine, sha256=units.sha256(content))
+    content = files.read_bytes(path)
+    machine = parse_machine_file(files.decode(content, path), str(path))
+    return replace(machine, sha256=files.sha256(content))
 
 
 def parse_machine_file(text: str, file: str = "") -> MachineFile:
@@ -185,11 +176,11 @@ def _tolerance(document: Document) -> dict[str, float]:
 
 def _parameter(document: Document, name: str) -> ParameterValue:
     path = ("parameters", name)
-    family, _, member = name.partition(".")
-    if family not in UNITS or family.startswith("gauge_"):
-        allowed = [known for known in UNITS if not known.startswith("gauge_")]
+    family = name.partition(".")[0]
+    allowed = [known for known, entry in CATALOGUE.items() if entry.group != "dial"]
+    if family not in allowed:
         document.fail(f"there is no parameter {name!r}: {advice(family, allowed)}", *path)
-    if not re.fullmatch(rf"{_MEMBER.get(family, _LEG)}|{_STRUCTURED}", member):
+    if name not in CATALOGUE[family].parameters() and name not in structured(family):
         document.fail(f"{name!r} names no parameter of {family}: correct what follows it", *path)
     keys = ("value", "sigma", "unit")
     document.known(keys, *path)

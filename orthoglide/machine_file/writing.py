@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from orthoglide import units
+from orthoglide import files, units
+from orthoglide.effects import unit_of
 from orthoglide.errors import InputError
 from orthoglide.machine_file.model import SCHEMA, MachineFile, ParameterValue
 from orthoglide.machine_file.reading import parse_machine_file
-from orthoglide.units import unit_of
 
 
 def write_machine_file(
@@ -28,7 +28,7 @@ def write_machine_file(
         FileError: where a file stands already and may not be replaced, or none can be written.
         InputError: where the machine holds what no machine file can.
     """
-    units.write_whole(path, machine_text(machine, str(path)), overwrite=overwrite)
+    files.write_whole(path, machine_text(machine, str(path)), overwrite=overwrite)
 
 
 def machine_text(machine: MachineFile, file: str = "") -> str:

@@ -85,20 +85,25 @@ class BatchClosure:
 
     Args:
         tree: nominal (rigid legs) or general (with relief and virtual joints).
-        compile: ``True`` to compile at once, ``False`` never, ``None`` once many postures were asked
-            for, or where an earlier run has left a compiled copy. Without a C compiler nothing
+        compile: ``True`` to compile at once, ``False`` never, ``None`` once many postures have been
+            asked for or an earlier run has left a compiled copy. Without a C compiler nothing
             changes but speed.
     """
 
     def __init__(self, tree: Tree, *, compile: bool | None = None) -> None:
         self.tree = tree
-        self._plain = closure_functions(tree, tree.free, None if len(tree.relief) else RIGID_ROWS)
+        self._plain = self._build()
         self._functions: dict[str, Any] = vars(self._plain).copy()
         self._mapped: dict[tuple[str, int], tuple[Any, Any]] = {}
         self._pending, self._asked = compile is None, 0
         self.compiled = False
         if compile is not False:
             self._compile(build=bool(compile))
+
+    def _build(self) -> Any:
+        """A dataclass of CasADi functions of (unknowns, what is given)."""
+        rows = None if len(self.tree.relief) else RIGID_ROWS
+        return closure_functions(self.tree, self.tree.free, rows)
 
     def _compile(self, *, build: bool) -> None:
         names = list(self._functions)

@@ -42,7 +42,8 @@ class ElasticFunctions:
     condition ``[drives (3); virtual (30); load; compliance of a bar; torsional stiffness]``, SI.
 
     Attributes:
-        residual: (unknown, condition) -> ``(27,)``: closure residual, imbalance of the tensions.
+        residual: (unknown, condition) -> ``(27,)``: closure residual, then how far each tension is
+            from balance, in TENSION newtons plus the metres that this stretches the bar.
         close: (guess, condition) -> unknown at equilibrium.
         outputs: (unknown, condition) -> ``(48,)``, as of the plain closure.
         tangent: (unknown, condition) -> outputs and their total derivative ``(48, 34)`` by
@@ -108,21 +109,23 @@ class _Builder:
     def _step(self) -> tuple[Any, Any]:
         """Newton's step, and the residual in the same units.
 
-        Second derivatives are left out of the matrix: steps still settle in a few rounds, because
-        bars are stiff, and each costs a fifth.
+        Second derivatives are left out of the matrix: bars are stiff, so that steps still settle in
+        a few rounds, and each costs far less. The equilibrium is the same.
         """
         g, by_z, by_w, height_z, height_w = self._first_order(STRETCH)
         solved = ca.solve(by_z, ca.horzcat(g, by_w), "qr")
         closing, follow = -solved[:, 0], -solved[:, 1:]
         pulled = self.load * (height_z @ follow + height_w).T
-        imbalance = self.tension + follow.T @ (self.K * self.z) + pulled
+        imbalance = self.tension + follow.T @ (self.K * self.z) + pulled  # newtons, each bar
         ahead = imbalance + follow.T @ (self.K * closing)
         matrix = ca.DM.eye(BARS) + follow.T @ (ca.repmat(self.K, 1, BARS) * follow) * (
             self.compliance
         )
         change = -ca.solve(matrix, ahead, "qr")
         moved = closing + self.compliance * (follow @ change)
-        return ca.vertcat(moved, change / TENSION), ca.vertcat(g, imbalance / TENSION)
+        # Soft bars would hide metres in a small imbalance of forces: count what it stretches too.
+        missing = (1 / TENSION + self.compliance) * imbalance
+        return ca.vertcat(moved, change / TENSION), ca.vertcat(g, missing)
 
     def _multipliers(self, by_z: Any, height_z: Any) -> Any:
         return -ca.solve(by_z.T, self.K * self.z + self.load * height_z.T, "qr")
@@ -174,9 +177,17 @@ def _rootfinder(step: Any) -> Any:
     size = step.size1_out(0)
     x, condition = ca.MX.sym("x", size), ca.MX.sym("condition", step.size1_in(1))
     down = ca.Function("down", [x, condition], [-step(x, condition)], ["x", "p"], ["r"])
-    return ca.rootfinder("close", "fast_newton", down, {
-        "max_iter": 40, "abstol": 1e-12, "abstolStep": 1e-12, "error_on_fail": False,
-        "jacobian_function": ca.Function(
-            "identity", [x, condition], [ca.DM.eye(size), -step(x, condition)]
-        ),
-    })
+    return ca.rootfinder(
+        "close",
+        "fast_newton",
+        down,
+        {
+            "max_iter": 40,
+            "abstol": 1e-13,
+            "abstolStep": 1e-13,
+            "error_on_fail": False,
+            "jacobian_function": ca.Function(
+                "identity", [x, condition], [ca.DM.eye(size), -step(x, condition)]
+            ),
+        },
+    )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
-from orthoglide import units
+from orthoglide import files, units
 from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS
 
@@ -98,14 +98,14 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     Raises:
         FileError: where the file is missing, empty, not text, or its rows are ragged.
     """
-    content = units.read_bytes(path)
-    text = units.decode(content, path)
+    content = files.read_bytes(path)
+    text = files.decode(content, path)
     header = next(line for line in text.splitlines() if line.strip())
     delimiter = max(_DELIMITERS, key=header.count)
     names, rows, lines = _cells(text, delimiter, str(path))
     if delimiter != ",":
         rows = [[_decimal_point(cell) for cell in row] for row in rows]
-    return _table(names, rows, lines, str(path), units.sha256(content))
+    return _table(names, rows, lines, str(path), files.sha256(content))
 
 
 def frame_table(df: Any, name: str) -> Table:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide import units
+from orthoglide import files, units
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.observations.campaign import Campaign, derive_approach
 from orthoglide.observations.protocols import Kind, protocol
@@ -31,7 +31,7 @@ def write_campaign(
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
     """
-    units.write_whole(path, campaign_text(campaign), overwrite=overwrite)
+    files.write_whole(path, campaign_text(campaign), overwrite=overwrite)
 
 
 def write_protocol(

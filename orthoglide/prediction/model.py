@@ -12,8 +12,10 @@ import numpy as np
 from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, is_dial
 from orthoglide.effects.catalogue import check_parameter
 from orthoglide.geometry import Array, Geometry
+from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.batch import Outputs, blocks, view
+from orthoglide.mechanism.batch import BatchClosure, Outputs, blocks, view
+from orthoglide.mechanism.elastic import Deformation, ElasticClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS
 from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
@@ -25,7 +27,11 @@ from orthoglide.prediction.dial import (
     reading_function,
     reading_tangent,
 )
-from orthoglide.prediction.displacement import displacement_function, displacement_tangent
+from orthoglide.prediction.displacement import (
+    displacement_by_command,
+    displacement_function,
+    displacement_tangent,
+)
 
 _PLACE = {name: k for k, name in enumerate(MACHINE_PARAMETERS)}
 _NEED_TIME = frozenset({"thermal_drift"})
@@ -52,6 +58,7 @@ class Model:
     Args:
         geometry: nominal dimensions.
         pitch: of the drives' screws, metres; ``None`` where unknown.
+        stiffness: of bars and legs, where known.
         compile: see :class:`~orthoglide.mechanism.batch.BatchClosure`.
     """
 
@@ -60,12 +67,42 @@ class Model:
         geometry: Geometry | None = None,
         pitch: float | None = None,
         *,
+        stiffness: Stiffness | None = None,
         compile: bool | None = None,
     ) -> None:
         self.geometry = geometry or Geometry()
         self.pitch = pitch
+        self.stiffness = stiffness or Stiffness()
         self.mechanism = Mechanism(self.geometry, compile=compile)
+        self._compile = compile
         self._mapped: dict[tuple[str, int], Any] = {}
+
+    @cached_property
+    def elastic(self) -> ElasticClosure:
+        """Elastic equilibrium of the mechanism with this machine's stiffness."""
+        bar, torsion = self.stiffness.bar, self.stiffness.torsion
+        tree = self.mechanism.tree
+        return ElasticClosure(tree, bar=bar, torsion=torsion, compile=self._compile)
+
+    def is_elastic(self, conditions: Conditions) -> bool:
+        """Whether stiffness moves these postures: rigid bars leave it no say."""
+        strained = bool(self.stiffness.torsion) or bool(conditions.load.any())
+        return self.stiffness.bar is not None and strained
+
+    def closing(
+        self, values: Mapping[str, float], conditions: Conditions
+    ) -> tuple[BatchClosure, Array]:
+        """How these postures close, elastic or not, and what is given of them ``(n, 33 or 34)``."""
+        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
+        if self.is_elastic(conditions):
+            return self.elastic, np.column_stack([given, conditions.load])
+        return self.mechanism.batch, given
+
+    def deformation(self, values: Mapping[str, float], conditions: Conditions) -> Deformation:
+        """What the machine fights against in closed postures: deformation, forces, energy."""
+        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
+        loaded = np.column_stack([given, conditions.load])
+        return self.elastic.deformation(self.elastic.close(loaded), loaded)
 
     @cached_property
     def displacement(self) -> Any:
@@ -75,6 +112,10 @@ class Model:
     @cached_property
     def _displacement_tangent(self) -> Any:
         return displacement_tangent(self.displacement)
+
+    @cached_property
+    def _displacement_by_command(self) -> Any:
+        return displacement_by_command(self.displacement)
 
     @cached_property
     def reading(self) -> Any:
@@ -164,28 +205,37 @@ class Model:
         columns = by_theta[:, [_PLACE[name] for name in names]]
         return moves[:, 0], np.swapaxes(columns, 1, 2)
 
+    def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
+        batch, given = self.closing(values, conditions)
+        _, by_given = batch.tangent(batch.close(given), given)
+        (moves,) = self._map(
+            self._displacement_by_command, self.vector(values), self.seen(conditions)
+        )
+        by_virtual = by_given[:, :3, 3 : 3 + moves.shape[2]]
+        return np.asarray(by_given[:, :3, :3] + by_virtual @ moves.swapaxes(1, 2))
+
     def outputs(self, values: Mapping[str, float], conditions: Conditions) -> Outputs:
         """Poses and bars of closed postures.
 
         Raises:
             ClosureError: naming the first posture that does not close.
         """
-        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
-        batch = self.mechanism.batch
+        batch, given = self.closing(values, conditions)
         return batch.outputs(batch.close(given), given)
 
     def sensitivities(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Outputs, Array]:
         """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed."""
-        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
-        batch, n = self.mechanism.batch, len(conditions)
-        x = batch.close(given)
+        batch, given = self.closing(values, conditions)
+        x, n = batch.close(given), len(conditions)
         outputs, by_name = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
             shown, by_given = batch.tangent(x[part], given[part])
             _, by_theta = self.displacement_derivative(values, conditions.part(part), names)
-            outputs[part], by_name[part] = shown.values, by_given[:, :, 3:] @ by_theta
+            by_virtual = by_given[:, :, 3 : 3 + by_theta.shape[1]]
+            outputs[part], by_name[part] = shown.values, by_virtual @ by_theta
         return Outputs(outputs), by_name
 
     def _merged(

@@ -17,7 +17,7 @@ import numpy as np
 
 from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS, Array
-from orthoglide.report.numbers import MINUS
+from orthoglide.report.numbers import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,9 +40,10 @@ INK, MUTED, GRID = PALETTE["ink"], PALETTE["muted"], PALETTE["grid"]
 DATA, FIT, BEFORE, BAND = (PALETTE[name] for name in ("data", "fit", "before", "band"))
 
 POINTS = 72.0  # SVG units an inch
-_SINGLE = 4.5  # inches: width of a figure that fits a phone
-_PANEL = (3.0, 2.15)  # inches: one of the small multiples
+_SINGLE = 3.9  # inches: width of a figure that fits a phone
+_PANEL = (3.0, 2.75)  # inches: one of the small multiples
 _ACROSS = 3
+_LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
 _MOST_CELLS = 12  # unknowns up to which correlations are printed as numbers
 
 
@@ -54,14 +55,16 @@ class Drawing:
         name: of its file.
         title: what it shows, in a phrase.
         svg: the text of its file.
-        panels: ``(x, y, width, height)`` in units of the SVG of each of its axes that a page may
-            show by itself; empty for a figure that stays whole.
+        panels: places ``(x, y, width, height)`` in units of the SVG that a page may show by
+            themselves, in the order of the axes; empty for a figure that stays whole.
+        axes: how many axes each panel holds.
     """
 
     name: str
     title: str
     svg: str
     panels: tuple[tuple[float, float, float, float], ...] = ()
+    axes: int = 1
 
 
 def draw(estimate: Estimate) -> list[Drawing]:
@@ -86,6 +89,7 @@ def _style() -> Iterator[None]:
             {
                 "svg.hashsalt": "orthoglide",
                 "svg.fonttype": "none",
+                "font.sans-serif": ["DejaVu Sans"],  # what widths are measured with
                 "font.size": 8.0,
                 "axes.titlesize": 8.5,
                 "axes.titlelocation": "left",
@@ -191,19 +195,27 @@ def _readings(estimate: Estimate) -> Drawing:
     reach = 1.12 * max(
         float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups
     )
+    left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
+    left_over = max(left_over, 2.4 * float(max(s.sigma.max() for s in setups)))
     places = []
     for k, setup in enumerate(setups):
         left, top = (k % across) * width, (k // across) * height + strip
-        axes = _axes(figure, left + 0.5, top + 0.3, width - 0.62, height - 0.75)
+        axes = _axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
         handles = _draw_setup(axes, setup)
         axes.set_ylim(-reach, reach)
         _few_ticks(axes)
+        axes.tick_params(labelbottom=False, bottom=False)
+        below = _axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
+        _draw_left(below, setup)
+        below.set_ylim(-left_over, left_over)
+        below.set_xlim(axes.get_xlim())
+        _few_ticks(below, up=2)
         places.append((left * POINTS, top * POINTS, width * POINTS, height * POINTS))
     figure.legend(
         handles, ("reading", "fit", "noise, ± 2 sigma", "before"), loc="upper left", ncols=4,
         bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, handlelength=1.6,
     )  # fmt: skip
-    return Drawing("readings", "Readings and fit by setup", _svg(figure), tuple(places))
+    return Drawing("readings", "Readings and fit by setup", _svg(figure), tuple(places), 2)
 
 
 def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
@@ -224,10 +236,23 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
     (dots,) = axes.plot(setup.x, setup.measured, color=DATA, linestyle="none", marker="o",
                         markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
     axes.set_title(setup.title)
-    axes.set_xlabel(setup.label, labelpad=2)
-    axes.set_ylabel("mm", labelpad=1)
+    axes.set_ylabel("mm")
+    axes.yaxis.set_label_coords(_LABEL, 0.5)
     axes.margins(x=0.05)
     return [dots, line, band, was]
+
+
+def _draw_left(axes: Axes, setup: _Panel) -> None:
+    """What the fit leaves of each reading, on a scale of its own."""
+    order = np.argsort(setup.x, kind="stable")
+    noise = 2 * setup.sigma[order]
+    axes.fill_between(setup.x[order], -noise, noise, color=BAND, alpha=0.35, linewidth=0)
+    axes.axhline(0, color=MUTED, linewidth=0.6)
+    axes.plot(setup.x, setup.measured - setup.fit, color=DATA, linestyle="none", marker="o",
+              markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
+    axes.set_xlabel(setup.label, labelpad=2)
+    axes.set_ylabel("left, mm")
+    axes.yaxis.set_label_coords(_LABEL, 0.5)
 
 
 # --- Residuals ------------------------------------------------------------------------------
@@ -274,7 +299,7 @@ def _parameters(estimate: Estimate) -> Drawing:
         families.setdefault(family_of(name).name, []).append(k)
     heights = [0.72 + 0.24 * len(members) for members in families.values()]
     figure = _figure(_SINGLE, sum(heights) + 0.3)
-    short = [_short(name) for name in estimate.names]
+    short = [name.partition(".")[2] for name in estimate.names]
     margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
     top = 0.3
     for (family, members), height in zip(families.items(), heights, strict=True):
@@ -308,17 +333,13 @@ def _draw_family(axes: Axes, estimate: Estimate, family: str, members: list[int]
     return [dots, band]
 
 
-def _short(name: str) -> str:
-    return name.partition(".")[2]
-
-
 def _correlations(estimate: Estimate) -> Drawing:
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
     matrix, count = estimate.correlation, len(estimate.names)
     labels = list(estimate.names)
-    margin = 0.15 + 0.06 * max(map(len, labels))
+    margin = 0.12 + 0.056 * max(map(len, labels))
     cell = max((_SINGLE - margin - 0.1) / count, 0.14)
     width, height = margin + 0.1 + cell * count, margin + 0.1 + cell * count
     figure = _figure(width, height)
@@ -331,8 +352,8 @@ def _correlations(estimate: Estimate) -> Drawing:
     axes.add_collection(PolyCollection(list(squares), facecolors=colours, linewidths=0))
     if count <= _MOST_CELLS:
         for i, j, v in zip(row, column, flat, strict=True):
-            text = f"{v:.2f}".replace("-", MINUS)
-            axes.text(j + 0.5, i + 0.5, "1" if i == j else text, ha="center", va="center",
+            text = "1" if i == j else "0" if abs(v) < 5e-3 else signed(v, 2)
+            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center",
                       fontsize=7.5 if count <= 8 else 6)  # fmt: skip
     axes.set_xlim(0, count)
     axes.set_ylim(count, 0)

@@ -35,7 +35,8 @@ def compact(value: float, digits: int = 3) -> str:
     text = f"{value:.{digits}g}"
     if "e" in text:
         mantissa, exponent = text.split("e")
-        text = f"{mantissa}·10{_raised(int(exponent))}"
+        power = f"10{_raised(int(exponent))}"
+        text = power if mantissa == "1" else f"{mantissa}·{power}"
     return text.replace("-", MINUS)
 
 

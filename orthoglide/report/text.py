@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import headline, weak_words
+from orthoglide.report.wording import headline, weak_sentences
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,7 +33,7 @@ def summary(estimate: Estimate) -> str:
     console.print()
     console.print(_parameters(estimate))
     console.print(_scores(estimate))
-    for remark in (*estimate.warnings, *map(weak_words, estimate.weak)):
+    for remark in (*estimate.warnings, *weak_sentences(estimate.weak)):
         console.print(Text(f"- {remark}"))
     return stream.getvalue().rstrip("\n")
 

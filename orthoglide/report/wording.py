@@ -33,7 +33,7 @@ def gain(estimate: Estimate) -> str:
     """What the fit does to the deviations."""
     before, after = estimate.nominal.deviation_rms * 1e3, estimate.scores.deviation_rms * 1e3
     verb = "hardly change" if after > _HARDLY * before else "reduce"
-    places = decimals_for(after)
+    places = decimals_for(after, 3)
     return f"{verb} the deviations from {before:.{places}f} to {after:.{places}f} mm"
 
 
@@ -68,9 +68,14 @@ def _by_leg(estimate: Estimate, family: str) -> list[str]:
             groups.setdefault(name.partition("@")[2], []).append(name)
     phrases = []
     for campaign, names in groups.items():
-        values = ", ".join(f"{_member(name)} {_value(estimate, name, '')}" for name in names)
+        largest = max(abs(estimate.values[name]) for name in names)
         many = "s" if len(names) > 1 else ""
         where = f" ({campaign})" if campaign else ""
+        if largest <= estimate.problem.noise.typical:
+            within = compact(estimate.problem.noise.typical * 1e3, 1)
+            phrases.append(f"{_TOLD[family]}{many} nominal to {within} mm{where}")
+            continue
+        values = ", ".join(f"{_member(name)} {_value(estimate, name, '')}" for name in names)
         unit = family_of(family).unit.name
         phrases.append(f"{_TOLD[family]}{many} {values} {unit}{where}")
     return phrases
@@ -105,8 +110,37 @@ def parameter_words(name: str) -> str:
     return f"{words} of leg {place[0]}{tail.get('.'.join(place[1:]), '')}{where}"
 
 
-def weak_words(weak: WeakDirection) -> str:
-    """A weak direction for somebody who never saw an eigenvector."""
+def weak_sentences(weak: Iterable[WeakDirection]) -> list[str]:
+    """Weak directions for somebody who never saw an eigenvector; alike ones in one sentence."""
+    every = list(weak)
+    legs = [_offset_and_length(w) for w in every]
+    alike = [w for w, leg in zip(every, legs, strict=True) if leg]
+    said = [_general(w) for w, leg in zip(every, legs, strict=True) if not leg]
+    if alike:
+        said.insert(0, _together(alike, sorted(leg for leg in legs if leg)))
+    return said
+
+
+def _offset_and_length(weak: WeakDirection) -> str:
+    """The leg (and campaign) whose offset and length change together; empty for anything else."""
+    if len(weak.parameters) != 2 or len({share > 0 for share in weak.parameters.values()}) != 1:
+        return ""
+    (family, leg), (other, same) = (name.split(".", 1) for name in weak.parameters)
+    return leg if {family, other} == set(BASE_FAMILIES) and leg == same else ""
+
+
+def _together(weak: list[WeakDirection], legs: list[str]) -> str:
+    widest = max(weak, key=lambda w: w.sigma)
+    words = [leg.replace("@", " of ") for leg in legs]
+    text = (
+        f"The readings cannot tell the joint offset from the leg length of leg {listed(words)}: "
+        f"where both grow alike, by as much as {compact(widest.sigma, 2)} {widest.unit} (one "
+        f"sigma), hardly a reading changes. Their difference is what is seen."
+    )
+    return text + _narrowed(widest)
+
+
+def _general(weak: WeakDirection) -> str:
     names = listed([parameter_words(name) for name in weak.parameters])
     if len(weak.parameters) > 1:
         text = f"The readings cannot tell {names} apart"
@@ -114,18 +148,27 @@ def weak_words(weak: WeakDirection) -> str:
         text = f"The readings hardly see the {names}"
     shares = listed([f"{signed(share, 2)} × {n}" for n, share in weak.parameters.items()])
     if weak.sigma == float("inf"):
-        text += f": nothing at all is seen of the combination {shares}."
-    else:
-        text += (
-            f": along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
-            f"sigma) and hardly a reading changes."
-        )
-    if weak.sigma_with_priors < 0.5 * weak.sigma:
-        text += (
-            f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: "
-            f"that is knowledge of how the machine was built, not of what was measured."
-        )
-    return text
+        return f"{text}: nothing at all is seen of the combination {shares}.{_narrowed(weak)}"
+    return (
+        f"{text}: along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
+        f"sigma) and hardly a reading changes.{_narrowed(weak)}"
+    )
+
+
+def _narrowed(weak: WeakDirection) -> str:
+    if not weak.sigma_with_priors < 0.5 * weak.sigma:
+        return ""
+    return (
+        f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: that is "
+        f"knowledge of how the machine was built, not of what was measured."
+    )
+
+
+def sentence(text: str) -> str:
+    """With a capital and a full stop; a parameter's name keeps its small letter."""
+    first = text.partition(" ")[0]
+    capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
+    return f"{capital}."
 
 
 def listed(parts: Iterable[str]) -> str:

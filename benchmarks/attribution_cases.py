@@ -1,0 +1,238 @@
+"""The campaigns of the truth table: which faults are put into which machine, and what they show.
+
+Everything is simulated by the tests' own machine (`tests/rig.py`); a case is drawn from the seed and
+its own key alone, so that any one of them can be made again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.effects import CATALOGUE, structured
+from tests import rig_campaigns as rc
+from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
+
+Array = NDArray[np.float64]
+
+BACKGROUND = 0.02
+"""Share of its tolerance in `tests/rig.py` that everything not put in on purpose has as an error."""
+
+PROTOCOLS = ("standard", "sweep", "two-gauges")
+RMS = (1.0, 2.0, 4.0, 8.0, 20.0)
+"""Sizes of single effects: rms of what they show past the base, in sigmas of averaged readings."""
+
+LARGEST = 3.0
+"""No effect is made larger than this, in tolerances of the machine file."""
+
+FAMILIES = tuple(f for f in CATALOGUE if f not in ("joint_offset", "leg_length"))
+OUTSIDE = ("s_curve", "wavy_rail", "stick_slip", "hysteresis", "cross_coupling", "warming_drive",
+           "platform_play")  # fmt: skip
+FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_unit", "stuck_dial")
+SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 63, "fault": 60}
+"""Campaigns of each kind in a full table."""
+
+FIRST_SIZE = 1e-4
+"""Metres: size at which something outside the catalogue is tried first."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One campaign to simulate.
+
+    Attributes:
+        kind: nothing, effect, structured, pair, outside or fault.
+        what: family, or kind of fault; two families for a pair.
+        protocol: of the readings.
+        rms: wanted size, in sigmas of averaged readings.
+        round: distinguishes cases that are otherwise alike.
+    """
+
+    kind: str
+    what: str
+    protocol: str
+    rms: float
+    round: int
+
+    @property
+    def key(self) -> str:
+        """Name of the case, unique in a table."""
+        return f"{self.kind}:{self.what}:{self.protocol}:{self.rms:g}:{self.round}"
+
+    def rng(self, seed: int) -> np.random.Generator:
+        """Draws of this case alone."""
+        return np.random.default_rng([seed, crc32(self.key.encode())])
+
+
+def cases(campaigns: int, only: str = "") -> list[Case]:
+    """Cases of a table with about that many campaigns; a smaller table is part of a larger one."""
+    total = sum(SHARES.values())
+    found: list[Case] = []
+    for kind, share in SHARES.items():
+        if only and kind != only:
+            continue
+        count = max(1, round(share * campaigns / total))
+        source = _endless(kind)
+        found += [next(source) for _ in range(count)]
+    return found
+
+
+def _endless(kind: str) -> Iterator[Case]:
+    number = 0
+    while True:
+        batch = [Case(kind, what, p, rms, number) for what, p, rms in _grid(kind, number)]
+        yield from sorted(batch, key=lambda c: crc32(c.key.encode()))
+        number += 1
+
+
+def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
+    if kind == "nothing":
+        return [("", p, 0.0) for p in PROTOCOLS]
+    if kind == "effect":
+        return [(f, p, rms) for f in FAMILIES for p in PROTOCOLS for rms in RMS]
+    if kind == "structured":
+        shaped = [f for f in FAMILIES if CATALOGUE[f].group != "dial" and structured(f)]
+        return [(f, p, rms) for f in shaped for p in PROTOCOLS for rms in (5.0, 15.0)]
+    if kind == "outside":
+        return [(f, p, rms) for f in OUTSIDE for p in PROTOCOLS for rms in (3.0, 8.0, 20.0)]
+    if kind == "fault":
+        return [(f, p, 0.0) for f in FAULTS for p in PROTOCOLS]
+    rng = np.random.default_rng([crc32(b"pair"), number])
+    pairs = []
+    for protocol in PROTOCOLS[1:]:
+        for rms in (6.0, 15.0):
+            one, other = rng.choice([f for f in FAMILIES if not _conditions(f)], 2, replace=False)
+            pairs.append((f"{one}+{other}", protocol, rms))
+    return pairs
+
+
+def _conditions(family: str) -> bool:
+    """Whether an effect needs more than a plain protocol."""
+    return family in ("thermal_growth", "drive_compliance")
+
+
+def rows_of(case: Case) -> list[rc.Row]:
+    """Rows without readings; a temperature that rises and falls, or a weight put on and off."""
+    rows = rc.protocol_rows(case.protocol)
+    if case.what == "thermal_growth":
+        end = rows[-1]["time_s"]
+        for row in rows:
+            warming = 8 * np.sin(2.2 * np.pi * row["time_s"] / end)
+            row["temperature_C"] = round(float(22 + warming), 1)
+    if case.what == "drive_compliance":
+        rows = [
+            {**row, "order": 2 * row["order"] + k, "time_s": row["time_s"] + 8 * k, "load_N": load}
+            for row in rows
+            for k, load in enumerate((0.0, 100.0))
+        ]
+    return rows
+
+
+def base_errors(rng: np.random.Generator) -> dict[str, float]:
+    """Joint offsets of about a millimetre and lengths of a few hundredths."""
+    offsets = {f"joint_offset.{leg}": float(rng.normal(0, 1e-3)) for leg in LEGS}
+    return offsets | {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
+
+
+def background(rng: np.random.Generator, setups: list[str]) -> dict[str, float]:
+    """Small errors of everything."""
+    return {
+        name: BACKGROUND * TOLERANCE[name.partition(".")[0]] * float(rng.standard_normal())
+        for name in parameter_names(setups)
+        if name.partition(".")[0] in TOLERANCE
+    }
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What is put in on purpose: an effect of the catalogue, or something outside it.
+
+    Attributes:
+        name: as a candidate is called; the kind for what lies outside.
+        family: the same of its family.
+        errors: parameters at one tolerance, SI; empty outside.
+        extra: from size to a displacement, outside the catalogue only.
+        on_platform: whether ``extra`` moves the platform's attachments.
+    """
+
+    name: str
+    family: str
+    errors: Mapping[str, float]
+    extra: Callable[[float], rc.Extra] | None = None
+    on_platform: bool = False
+
+    @property
+    def largest(self) -> float:
+        """Sizes beyond this are not asked for."""
+        return LARGEST if self.extra is None else 1e-3
+
+    def added_to(self, rig: Rig, size: float) -> Rig:
+        """The machine with this cause at a size (tolerances, or metres outside)."""
+        from dataclasses import replace
+
+        if self.extra is None:
+            return rig.with_errors(
+                {n: rig.error(n) + size * value for n, value in self.errors.items()}
+            )
+        if self.on_platform:
+            return replace(rig, extra_platform=(*rig.extra_platform, self.extra(size)))
+        return replace(rig, extra=(*rig.extra, self.extra(size)))
+
+
+def effect(
+    family: str, tolerance: float, setups: list[str], rng: np.random.Generator, shaped: bool
+) -> Cause:
+    """A member of a family, either sign, at one tolerance."""
+    sign = float(rng.choice([-1.0, 1.0])) * tolerance
+    if shaped:
+        members = structured(family)
+        name = str(rng.choice(sorted(members)))
+        return Cause(name, family, {n: sign * w for n, w in members[name].items()})
+    if family == "screw_error":
+        leg, phase = str(rng.choice(list(LEGS))), float(rng.uniform(0, 2 * np.pi))
+        waves = {"sin": np.cos(phase), "cos": np.sin(phase)}
+        errors = {f"{family}.{leg}.{n}": tolerance * float(v) for n, v in waves.items()}
+        return Cause(f"{family}.{leg}", family, errors)
+    names = [n for n in parameter_names(setups) if n.partition(".")[0] == family]
+    name = str(rng.choice(names))
+    return Cause(name, family, {name: sign})
+
+
+def outside(kind: str, rng: np.random.Generator) -> Cause:
+    """Something that no catalogue lists."""
+    leg = int(rng.integers(3))
+    across = int(rng.choice([j for j in range(3) if j != leg]))
+    period = float(rng.uniform(0.035, 0.07))
+    made: dict[str, Callable[[float], rc.Extra]] = {
+        "s_curve": lambda v: rc.s_curve(leg, across, v),
+        "wavy_rail": lambda v: rc.wavy_rail(leg, across, v, period),
+        "stick_slip": lambda v: rc.stick_slip(leg, v),
+        "hysteresis": lambda v: rc.hysteresis(leg, v),
+        "cross_coupling": lambda v: rc.cross_coupling(leg, across, v * 10),
+        "warming_drive": lambda v: rc.warming_drive(leg, v),
+        "platform_play": lambda v: rc.platform_play(leg, across, v),
+    }
+    return Cause(kind, kind, {}, made[kind], kind == "platform_play")
+
+
+def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:
+    """A fault of the data."""
+    setups = list(dict.fromkeys(row["setup"] for row in rows))
+    one, other = map(str, rng.choice(setups, 2, replace=False))
+    size = float(rng.choice([-1.0, 1.0]) * rng.uniform(0.08, 0.4))
+    after = float(rng.uniform(0.3, 0.7))
+    if kind == "outlier":
+        return rc.outlier(rows, int(rng.integers(len(rows))), size)
+    if kind == "knocked_stand":
+        return rc.knocked_stand(rows, one, size, after)
+    if kind == "swapped_sign":
+        return rc.swapped_sign(rows, one)
+    if kind == "swapped_labels":
+        return rc.swapped_labels(rows, one, other)
+    if kind == "wrong_unit":
+        return rc.wrong_unit(rows, one, float(rng.choice([1e-3, 1 / 25.4])))
+    return rc.stuck_dial(rows, one, after)

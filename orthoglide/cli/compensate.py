@@ -1,0 +1,69 @@
+"""``compensate`` and ``export``: a calibrated machine at work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from orthoglide.cli.options import PATH, load_machine, out_option
+from orthoglide.errors import FileError, InputError, UnreachableError
+
+_MACHINE = click.option(
+    "--machine",
+    "machine_path",
+    type=PATH,
+    required=True,
+    metavar="FILE",
+    help="Machine file, such as calibrated.toml.",
+)
+
+
+@click.command()
+@click.argument("path", type=PATH, metavar="PATH.csv")
+@_MACHINE
+@click.option("--out", type=PATH, required=True, metavar="COMMANDS.csv", help="File to write.")
+@click.option("--load", "load_N", type=float, default=0.0, metavar="N", show_default=True,
+              help="Weight at the TCP.")  # fmt: skip
+@click.option("--warming", type=float, default=0.0, metavar="K", show_default=True,
+              help="Kelvin above the calibration's first reading.")  # fmt: skip
+def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming: float) -> None:
+    """Turn a path of TCP points into joint commands that reach them on the real machine.
+
+    PATH.csv has the columns p_x_mm, p_y_mm, p_z_mm; its rows are gone through in their order, as
+    lost motion depends on it.
+    """
+    from orthoglide import controller
+    from orthoglide.files import write_whole
+
+    if not (0 <= load_N < 1e4 and -100 < warming < 100):
+        raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
+    points, machine = controller.read_path(path), load_machine(machine_path)
+    try:
+        found = controller.compensate(machine, points.p, load=load_N, warming=warming)
+    except UnreachableError as error:
+        line = points.line[error.index[0]] if error.index else None
+        raise FileError(str(error), file=points.file, line=line) from error
+    write_whole(out, controller.commands_text(found), overwrite=False)
+    for warning in points.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    click.echo(f"{click.format_filename(out)}: {found}")
+
+
+@click.command()
+@_MACHINE
+@out_option()
+def export(machine_path: Path, out: Path) -> None:
+    """Write what other programs take of a calibrated machine.
+
+    The controller's numbers with the sign rule written out (controller.txt and .json), and the
+    calibrated URDF with its loop closures.
+    """
+    from orthoglide.controller import export_files
+    from orthoglide.report.folder import write_folder
+
+    write_folder(out, export_files(load_machine(machine_path)))
+    click.echo(f"written: {click.format_filename(out)}")
+
+
+COMMANDS = (compensate, export)

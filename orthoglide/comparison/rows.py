@@ -1,0 +1,91 @@
+"""What a comparison finds: rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+TCP_LIMIT = 5e-6
+"""Metres: the reduction is good enough where its fitted TCP is nowhere further off ..."""
+
+READING_LIMIT = 5e-6
+"""... and its fitted readings are no further off, rms: half the step of a workshop dial."""
+
+ALIKE = 1e-9
+"""Metres: differences that are closer together than this are the same."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Distance of two TCPs over the workspace, metres.
+
+    Attributes:
+        mean: over all points.
+        max: the largest.
+        where: TCP ``(3,)`` at which it is the largest.
+    """
+
+    mean: float
+    max: float
+    where: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Row:
+    """How far the reduction is from the mechanism with one effect, or with all of a machine.
+
+    Attributes:
+        name: of the effect, or ``"machine"``.
+        value: of its parameter, SI; nan for a machine.
+        nominal: at the TCP, all six parameters of the reduction at zero: what the effect does.
+        translated: the same after the best translation.
+        fitted: with the six parameters fitted to the TCP.
+        identified: with the six fitted to the readings, the machine's tolerances as priors, after
+            the best translation, which leg readings cannot see.
+        six: joint offsets and leg lengths fitted to the TCP, metres.
+        rotation: largest turn of the platform, radians; the reduction's never turns.
+        reading_change: what the effect does to the readings, datums fitted, rms, metres.
+        reading_rms: readings with the six parameters and the datums fitted to them, metres.
+        reading_max: the largest of these.
+    """
+
+    name: str
+    value: float
+    nominal: Difference
+    translated: Difference
+    fitted: Difference
+    identified: Difference
+    six: tuple[float, ...]
+    rotation: float
+    reading_change: float
+    reading_rms: float
+    reading_max: float
+
+    @property
+    def good_enough(self) -> bool:
+        """Whether the reduction will do: ``TCP_LIMIT`` and ``READING_LIMIT`` hold after fits."""
+        return self.fitted.max <= TCP_LIMIT and self.reading_rms <= READING_LIMIT
+
+    @property
+    def good_up_to(self) -> float:
+        """Size of the parameter, SI, up to which the reduction will do, by proportion."""
+        excess = max(self.fitted.max / TCP_LIMIT, self.reading_rms / READING_LIMIT)
+        return float(abs(self.value) / excess) if excess > 1e-6 else float("inf")
+
+
+def worst_of_families(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """Of every family the row in which the reduction does worst, in the order of the rows.
+
+    The first of those that are alike, as the legs of one family mostly are.
+    """
+    found: dict[str, Row] = {}
+    for row in rows:
+        family = row.name.partition(".")[0]
+        if family not in found or _worse(row, found[family]):
+            found[family] = row
+    return tuple(found.values())
+
+
+def _worse(one: Row, other: Row) -> bool:
+    apart = one.fitted.max - other.fitted.max
+    return apart > ALIKE or (abs(apart) <= ALIKE and one.reading_rms > other.reading_rms + ALIKE)

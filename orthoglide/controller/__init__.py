@@ -1,0 +1,31 @@
+"""What a calibration is for: commands that bring the TCP where it should be, and the numbers and
+files that a controller or another program takes of a calibrated machine.
+"""
+
+from orthoglide.controller.compensation import (
+    NOT_COVERED,
+    Compensation,
+    Covariance,
+    compensate,
+    tcp_sigma,
+)
+from orthoglide.controller.files import PathPoints, commands_text, export_files, read_path
+from orthoglide.controller.numbers import ControllerNumbers, DriveNumbers, controller_numbers
+from orthoglide.controller.urdf import HELD_BY_URDF, calibrated_urdf
+
+__all__ = [
+    "HELD_BY_URDF",
+    "NOT_COVERED",
+    "Compensation",
+    "ControllerNumbers",
+    "Covariance",
+    "DriveNumbers",
+    "PathPoints",
+    "calibrated_urdf",
+    "commands_text",
+    "compensate",
+    "controller_numbers",
+    "export_files",
+    "read_path",
+    "tcp_sigma",
+]

@@ -1,0 +1,87 @@
+"""Paths in, commands and exports out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.controller.compensation import Compensation
+from orthoglide.controller.numbers import controller_numbers
+from orthoglide.controller.urdf import calibrated_urdf
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine import Machine
+from orthoglide.observations.reading import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.table import Column, number, read_table
+from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoints:
+    """A path as it was read.
+
+    Attributes:
+        p: TCP points ``(n, 3)``, metres, in the order of the rows.
+        line: line of each in the file ``(n,)``, header line 1.
+        file: its name as the caller gave it.
+        warnings: what was noticed and is no error.
+    """
+
+    p: Array
+    line: tuple[int, ...]
+    file: str
+    warnings: tuple[str, ...]
+
+
+def read_path(path: str | os.PathLike[str]) -> PathPoints:
+    """A path of TCP points: columns ``p_x_mm``, ``p_y_mm``, ``p_z_mm``, rows in their order.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    table = read_table(path)
+    warnings = table.check_names(POINT, POINT)
+    p = np.array([table.values(name, Column(number(MM))) for name in POINT]).T
+    return PathPoints(p, table.lines, str(path), warnings)
+
+
+def commands_text(found: Compensation) -> str:
+    """Commands as CSV: the points, both ways to count the commands, and what to expect."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    sigmas = tuple(f"sigma_{leg}_mm" for leg in LEGS)
+    ends = ("residual_mm", "expected_mm", "uncompensated_mm")
+    writer.writerow([*POINT, *RHO, *TRAVEL, *APPROACH, *sigmas, *ends])
+    for k in range(len(found)):
+        lengths = np.concatenate([found.wanted[k], found.rho[k], found.travel[k]])
+        last = (found.residual[k], found.accuracy[k], found.error_before[k])
+        writer.writerow(
+            [
+                *map(_mm, lengths),
+                *(f"{way:+.0f}" for way in found.approach[k]),
+                *map(_mm, (*found.sigma[k], *last)),
+            ]
+        )
+    return stream.getvalue()
+
+
+def export_files(machine: Machine) -> dict[str, str]:
+    """What other programs take of a machine, by file name: numbers for the controller, as text
+    and as JSON, the calibrated URDF and its loop closures.
+    """
+    numbers = controller_numbers(machine)
+    return {
+        "controller.txt": numbers.text(),
+        "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
+        URDF_FILE: calibrated_urdf(machine),
+        CLOSURES_FILE: closures_text(machine.geometry),
+    }
+
+
+def _mm(metres: float) -> str:
+    text = f"{metres * 1e3:.6f}"
+    return text.lstrip("-") if float(text) == 0 else text

@@ -1,0 +1,141 @@
+"""The calibrated machine as URDF, as far as URDF can hold it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine import Machine
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.prediction import Conditions
+from orthoglide.urdf import to_urdf
+
+HELD_BY_URDF = (
+    "joint_offset", "leg_length", "axis_offset", "axis_tilt", "rail_tilt", "mount_tilt",
+    "bar_mismatch", "parallelogram_width",
+)  # fmt: skip
+"""Families that are constant geometry: places and directions of joints."""
+
+_FIT_RIGID_LEGS = frozenset({"joint_offset", "leg_length", "axis_offset", "axis_tilt"})
+_PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held are straight
+
+
+def calibrated_urdf(machine: Machine) -> str:
+    """URDF text of a calibrated machine; joints and links are those of the nominal one.
+
+    Slide q is the commanded rho - L. Offsets move the slides' origins, tilts their axes, bar
+    lengths the places of the knuckles and of bar 2's tip. A prismatic axis is a unit vector, so a
+    path with slope t is shorter by ``q t^2 / 2`` than ``Machine`` has it. Where a machine has
+    nothing that is constant the text is the nominal one but for its comment.
+
+    Args:
+        machine: calibrated. What URDF cannot hold is left out and named in the comment.
+
+    Returns:
+        URDF, in metres and radians. The drawing stays nominal.
+    """
+    nominal = to_urdf(machine.geometry)
+    robot = ET.fromstring(nominal)
+    origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
+    axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
+    for leg, (moves, slope) in zip(LEGS, _moves(machine), strict=True):
+        slide = origins[f"{leg}_slide"]
+        turn = _rotation(_attribute(slide, "rpy"))
+        path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
+        _shift(slide, turn @ path)
+        tilted = np.array([1.0, *slope])
+        axis = axes[f"{leg}_slide"]
+        if axis is not None and slope.any():
+            axis.set("xyz", _text(tilted / np.linalg.norm(tilted)))
+        turned = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
+        if any(turned):
+            _turn(origins[f"{leg}_theta"], turned)
+        wider = moves["width1"] + moves["width2"]
+        _shift(origins[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
+        _shift(origins[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
+        _shift(origins[f"{leg}_platform"], [0, 0, -moves["width1"]])
+        _shift(origins[f"{leg}_knuckle_tip_fixed"], [0, 0, -wider])
+    ET.indent(robot)
+    body = ET.tostring(robot, encoding="unicode")
+    return f'<?xml version="1.0"?>\n<!-- {_comment(machine)} -->\n{body}\n'
+
+
+def _held(machine: Machine) -> dict[str, float]:
+    return {n: v for n, v in machine.values.items() if n.partition(".")[0] in HELD_BY_URDF}
+
+
+def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
+    """Of each leg: displacements of its virtual joints at mechanical zero, slopes of its path.
+
+    Taken from the effects themselves, so that there is one definition of each.
+    """
+    at = Conditions.at(machine.geometry.zero + np.array([[0.0], [_PROBE]]))
+    here, there = machine.model.displacements(_held(machine), at).reshape(2, 3, -1)
+    lateral = [VIRTUAL_NAMES.index("lateral_b"), VIRTUAL_NAMES.index("lateral_c")]
+    return [
+        (
+            dict(zip(VIRTUAL_NAMES, here[leg].tolist(), strict=True)),
+            (there[leg] - here[leg])[lateral] / _PROBE,
+        )
+        for leg in range(3)
+    ]
+
+
+def _comment(machine: Machine) -> str:
+    names = [n for n, v in machine.values.items() if v]
+    held = [n for n in names if n in _held(machine)]
+    left = [n for n in names if n not in held]
+    misfit = [n for n in held if n.partition(".")[0] not in _FIT_RIGID_LEGS]
+    lines = [
+        f"Calibrated: {machine.spec.name}. Slide q is the commanded rho - L.",
+        "Holds " + (", ".join(held) or "no correction") + ".",
+        "Left out, for URDF holds constant geometry only: " + (", ".join(left) or "nothing") + ".",
+    ]
+    if misfit:
+        lines.append(
+            "Rigid legs cannot take up " + ", ".join(misfit) + ": to close the loops, free the "
+            "bars' torsion at bar 1's tip and a turn about the short link at bar 2's root."
+        )
+    lines.append("The loops are those of the nominal machine; masses and shapes are nominal.")
+    return "\n     ".join(lines).replace("--", "- -")  # XML allows no double hyphen in comments
+
+
+def _attribute(element: ET.Element | None, name: str) -> Array:
+    text = "" if element is None else element.get(name, "")
+    return np.array(text.split(), dtype=float) if text else np.zeros(3)
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(v) + 0.0) for v in values)
+
+
+def _shift(origin: ET.Element | None, by: Array | list[float]) -> None:
+    if origin is not None and np.any(by):
+        origin.set("xyz", _text(_attribute(origin, "xyz") + by))
+
+
+def _turn(origin: ET.Element | None, angles: list[float]) -> None:
+    """Turn about a, the turned b, then the turned c, as roll, pitch and yaw about fixed axes."""
+    a, b, c = angles
+    R = _rotation([a, 0, 0]) @ _rotation([0, b, 0]) @ _rotation([0, 0, c])
+    rpy = [
+        np.arctan2(R[2, 1], R[2, 2]),
+        -np.arcsin(np.clip(R[2, 0], -1, 1)),
+        np.arctan2(R[1, 0], R[0, 0]),
+    ]
+    if origin is not None:
+        origin.set("rpy", _text(np.array(rpy)))
+
+
+def _rotation(rpy: Array | list[float]) -> Array:
+    """Rotation ``(3, 3)`` of URDF's roll, pitch and yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

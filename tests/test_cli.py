@@ -1,0 +1,537 @@
+"""The command line: what it makes, what it refuses and how, and that it leaves nothing half done."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.errors import CrossCheckError
+from orthoglide.identification import identify
+from orthoglide.machine_file import machine_text, nominal_machine_file
+from orthoglide.observations import campaign_text, protocol
+
+EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
+EXPERIMENT_3 = (files("orthoglide") / "data" / "experiment3.csv").read_text()
+ROOT = Path(__file__).parents[1]
+NEVER = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/"), "PYTHONPATH": str(ROOT)}
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def process(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "orthoglide", *map(str, arguments)],
+        cwd=cwd,
+        env=NEVER,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def done(*arguments: str | Path) -> str:
+    result = run(*arguments)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of one's own with the published campaign, to work in."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "experiment2.csv").write_text(EXPERIMENT_2)
+    return tmp_path
+
+
+PLANTED = {"joint_offset.x": 0.8e-3, "joint_offset.y": -0.4e-3, "leg_length.z": 0.06e-3}
+
+
+def planted_machine(folder: Path) -> Path:
+    machine = og.Machine.nominal().with_parameters(PLANTED)
+    machine.save(folder / "planted.toml")
+    return folder / "planted.toml"
+
+
+# --- What is refused ------------------------------------------------------------------------
+
+Edit = Callable[[list[list[str]]], object]
+
+
+def rows(edit: Edit) -> str:
+    """The published campaign, spoilt."""
+    table = list(csv.reader(io.StringIO(EXPERIMENT_2)))
+    edit(table)
+    stream = io.StringIO(newline="")
+    csv.writer(stream, lineterminator="\n").writerows(table)
+    return stream.getvalue()
+
+
+def put(line: int, column: str, value: str) -> str:
+    def edit(table: list[list[str]]) -> None:
+        table[line - 1][table[0].index(column)] = value
+
+    return rows(edit)
+
+
+def put_all(column: str, change: Callable[[str], str]) -> str:
+    def edit(table: list[list[str]]) -> None:
+        place = table[0].index(column)
+        for row in table[1:]:
+            row[place] = change(row[place])
+
+    return rows(edit)
+
+
+def name(old: str, new: str) -> str:
+    return EXPERIMENT_2.replace(old, new, 1)
+
+
+def metres(cell: str) -> str:
+    return f"{float(cell) / 1e3:.9f}"
+
+
+# kind: (content, line to blame or None, words of the remedy)
+CAMPAIGNS: dict[str, tuple[str | bytes, int | None, str]] = {
+    "empty": ("", None, "give a file with content"),
+    "header only": (EXPERIMENT_2.splitlines()[0] + "\n", 1, "add the readings"),
+    "spreadsheet": (b"PK\x03\x04...", None, "export the sheet as CSV"),
+    "UTF-16": (EXPERIMENT_2.encode("utf-16"), None, "save it as UTF-8"),
+    "Latin-1": (name("zero", "null ä").encode("latin-1"), 2, "save it as UTF-8"),
+    "another table": ("a,b\n1,2\n", 1, "the first line must name setup"),
+    "misspelt column": (name("gauge_mm", "guage_mm"), 1, "did you mean 'gauge_mm'"),
+    "column missing": (name("reading_mm", "note"), 1, "add what is missing"),
+    "column twice": (name("repeat", "leg"), 1, "remove one"),
+    "field too many": (name("0.08", "0.08,1"), 3, "fill the row up"),
+    "quotes open": (name("xy,x", '"xy,x'), None, "close the quotes"),
+    "metres": (put(4, "reading_mm", "nan"), 4, "measure again"),
+    "infinite command": (put(5, "rho_x_mm", "inf"), 5, "remove the row"),
+    "empty reading": (put(6, "reading_mm", ""), 6, "fill it in"),
+    "nothing filled in": (put_all("reading_mm", lambda _: ""), 2, "fill in reading_mm"),
+    "words": (put(7, "reading_mm", "about 2"), 7, "write it like 12.34"),
+    "unit in the cell": (put(7, "reading_mm", "0.2mm"), 7, "without its unit"),
+    "decimal comma": (put(7, "reading_mm", "0,2"), 7, "write it like 12.34"),
+    "slip of the pen": (put(3, "reading_mm", "80"), 3, "correct a slip"),
+    "readings in metres": (put_all("reading_mm", metres), 2, "give millimetres"),
+    "gauge in metres": (put_all("gauge_mm", metres), 2, "give millimetres"),
+    "gauge off the leg": (put_all("gauge_mm", lambda _: "400"), 2, "correct gauge_mm"),
+    "command outside": (put(3, "rho_x_mm", "375"), 3, "correct it, or the stroke"),
+    "command in metres": (
+        rows(lambda t: [r.__setitem__(slice(4, 7), map(metres, r[4:7])) for r in t[1:]]),
+        2,
+        "give millimetres",
+    ),
+    "controller's values": (
+        rows(lambda t: [r.__setitem__(slice(4, 7), ["1", "2", "3"]) for r in t[1:]]),
+        2,
+        "name the columns travel_x_mm",
+    ),
+    "no such leg": (put(9, "leg", "w"), 9, "write one of these"),
+    "no such direction": (put(9, "direction", "up"), 9, "write one of these"),
+    "along the leg": (put(2, "direction", "x"), 2, "leg's own axis"),
+    "legs mixed": (put(3, "leg", "z"), 3, "a name of its own"),
+    "directions mixed": (put(3, "direction", "z"), 3, "a name of its own"),
+    "single posture": (rows(lambda t: t.__delitem__(slice(2, 4))), 2, "measure a second one"),
+    "duplicate": (rows(lambda t: t.insert(3, list(t[2]))), 4, "remove one"),
+    "order used twice": (put(4, "order", "1"), 4, "number the postures"),
+    "repeat of zero": (put(4, "repeat", "0"), 4, "correct it"),
+}  # fmt: skip
+
+TOML = machine_text(nominal_machine_file())
+
+MACHINES: dict[str, tuple[str, int | None, str]] = {
+    "empty": ("", None, "give a file with content"),
+    "not TOML": (TOML.replace("L = 310.25", "L 310.25"), 5, "mend this line"),
+    "no schema": (TOML.replace("schema = 1\n", ""), None, "add it"),
+    "another schema": (TOML.replace("schema = 1", "schema = 9"), 1, "must be 1"),
+    "unknown key": (TOML.replace("name =", "nmae ="), 2, "did you mean 'name'"),
+    "L in metres": (TOML.replace("L = 310.25", "L = 0.31025"), 5, "is it in metres?"),
+    "L as text": (TOML.replace("L = 310.25", 'L = "long"'), 5, "must be a number"),
+    "no such parameter": (
+        TOML + '[parameters]\n"joint_ofset.x" = { value = 1, sigma = 0, unit = "mm" }\n',
+        None,
+        "did you mean 'joint_offset'",
+    ),
+    "a structured member": (
+        TOML + '[parameters]\n"axis_tilt.cyclic" = { value = 1e-3, sigma = 0, unit = "rad" }\n',
+        None,
+        "there is no parameter 'axis_tilt.cyclic'",
+    ),
+    "wrong unit": (
+        TOML + '[parameters]\n"joint_offset.x" = { value = 1, sigma = 0, unit = "m" }\n',
+        None,
+        "convert it",
+    ),
+}
+
+
+def assert_refused(result: Result, file: str, line: int | None, remedy: str) -> None:
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    sentence = result.stderr.rstrip("\n")
+    place = file if line is None else f"{file}, line {line}"
+    assert sentence.startswith(f"orthoglide: {place}")
+    assert remedy in sentence
+    assert "\n" not in sentence
+    assert "Traceback" not in sentence
+
+
+@pytest.mark.parametrize("kind", CAMPAIGNS)
+def test_malformed_campaigns(kind: str, here: Path) -> None:
+    content, line, remedy = CAMPAIGNS[kind]
+    data = content.encode() if isinstance(content, str) else content
+    (here / "bad.csv").write_bytes(data)
+    result = run("identify", "experiment2.csv", "bad.csv", "--out", "out")
+    if kind == "quotes open":  # the quotes end where the file does
+        line = data.count(b"\n") + 1 if f"line {data.count(b'\n') + 1}" in result.stderr else 19
+    assert_refused(result, "bad.csv", line, remedy)
+    assert sorted(os.listdir(here)) == ["bad.csv", "experiment2.csv"]
+
+
+@pytest.mark.parametrize("kind", MACHINES)
+def test_malformed_machine_files(kind: str, here: Path) -> None:
+    content, line, remedy = MACHINES[kind]
+    assert content != TOML
+    (here / "bad.toml").write_text(content)
+    line = line or next(
+        (k for k, row in enumerate(content.splitlines(), 1)
+         if row.startswith('"') and kind != "a structured member"), None
+    )  # fmt: skip
+    for command in (
+        ("identify", "experiment2.csv", "--out", "out"),
+        ("simulate", "--out", "sheet.csv"),
+        ("forward", "310.25", "310.25", "310.25"),
+    ):
+        assert_refused(run(*command, "--machine", "bad.toml"), "bad.toml", line, remedy)
+    assert sorted(os.listdir(here)) == ["bad.toml", "experiment2.csv"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--free", "joint_ofset"), "there is no effect 'joint_ofset'"),
+        (("--free", "joint_offset.w"), "there is no parameter 'joint_offset.w'"),
+        (("--free", "joint_offset", "--own", "leg_length"), "own to each campaign but not free"),
+        (("--noise", "0"), "--noise must be a positive number"),
+        (("--noise", "nan"), "--noise must be a positive number"),
+        (("--machine", "none.toml"), "none.toml: there is no such file"),
+        (("--reduced", "--free", "axis_tilt"), "free nothing else"),
+        (("--no-priors", "--free", "joint_offset,leg_length,axis_tilt,axis_offset"),
+         "do not determine"),
+        (("experiment2.csv",), "two campaigns are called alike"),
+        (("none.csv",), "none.csv: there is no such file"),
+        ((".",), "cannot be read"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_asked(arguments: tuple[str, ...], words: str, here: Path) -> None:
+    result = run("identify", "experiment2.csv", "--out", "out", *arguments)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert result.stderr.startswith("orthoglide: ")
+    assert result.stderr.count("\n") == 1
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("identify",),
+        ("identify", "a.csv"),
+        ("identify", "a.csv", "--out", "b", "--fast"),
+        ("identify", "a.csv", "--out", "b", "--noise", "little"),
+        ("protocol", "--out", "a.csv", "--kind", "circle"),
+        ("forward", "1", "2", "three"),
+        ("dance",),
+    ],
+)
+def test_wrong_usage(arguments: tuple[str, ...], here: Path) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+def test_results_are_never_overwritten(here: Path) -> None:
+    (here / "full").mkdir()
+    (here / "full" / "thesis.tex").write_text("dear")
+    (here / "file").write_text("dear")
+    before = tree(here)
+    places = {
+        "full": "name a new or empty folder",
+        "file": "name a new folder",
+        "no/where": "make that first",
+        ".": "name a new one inside it",
+    }
+    for place, words in places.items():
+        result = run("identify", "experiment2.csv", "--out", place)
+        assert result.exit_code == 2
+        assert words in result.stderr
+    for command in (("protocol",), ("simulate", "--machine", planted_machine(here))):
+        result = run(*command, "--out", "file")
+        assert result.exit_code == 2
+        assert "exists and is not overwritten" in result.stderr
+    (here / "planted.toml").unlink()
+    assert tree(here) == before
+    (here / "empty").mkdir()
+    done("identify", "experiment2.csv", "--out", "empty", "--quiet")
+    assert (here / "empty" / "result.json").exists()
+
+
+def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def disagree(*_: object, **__: object) -> None:
+        raise CrossCheckError("the mechanism and the reduction disagree", difference=1.0)
+
+    monkeypatch.setattr("orthoglide.identification.identify", disagree)
+    result = run("identify", "experiment2.csv", "--out", "out")
+    assert (result.exit_code, result.stdout) == (3, "")
+    assert result.stderr == "orthoglide: the mechanism and the reduction disagree\n"
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+@pytest.mark.parametrize("where", ["write_text", "rename"])
+def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, where, interrupt)
+    result = run("identify", "experiment2.csv", "--out", "out")
+    assert result.exit_code == 130
+    assert result.stderr == "orthoglide: interrupted: nothing was written\n"
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_from_outside(here: Path, sent: signal.Signals) -> None:
+    child = subprocess.Popen(
+        [sys.executable, "-m", "orthoglide", "identify", "experiment2.csv", "--out", "out"],
+        env=NEVER,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(0.6)
+    child.send_signal(sent)
+    _, error = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert error.splitlines()[-1] == "orthoglide: interrupted: nothing was written"
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+def test_a_disk_that_fails(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    result = run("identify", "experiment2.csv", "--out", "out")
+    assert result.exit_code == 2
+    assert "out: cannot be written (no space left on device)" in result.stderr
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+# --- What is made ---------------------------------------------------------------------------
+
+FILES = {
+    "result.json", "calibrated.toml", "residuals.csv", "report.html", "figures/readings.svg",
+    "figures/residuals.svg", "figures/parameters.svg", "figures/correlations.svg",
+}  # fmt: skip
+
+
+def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
+    first = process("demo", cwd=tmp_path)
+    assert (first.returncode, first.stderr) == (0, "")
+    assert "Joint offsets x −0.51, y +0.55, z −1.72 mm" in first.stdout
+    assert "reduce the deviations from 0.32 to 0.14 mm" in " ".join(first.stdout.split())
+    assert set(tree(tmp_path / "orthoglide-demo")) == FILES
+    assert process("demo", "--quiet", cwd=tmp_path).stdout == ""
+    assert tree(tmp_path / "orthoglide-demo-2") == tree(tmp_path / "orthoglide-demo")
+    assert sorted(os.listdir(tmp_path)) == ["orthoglide-demo", "orthoglide-demo-2"]
+
+
+def test_the_same_bytes_wherever_the_files_lie(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done("identify", "experiment2.csv", "--out", "out")
+    (here / "elsewhere").mkdir()
+    monkeypatch.chdir(here / "elsewhere")
+    done("identify", here / "experiment2.csv", "--out", here / "elsewhere" / "other")
+    assert tree(here / "out") == tree(here / "elsewhere" / "other")
+    place = str(here).encode()
+    assert not [name for name, content in tree(here / "out").items() if place in content]
+
+
+def test_json_is_the_file(here: Path) -> None:
+    text = done("identify", "experiment2.csv", "--out", "out", "--json")
+    assert text.encode() == (here / "out" / "result.json").read_bytes()
+    result = json.loads(text)
+    assert result["verdict"] is None
+    assert result["parameters"]["joint_offset.z"]["value"] == pytest.approx(-1.723, abs=1e-3)
+
+
+def test_a_calibrated_machine_is_a_machine(here: Path) -> None:
+    done("identify", "experiment2.csv", "--out", "out", "--quiet")
+    estimate = identify(og.read_campaign("experiment2.csv"))
+    machine = og.Machine.load("out/calibrated.toml")
+    assert machine.values == estimate.machine.values
+    assert machine.spec.provenance["campaigns"][0]["file"] == "experiment2.csv"
+    shown = done("inverse", "10", "-20", "5", "--machine", "out/calibrated.toml").split()
+    goal = done("forward", *shown, "--machine", "out/calibrated.toml").split()
+    np.testing.assert_allclose(np.array(goal, float), [10, -20, 5], atol=2e-6)
+    # What it predicts is what the report calls the prediction: no residual gets worse by the file.
+    again = og.read_campaign("experiment2.csv")
+    np.testing.assert_allclose(
+        machine.readings(again), estimate.machine.readings(again), rtol=0, atol=1e-15
+    )
+
+
+def test_options_reach_the_identification(here: Path) -> None:
+    (here / "experiment3.csv").write_text(EXPERIMENT_3)
+    both = ("experiment2.csv", "experiment3.csv")
+    text = done("identify", *both, "--own", "joint_offset", "--noise", "0.1", "--out", "a", "--json")
+    result = json.loads(text)
+    assert "joint_offset.x@experiment3" in result["parameters"]
+    assert "leg_length.x" in result["parameters"]
+    assert (result["noise_mm"], result["noise_source"]) == (0.1, "declared")
+    free = ("--free", "joint_offset.x, joint_offset.y,leg_length.z", "--no-priors", "--reduced")
+    result = json.loads(done("identify", "experiment2.csv", *free, "--out", "b", "--json"))
+    assert list(result["parameters"]) == ["joint_offset.x", "joint_offset.y", "leg_length.z"]
+    assert result["method"]["name"] == "reduction"
+    assert result["arguments"]["priors"] is False
+
+
+def test_help_is_quick_and_complete() -> None:
+    shown = done("--help")
+    for command in ("demo", "protocol", "identify", "forward", "inverse", "simulate"):
+        assert command in shown
+        assert "Usage" in done(command, "--help")
+    code = (
+        "import sys, orthoglide.cli; heavy = {'numpy', 'matplotlib', 'casadi', 'pinocchio', 'rich',"
+        " 'scipy', 'jinja2'} & set(sys.modules); sys.exit(repr(heavy) if heavy else 0)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], env=NEVER, check=False).returncode == 0
+
+
+# --- Sheets, simulated campaigns and kinematics ---------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["standard", "sweep", "two-gauges"])
+def test_a_sheet_to_fill_in(kind: str, here: Path) -> None:
+    done("protocol", "--out", "sheet.csv", "--kind", kind)
+    assert (here / "sheet.csv").read_text() == campaign_text(protocol(kind))  # type: ignore[arg-type]
+    result = run("identify", "sheet.csv", "--out", "out")
+    assert result.exit_code == 2
+    assert "fill in reading_mm" in result.stderr
+
+
+def test_a_simulated_machine_is_found_again(here: Path) -> None:
+    planted_machine(here)
+    done("simulate", "--machine", "planted.toml", "--exact", "--out", "exact.csv")
+    result = json.loads(done("identify", "exact.csv", "--no-priors", "--out", "out", "--json"))
+    for parameter, value in result["parameters"].items():
+        truth = PLANTED.get(parameter, 0.0) * 1e3
+        assert value["value"] == pytest.approx(truth, abs=1e-6), parameter
+    assert result["after"]["max_mm"] < 1e-8
+
+
+def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
+    planted_machine(here)
+    common = ("simulate", "--machine", "planted.toml", "--kind", "two-gauges")
+    done(*common, "--seed", "3", "--out", "a.csv", "--tcp", "a.tcp.csv")
+    result = json.loads(done("identify", "a.csv", "--no-priors", "--out", "out", "--json"))
+    for parameter, value in result["parameters"].items():
+        truth = PLANTED.get(parameter, 0.0) * 1e3
+        assert abs(value["value"] - truth) < 4 * value["sigma"], parameter
+        assert 0.001 < value["sigma"] < 0.5
+    assert result["after"]["rms_mm"] == pytest.approx(0.02, rel=0.3)
+    points = og.read_tcp("a.tcp.csv")
+    machine = og.Machine.load("planted.toml")
+    assert np.abs(machine.forward(points.command) - points.p).max() < 1e-9
+    done(*common, "--seed", "3", "--out", "b.csv")
+    done(*common, "--seed", "4", "--out", "c.csv")
+    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
+    assert (here / "a.csv").read_bytes() != (here / "c.csv").read_bytes()
+
+
+def test_simulate_writes_both_files_or_none(here: Path) -> None:
+    planted_machine(here)
+    common = ("simulate", "--machine", "planted.toml")
+    for options in (("--out", "a.csv", "--tcp", "no/where.csv"), ("--out", "a.csv", "--seed", "-1"),
+                    ("--out", "a.csv", "--noise", "-1")):  # fmt: skip
+        assert run(*common, *options).exit_code == 2
+    assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
+
+
+def test_forward_and_inverse_agree(here: Path) -> None:
+    assert done("forward", "310.25", "310.25", "310.25") == "0.000000 0.000000 0.000000\n"
+    assert done("inverse", "0", "0", "0") == "310.250000 310.250000 310.250000\n"
+    machine = ("--machine", planted_machine(here))
+    rho = done("inverse", "-20.5", "3", "-1e1", *machine).split()
+    assert done("forward", *rho, *machine) == "-20.500000 3.000000 -10.000000\n"
+    assert done("forward", *rho) != "-20.500000 3.000000 -10.000000\n"
+
+
+def test_forward_and_inverse_on_a_csv(here: Path) -> None:
+    machine = ("--machine", planted_machine(here))
+    (here / "goal.csv").write_text("name,p_x_mm,p_y_mm,p_z_mm\na,1,2,3\n\nb,-20,10,5\n")
+    done("inverse", "--csv", "goal.csv", "--out", "rho.csv", *machine)
+    found = list(csv.DictReader((here / "rho.csv").open()))
+    assert [row["name"] for row in found] == ["a", "b"]
+    keep = ["name,rho_x_mm,rho_y_mm,rho_z_mm"]
+    keep += [",".join([r["name"], *(r[f"rho_{leg}_mm"] for leg in "xyz")]) for r in found]
+    (here / "command.csv").write_text("\n".join(keep) + "\n")
+    done("forward", "--csv", "command.csv", "--out", "again.csv", *machine)
+    again = list(csv.DictReader((here / "again.csv").open()))
+    for row, goal in zip(again, [(1, 2, 3), (-20, 10, 5)], strict=True):
+        reached = [float(row[f"p_{leg}_mm"]) for leg in "xyz"]
+        np.testing.assert_allclose(reached, goal, atol=2e-6)
+    (here / "travel.csv").write_text("travel_x_mm,travel_y_mm,travel_z_mm\n0,0,0\n")
+    done("forward", "--csv", "travel.csv", "--out", "zero.csv")
+    assert (here / "zero.csv").read_text().splitlines()[1] == "0,0,0,0.000000,0.000000,0.000000"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("forward", "1", "2"), "exactly three"),
+        (("forward",), "either three numbers"),
+        (("forward", "nan", "300", "300"), "finite"),
+        (("forward", "0.31", "0.31", "0.31"), "in metres"),
+        (("forward", "310", "310", "400"), "axis z is outside its stroke"),
+        (("inverse", "500", "0", "0"), "leg"),
+        (("inverse", "70", "0", "0"), "outside its stroke of 210.25 to 370.25"),
+        (("forward", "--csv", "far.csv"), "go together"),
+        (("forward", "--csv", "far.csv", "--out", "out.csv"), "far.csv, line 3"),
+        (("inverse", "--csv", "far.csv", "--out", "out.csv"), "p_x_mm"),
+        (("forward", "--csv", "none.csv", "--out", "out.csv"), "no such file"),
+    ],
+)
+def test_what_the_machine_cannot_reach(
+    arguments: tuple[str, ...], words: str, here: Path
+) -> None:
+    (here / "far.csv").write_text("rho_x_mm,rho_y_mm,rho_z_mm\n300,300,300\n300,300,500\n")
+    result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+    assert result.stderr.startswith("orthoglide: ")
+    assert sorted(os.listdir(here)) == ["experiment2.csv", "far.csv"]

@@ -1,0 +1,124 @@
+"""The loop closed on machines that are not this package's model, each with an undeclared effect."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.closing import Verdict, close_loop
+from orthoglide.effects import family_of
+from orthoglide.identification import identify
+from orthoglide.judging import tcp_errors
+
+RIG = Path(__file__).parent / "data" / "rig"
+KEYS = json.loads((RIG / "keys.json").read_text(encoding="utf-8"))
+
+# What the keys say is hidden, and the families that may stand in for it: at most three.
+HIDDEN: dict[str, tuple[str, ...]] = {
+    "rig-1": (),
+    "rig-2": ("axis_tilt.y.z",),
+    "rig-3": ("backlash.x",),
+    "rig-4": ("axis_offset.z.x",),
+    "rig-5": ("encoder_scale.y",),
+    "rig-6": ("bar_mismatch.z",),
+    "rig-7": ("rail_bow.x.z",),
+    "rig-8": ("axis_tilt.x.y", "backlash.z"),
+}
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+@pytest.fixture(scope="module")
+def verdicts(machine: og.Machine) -> dict[str, Verdict]:
+    found = {}
+    for case in HIDDEN:
+        campaign = og.read_campaign(RIG / f"{case}.csv", machine.spec)
+        points = og.read_tcp(RIG / f"{case}.tcp.csv", machine.spec)
+        found[case] = close_loop(campaign, machine, tcp=points)
+    return found
+
+
+@pytest.mark.parametrize("case", list(HIDDEN))
+def test_the_hidden_effect_is_named(case: str, verdicts: dict[str, Verdict]) -> None:
+    verdict, hidden = verdicts[case], HIDDEN[case]
+    assert all(name in KEYS[case]["hidden"] for name in hidden)
+    assert len(verdict.effects) == len(hidden)
+    assert verdict.word in (("adequate",) if not hidden else ("explained", "ambiguous"))
+    for name in hidden:
+        classes = [{e.name, *e.indistinguishable_from} for e in verdict.effects]
+        own = [c for c in classes if name in c]
+        assert own, f"{name} is in none of {classes}"
+        assert len({family_of(n).name for n in own[0]}) <= 3
+    assert not verdict.blunders
+
+
+@pytest.mark.parametrize("case", list(HIDDEN))
+def test_the_tcp_is_as_good_as_if_the_effect_had_been_told(
+    case: str, verdicts: dict[str, Verdict], machine: og.Machine
+) -> None:
+    verdict = verdicts[case]
+    campaign = og.read_campaign(RIG / f"{case}.csv", machine.spec)
+    points = og.read_tcp(RIG / f"{case}.tcp.csv", machine.spec)
+    told = identify(campaign, machine, ["joint_offset", "leg_length", *HIDDEN[case]])
+    errors = tcp_errors(machine, points, {}, told.problem.values(0, told.x))["translation"]
+    assert verdict.tcp is not None
+    after = verdict.tcp["translation"]
+    assert after.after[0] <= 1.3 * errors.after[0]
+    assert after.after[0] <= after.before[0] * 1.001
+    assert after.inside >= 0.93
+
+
+def test_the_judges_change_nothing(machine: og.Machine, verdicts: dict[str, Verdict]) -> None:
+    campaign = og.read_campaign(RIG / "rig-2.csv", machine.spec)
+    other = og.read_campaign(RIG / "rig-1.csv", machine.spec)
+    alone = close_loop(campaign, machine)
+    held = close_loop(campaign, machine, holdout=other)
+    judged = verdicts["rig-2"]
+    assert alone.hold_out is None
+    assert held.hold_out is not None
+    for one in (held, judged):
+        assert one.word == alone.word
+        assert [e.name for e in one.effects] == [e.name for e in alone.effects]
+        assert one.values == alone.values
+        np.testing.assert_array_equal(one.fit.x, alone.fit.x)
+
+
+def test_the_same_seed_gives_the_same_answer(machine: og.Machine) -> None:
+    campaign = og.read_campaign(RIG / "rig-3.csv", machine.spec)
+    one, two = (close_loop(campaign, machine, seed=7) for _ in range(2))
+    assert one.values == two.values
+    assert one.left.detection == two.left.detection
+    assert one.tried == two.tried
+
+
+def test_relabelling_the_axes_relabels_the_verdict(machine: og.Machine) -> None:
+    from orthoglide.effects import relabelled
+
+    campaign = og.read_campaign(RIG / "rig-7.csv", machine.spec)
+    one, two = close_loop(campaign, machine), close_loop(campaign.relabelled(), machine)
+    assert [relabelled(e.name) for e in one.effects] == [e.name for e in two.effects]
+    turned = {relabelled(n): v for n, v in one.values.items()}
+    assert turned.keys() == two.values.keys()
+    for name, value in turned.items():
+        assert two.values[name] == pytest.approx(value, abs=1e-9)
+
+
+def test_few_readings_carry_few_parameters() -> None:
+    from importlib.resources import files
+
+    path = Path(str(files("orthoglide") / "data" / "experiment2.csv"))
+    verdict = close_loop(og.read_campaign(path))
+    added = sum(len(e.parameters) for e in verdict.effects)
+    assert added < 9 / 3  # twelve deviations less the three offsets that they determine
+    assert verdict.fit.scores.cv_rms < verdict.base.scores.cv_rms or not verdict.effects
+
+
+def test_what_the_readings_cannot_show_is_called_invisible(verdicts: dict[str, Verdict]) -> None:
+    assert any(n.startswith("mount_tilt") for n in verdicts["rig-3"].invisible)

@@ -1,0 +1,170 @@
+"""``Machine``: what a user keeps. Against the reduction, the independent machine, and itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orthoglide import pss
+from orthoglide.errors import ClosureError, FileError, InputError, OrthoglideError
+from orthoglide.geometry import Geometry
+from orthoglide.machine import Machine, elementary
+from orthoglide.observations import protocol
+from tests.rig import Rig
+
+NOMINAL = Machine.nominal()
+ERRORS = {
+    "joint_offset.x": 1e-3, "joint_offset.z": -7e-4, "leg_length.y": 1e-4,
+    "axis_tilt.y.z": 2e-3, "rail_bow.x.y": 1e-4, "bar_mismatch.x": 3e-4,
+    "mount_tilt.z.a": 2e-3, "encoder_scale.y": 1e-3, "backlash.x": 5e-5,
+}  # fmt: skip
+CROOKED = NOMINAL.with_parameters(ERRORS)
+
+
+def commands(n: int, seed: int = 0) -> np.ndarray:
+    low, high = Geometry().stroke
+    return Geometry().L + np.random.default_rng(seed).uniform(low, high, (n, 3))
+
+
+def test_nominal_is_the_reduction() -> None:
+    rho = commands(200)
+    assert np.allclose(NOMINAL.forward(rho), pss.forward(rho), rtol=0, atol=1e-12)
+    assert np.allclose(NOMINAL.pose(rho).R, np.eye(3), atol=1e-12)
+
+
+def test_with_errors_is_the_independent_machine() -> None:
+    rho = commands(50)
+    approach = np.tile([1.0, -1.0, 1.0], (50, 1))
+    pose, rig = CROOKED.pose(rho, approach=approach), Rig(errors=ERRORS).pose(rho, approach)
+    assert np.allclose(pose.p, rig.p, rtol=0, atol=2e-9)
+    assert np.allclose(pose.R, rig.R, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (4,), (2, 3), (0,)])
+def test_batches(shape: tuple[int, ...]) -> None:
+    rho = commands(int(np.prod(shape, dtype=int))).reshape(*shape, 3)
+    assert CROOKED.forward(rho).shape == (*shape, 3)
+    assert CROOKED.pose(rho).R.shape == (*shape, 3, 3)
+    assert CROOKED.jacobian(rho).shape == (*shape, 3, 3)
+    each = [CROOKED.forward(one) for one in rho.reshape(-1, 3)]
+    if each:
+        assert np.allclose(CROOKED.forward(rho).reshape(-1, 3), each, rtol=0, atol=1e-14)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    p=st.tuples(*[st.floats(-0.07, 0.05)] * 3),
+    machine=st.sampled_from([NOMINAL, CROOKED]),
+    side=st.sampled_from([-1.0, 0.0, 1.0]),
+)
+def test_inverse_undoes_forward(
+    p: tuple[float, float, float], machine: Machine, side: float
+) -> None:
+    seen = {"approach": (side, side, side)}
+    rho = machine.inverse(p, **seen)
+    assert np.allclose(machine.forward(rho, **seen), p, rtol=0, atol=1e-12)
+
+
+def test_inverse_in_batches() -> None:
+    p = np.random.default_rng(3).uniform(-0.06, 0.05, (2, 5, 3))
+    assert np.allclose(CROOKED.forward(CROOKED.inverse(p)), p, rtol=0, atol=1e-12)
+
+
+def test_jacobian_by_differences() -> None:
+    """Slopes of the rails and the encoders' scale are part of it."""
+    rho, h = commands(4), 1e-5
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        slope = (CROOKED.forward(rho + step) - CROOKED.forward(rho - step)) / (2 * h)
+        assert np.allclose(CROOKED.jacobian(rho)[..., axis], slope, rtol=0, atol=2e-9)
+
+
+def test_nominal_jacobian_is_equation_5() -> None:
+    rho = commands(50)
+    expected = pss.velocity_jacobian(pss.forward(rho), rho)
+    assert np.allclose(NOMINAL.jacobian(rho), expected, rtol=0, atol=1e-9)
+
+
+def test_readings_differ_from_the_nominal_by_the_errors() -> None:
+    sheet = protocol("standard")
+    assert np.abs(NOMINAL.readings(sheet) - CROOKED.readings(sheet)).max() > 1e-4
+    zero = NOMINAL.with_parameters({name: 0.0 for name in ERRORS})
+    assert np.allclose(NOMINAL.readings(sheet), zero.readings(sheet), rtol=0, atol=1e-15)
+
+
+def test_save_and_load(tmp_path: Path) -> None:
+    path = tmp_path / "machine.toml"
+    sigmas = {"joint_offset.x": 2e-6, "axis_tilt.y.z": 1e-5}
+    NOMINAL.with_parameters(ERRORS, sigmas).save(path)
+    back = Machine.load(path)
+    assert back.values == ERRORS
+    assert {n: back.spec.parameters[n].sigma for n in sigmas} == sigmas
+    assert back.geometry == NOMINAL.geometry
+    assert np.array_equal(back.forward(commands(5)), CROOKED.forward(commands(5)))
+
+
+def test_save_overwrites_only_when_told(tmp_path: Path) -> None:
+    path = tmp_path / "machine.toml"
+    NOMINAL.save(path)
+    with pytest.raises(FileError, match="overwritten"):
+        CROOKED.save(path)
+    CROOKED.save(path, overwrite=True)
+    assert Machine.load(path).values == ERRORS
+
+
+def test_load_refuses_unknown_parameters(tmp_path: Path) -> None:
+    path = tmp_path / "machine.toml"
+    CROOKED.save(path)
+    path.write_text(path.read_text().replace("axis_tilt.y.z", "axis_tilt.y.y"))
+    with pytest.raises(InputError, match=r"axis_tilt\.y\.y"):
+        Machine.load(path)
+
+
+def test_with_parameters_leaves_the_machine_as_it_was() -> None:
+    before = dict(CROOKED.values)
+    more = CROOKED.with_parameters({"joint_offset.y": 2e-3, "joint_offset.x": 5e-3})
+    assert CROOKED.values == before
+    assert more.values == before | {"joint_offset.y": 2e-3, "joint_offset.x": 5e-3}
+
+
+def test_structured_members_set_what_they_stand_for() -> None:
+    machine = NOMINAL.with_parameters({"axis_tilt.cyclic": 1e-3}, {"axis_tilt.cyclic": 1e-4})
+    signs = {"x.y": 1, "y.z": 1, "z.x": 1, "y.x": -1, "z.y": -1, "x.z": -1}
+    assert machine.values == {f"axis_tilt.{k}": 1e-3 * s for k, s in signs.items()}
+    assert all(entry.sigma == 1e-4 for entry in machine.spec.parameters.values())
+    assert elementary("leg_length.common") == dict.fromkeys(
+        ("leg_length.x", "leg_length.y", "leg_length.z"), 1.0
+    )
+    assert elementary("joint_offset.x") == {"joint_offset.x": 1.0}
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"axis_tilt.x.x": 1e-3}, {"nonsense.x": 1.0}, {"joint_offset.x": float("nan")}],
+)
+def test_with_parameters_refuses(values: dict[str, float]) -> None:
+    with pytest.raises(InputError):
+        NOMINAL.with_parameters(values)
+
+
+@pytest.mark.parametrize("bad", [1.0, [1.0, 2.0], [[1.0, 2.0]], [0.3, 0.3, float("nan")]])
+def test_refuses_what_is_no_command(bad: object) -> None:
+    for ask in (NOMINAL.forward, NOMINAL.jacobian, NOMINAL.inverse):
+        with pytest.raises(InputError):
+            ask(bad)  # type: ignore[operator]
+
+
+def test_out_of_reach() -> None:
+    with pytest.raises(ClosureError):
+        NOMINAL.forward([0.9, 0.01, 0.01])
+    with pytest.raises(OrthoglideError, match="leg"):
+        NOMINAL.inverse([0.0, 0.4, 0.0])
+
+
+def test_tolerances_are_by_family() -> None:
+    assert NOMINAL.tolerance("joint_offset.x") == 2e-3
+    assert NOMINAL.tolerance("axis_tilt.x.y") == NOMINAL.tolerance("axis_tilt") == 1e-3
