@@ -45,7 +45,7 @@ def circle(radius: float = 0.045, points: int = 72) -> Array:
 
 
 def measured(true: Machine, rng: np.random.Generator) -> Campaign:
-    sheet = protocol("two-gauges")
+    sheet = protocol("sweep")
     shown = true.readings(sheet) + rng.normal(0, NOISE, len(sheet))
     datum = rng.uniform(0, 1e-2, len(sheet.setups))[sheet.setup]
     return replace(sheet.with_readings(shown + datum), sigma=np.full(len(sheet), NOISE))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.effects import family_of, is_dial, structured
 from orthoglide.effects.catalogue import check_parameter
-from orthoglide.errors import ClosureError, InputError
+from orthoglide.errors import ClosureError, FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file import (
     MachineFile,
@@ -70,8 +70,11 @@ class Machine:
             FileError: naming file, line and remedy.
         """
         spec = read_machine_file(path)
-        for name in spec.parameters:
-            check_parameter(name)
+        try:
+            for name in spec.parameters:
+                check_parameter(name)
+        except InputError as error:  # a structured member, which a file spells out
+            raise FileError(str(error), file=str(path)) from None
         return cls(spec)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Coordinates may begin with a minus sign, which would else be read as options.
 _NUMBERS = {"ignore_unknown_options": True}
-_DIGITS = 6  # of a millimetre: a picometre short of nothing a machine could show
+_DIGITS = 6  # of a millimetre
 
 
 def _arguments(metavar: str) -> Callable[[click.decorators.FC], click.decorators.FC]:
@@ -61,7 +61,21 @@ def inverse(
 
 COMMANDS = (forward, inverse)
 
-Solve = Callable[["Machine", "Table"], tuple["Table", "Array"]]
+Fail = Callable[[str, int | None], NoReturn]
+
+
+def _forward(machine: Machine, given: Array, travelled: bool, fail: Fail) -> Array:
+    from orthoglide.observations.checks import check_commands
+
+    return machine.forward(check_commands(given, travelled, machine.spec, fail))
+
+
+def _inverse(machine: Machine, given: Array, travelled: bool, fail: Fail) -> Array:
+    return _within(machine, machine.inverse(given), fail)
+
+
+Solve = Callable[["Machine", "Array", bool, Fail], "Array"]
+"""Takes the machine, rows ``(n, 3)`` in metres, and whether they are the controller's values."""
 
 
 def _run(
@@ -69,22 +83,24 @@ def _run(
     machine_path: Path | None,
     path: Path | None,
     out: Path | None,
-    solve: Callable[[Machine, Table | Array], tuple[tuple[str, ...], Array]],
+    solve: Solve,
 ) -> None:
     if (path is None) != (out is None):
         raise InputError("--csv and --out go together: name a file to read and a file to write")
     if (path is None) == (not numbers):
         raise InputError("give either three numbers in mm, or --csv and --out")
-    if path is None:
-        _, found = solve(load_machine(machine_path), _vector(numbers))
+    if path is None or out is None:
+        found = solve(load_machine(machine_path), _vector(numbers), False, _refuse)
         click.echo(" ".join(_number(value) for value in found[0]))
         return
+    from orthoglide.observations.reading import POINT, RHO, TRAVEL
     from orthoglide.observations.table import read_table
 
-    assert out is not None
     table = read_table(path)
-    names, found = solve(load_machine(machine_path), table)
-    _write(table, names, found, out)
+    travelled = solve is _forward and bool(set(TRAVEL) & set(table.names))
+    names, new = (POINT, RHO) if solve is _inverse else (TRAVEL if travelled else RHO, POINT)
+    given = _columns(table, names, new)
+    _write(table, new, solve(load_machine(machine_path), given, travelled, table.fail), out)
 
 
 def _vector(numbers: tuple[float, ...]) -> Array:
@@ -99,44 +115,20 @@ def _refuse(message: str, row: int | None) -> NoReturn:
     raise InputError(message)
 
 
-def _forward(machine: Machine, given: Table | Array) -> tuple[tuple[str, ...], Array]:
-    from orthoglide.observations.checks import check_commands
-    from orthoglide.observations.reading import POINT, RHO, TRAVEL
-
-    if not _is_table(given):
-        rho = check_commands(given, False, machine.spec, _refuse)
-        return POINT, machine.forward(rho)
-    names = TRAVEL if set(TRAVEL) & set(given.names) else RHO
-    rho = check_commands(_columns(given, names, POINT), names == TRAVEL, machine.spec, given.fail)
-    return POINT, machine.forward(rho)
-
-
-def _inverse(machine: Machine, given: Table | Array) -> tuple[tuple[str, ...], Array]:
-    from orthoglide.observations.reading import POINT, RHO
-
-    if not _is_table(given):
-        return RHO, _within(machine, machine.inverse(given), _refuse)
-    goal = _columns(given, POINT, RHO)
-    return RHO, _within(machine, machine.inverse(goal), given.fail)
-
-
-def _is_table(given: Table | Array) -> bool:
-    return hasattr(given, "names")
-
-
 def _columns(table: Table, names: tuple[str, ...], new: tuple[str, ...]) -> Array:
+    """Three columns of a table ``(n, 3)``, metres; those to be computed may not be there yet."""
     import numpy as np
 
     from orthoglide.observations.table import Column, number
 
+    table.check_names((*names, *(n for n in table.names if n not in names)), names)
     for name in new:
         if name in table.names:
             table.fail(f"has a column {name}, which is to be computed: remove it")
-    table.check_names((*names, *(n for n in table.names if n not in names)), names)
     return np.array([table.values(name, Column(number(1e-3))) for name in names]).T
 
 
-def _within(machine: Machine, rho: Array, fail: Callable[[str, int | None], NoReturn]) -> Array:
+def _within(machine: Machine, rho: Array, fail: Fail) -> Array:
     """The commands, where the stroke allows them."""
     import numpy as np
 

@@ -59,7 +59,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
 @click.option("--exact", is_flag=True,
               help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
 @click.option("--tcp", type=PATH, metavar="TCP.csv",
-              help=f"Also write {TCP_POINTS} exact TCP points, to judge a calibration by.")  # fmt: skip
+              help=f"Also write {TCP_POINTS} exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
     out: Path,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide import pss
 from orthoglide.errors import CrossCheckError
@@ -42,26 +43,36 @@ class CrossCheck:
         return self.linear_size <= self.linear_bound * (1 + 1e-6) + AGREEMENT
 
 
-def reduction_fit(problem: Problem, nuisance: Nuisances, *, linear: bool = False) -> pss.ReadingFit:
+def reduction_fit(
+    problem: Problem,
+    nuisance: Nuisances,
+    *,
+    linear: bool = False,
+    start: Array | None = None,
+    held: NDArray[np.bool_] | None = None,
+) -> pss.ReadingFit:
     """The reduction's fit of the same problem: same noise, priors, datums and placements.
 
     Args:
         problem: with no unknowns but joint offsets and leg lengths.
         nuisance: the frozen columns.
         linear: fit system (11), generalised to any readings, instead.
+        start: where to start ``(P,)``; the problem's where absent.
+        held: unknowns that stay at their start ``(P,)``; none where absent. Bounds do not act.
     """
     group = np.concatenate(
         [np.full(len(c), k, dtype=np.intp) for k, c in enumerate(problem.campaigns)]
     )
     setups = [s for c in problem.campaigns for s in c.setups]
     rows = problem.setup_of_row
-    held = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
+    maps = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
     for k in range(len(problem.campaigns)):
         names, matrix = problem.elementary(k)
         for name, weights in zip(names, matrix, strict=True):
-            held[k, _SIX.index(name), :-1] += weights
+            maps[k, _SIX.index(name), :-1] += weights
         for name, value in problem.held[k].items():
-            held[k, _SIX.index(name), -1] += value
+            maps[k, _SIX.index(name), -1] += value
+    free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
     # The last parameter is held at one: it carries what the machine file already says.
     return pss.fit_readings(
         np.concatenate([c.command for c in problem.campaigns]),
@@ -71,13 +82,13 @@ def reduction_fit(problem: Problem, nuisance: Nuisances, *, linear: bool = False
         problem.measured,
         problem.sigma,
         signs=np.array([float(s.sign) for s in setups])[rows],
-        free=np.append(np.ones(len(problem.unknowns), dtype=bool), False),
+        free=np.append(free, False),
         prior_sd=np.append(problem.prior_sd, np.inf),
         nuisance=nuisance.columns,
         precision=nuisance.precision,
-        x0=np.append(problem.start, 1.0),
+        x0=np.append(problem.start if start is None else start, 1.0),
         group=group,
-        maps=held,
+        maps=maps,
         geometry=problem.machine.geometry,
         linear=linear,
     )
@@ -100,7 +111,10 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
     """
     if not problem.representable:
         return None
-    own = reduction_fit(problem, nuisance)
+    # What ended on a bound is held there; elsewhere the reduction starts anew.
+    held = problem.on_bound(x)
+    start = np.where(held, x, problem.start)
+    own = reduction_fit(problem, nuisance, start=start, held=held)
     difference = float(np.max(np.abs(own.values[:-1] - x), initial=0.0))
     if not own.converged or difference > AGREEMENT:
         raise CrossCheckError(
@@ -108,7 +122,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
             f"readings: do not use these values, and report the campaign",
             difference=difference,
         )
-    linear = reduction_fit(problem, nuisance, linear=True)
+    linear = reduction_fit(problem, nuisance, linear=True, start=start, held=held)
     fitted = value + nuisance.columns @ nuisance.solve(problem.measured - value)
     apart = fitted - linear.readings
     size = float(np.linalg.norm(apart * nuisance.weight)) / float(np.linalg.norm(nuisance.weight))
@@ -148,7 +162,7 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
         held = [problem.held[k].get(name, 0.0) for name in _SIX]
         constant[part] = by_six[part] @ np.array(held)
     prior = np.diag(1 / problem.prior_sd)
-    jacobian = np.vstack([nuisance.project(by_x), prior])
+    jacobian = np.vstack([nuisance.project(by_x), prior])[:, ~problem.on_bound(x)]
     remainder = nuisance.project(value - by_x @ x - constant)
     residual = np.concatenate([nuisance.project(problem.measured - value), -x / problem.prior_sd])
     basis, _ = np.linalg.qr(jacobian)

@@ -92,7 +92,7 @@ class Estimate:
     @property
     def on_bound(self) -> tuple[str, ...]:
         """Names of values that ended on a bound."""
-        near = np.abs(self.x) >= self.problem.bound * (1 - 1e-6)
+        near = self.problem.on_bound(self.x)
         return tuple(name for name, hit in zip(self.names, near, strict=True) if hit)
 
     @cached_property

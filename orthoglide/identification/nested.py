@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import ClosureError, SolverError
 from orthoglide.geometry import Array
@@ -54,12 +55,15 @@ def solve_nested(problem: Problem, nuisance: Nuisances, start: Linearised) -> Ne
     at, previous = start, np.inf
     for iteration in range(_MOST_STEPS):
         here = normal(problem, at, nuisance)
-        scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))
-        step = _solve(here.information, -here.gradient, scale)
-        size = float(np.max(np.abs(step) / scale))
+        # On its bound and pushed outward an unknown stays; the others settle among themselves.
+        free = np.flatnonzero(~(problem.on_bound(at.x) & (here.gradient * at.x < 0)))
+        scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))[free]
+        step = np.zeros(len(at.x))
+        step[free] = _solve(here.information[np.ix_(free, free)], -here.gradient[free], scale)
+        size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
         if size > _SETTLED and size > _SLOW * previous:
-            step = _newton_step(problem, nuisance, here, scale)
-            size = float(np.max(np.abs(step) / scale))
+            step[free] = _newton_step(problem, nuisance, here, free, scale)
+            size = float(np.max(np.abs(step[free]) / scale))
         if size <= _SETTLED:
             return NestedResult(at.x, iteration, at)
         at, previous = linearise(problem, _search(problem, nuisance, here, step)), size
@@ -74,30 +78,31 @@ def _solve(matrix: Array, right: Array, scale: Array) -> Array:
     return np.asarray(scale * np.linalg.lstsq(scaled, right * scale, rcond=1e-14)[0])
 
 
-def _newton_step(problem: Problem, nuisance: Nuisances, here: Normal, scale: Array) -> Array:
-    count = len(scale)
-    hessian = np.empty((count, count))
-    for k in range(count):
+def _newton_step(
+    problem: Problem, nuisance: Nuisances, here: Normal, free: NDArray[np.intp], scale: Array
+) -> Array:
+    hessian = np.empty((len(free), len(free)))
+    for column, k in enumerate(free):
         # Small against the curvature of the machine, large against rounding.
-        width = max(1e-2 * scale[k], 1e-4 * problem.tolerance[k])
+        width = max(1e-2 * scale[column], 1e-4 * problem.tolerance[k])
         ends = []
         for side in (1, -1):
             x = here.x.copy()
             x[k] += side * width
-            ends.append(normal(problem, linearise(problem, x), nuisance).gradient)
-        hessian[:, k] = (ends[0] - ends[1]) / (2 * width)
+            ends.append(normal(problem, linearise(problem, x), nuisance).gradient[free])
+        hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
     hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
     values, vectors = np.linalg.eigh(hessian)
     # Modulus and floor keep the step a descent where the cost is not convex.
-    turned = vectors.T @ (-here.gradient * scale)
+    turned = vectors.T @ (-here.gradient[free] * scale)
     return scale * (vectors @ (turned / np.maximum(np.abs(values), 1e-8)))
 
 
 def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) -> Array:
-    """Halve the step until the cost falls."""
+    """Halve the step until the cost falls; unknowns stay within their bounds."""
     factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
     for _ in range(30):
-        x = here.x + factor * step
+        x = np.clip(here.x + factor * step, -problem.bound, problem.bound)
         try:
             residual = nuisance.project(problem.measured - predict(problem, x))
         except ClosureError:
@@ -107,4 +112,4 @@ def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) ->
         if cost <= here.cost * (1 + 1e-12):
             return x
         factor /= 2
-    return here.x + factor * step
+    return np.asarray(np.clip(here.x + factor * step, -problem.bound, problem.bound))

@@ -106,6 +106,10 @@ class Problem:
         """The unknowns stay within plus and minus this ``(P,)``, SI."""
         return np.array([u.bound for u in self.unknowns])
 
+    def on_bound(self, x: Array) -> NDArray[np.bool_]:
+        """Which of the unknowns ``x`` ``(P,)`` stand on their bounds."""
+        return np.asarray(np.abs(x) >= self.bound * (1 - 1e-6))
+
     def elementary(self, campaign: int) -> tuple[tuple[str, ...], Array]:
         """Parameters that a campaign's unknowns set, and the matrix ``(E, P)`` from unknowns."""
         names = tuple(dict.fromkeys(n for u in self.unknowns for n in u.parts[campaign]))

@@ -75,6 +75,8 @@ def identify(
         CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
     """
     several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
+    if not several:
+        raise InputError("there is no campaign: give at least one file of readings")
     machine = machine or Machine.nominal()
     level = noise_of(several, machine.spec.dial, noise)
     problem = build_problem(machine, several, free, level, own=own, priors=priors, bounds=bounds)
@@ -155,8 +157,8 @@ def _solved(
 ) -> tuple[Linearised, int, str]:
     """Where a method ends, linearised by ourselves; ``near`` is one step on from ``first``."""
     if method == "reduction":
-        fit = reduction_fit(problem, nuisance)
-        return linearise(problem, fit.values[:-1]), fit.iterations, "reduction"
+        x, iterations = _reduced(problem, nuisance)
+        return linearise(problem, x), iterations, "reduction"
     if method == "nested" or (method == "auto" and posture_count(problem) > NLP_POSTURES):
         nested = solve_nested(problem, nuisance, near)
         return nested.at, nested.iterations + 1, "nested"
@@ -167,6 +169,19 @@ def _solved(
     joints = programme.start_joints(problem, first.x)
     result = programme.solve(problem.measured, first.x, joints)
     return linearise(problem, result.x), result.iterations, "nlp"
+
+
+def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
+    """The reduction's fit; unknowns that leave their bounds are held there, and the rest again."""
+    x, iterations = problem.start, 0
+    held = np.zeros(len(x), dtype=bool)
+    while True:
+        fit = reduction_fit(problem, nuisance, start=x, held=held)
+        x, iterations = fit.values[:-1], iterations + fit.iterations
+        beyond = np.abs(x) > problem.bound
+        if not beyond.any():
+            return x, iterations
+        x, held = np.clip(x, -problem.bound, problem.bound), held | beyond
 
 
 def posture_count(problem: Problem) -> int:

@@ -6,7 +6,7 @@ A section is a template ``sections/<name>.html.j2`` and the data that it shows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -114,7 +114,7 @@ def _verdict(estimate: Estimate) -> Data:
 def _controller(estimate: Estimate) -> Data:
     spec = estimate.machine.spec
     rows = controller_rows(estimate)
-    others = [n for n, v in estimate.machine.values.items() if not n.startswith("joint_offset") and v]
+    others = any(v for n, v in estimate.machine.values.items() if "joint_offset." not in n)
     return {
         "rows": rows,
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
@@ -128,23 +128,16 @@ def _effect_of_others(estimate: Estimate) -> str:
     import numpy as np
 
     from orthoglide.machine import Machine
-    from orthoglide.machine_file import MachineFile
 
     machine = estimate.machine
-    spec: MachineFile = machine.spec
+    spec = machine.spec
     offsets = {n: v for n, v in machine.values.items() if n.startswith("joint_offset.")}
-    bare = Machine(_without_parameters(spec)).with_parameters(offsets)
+    bare = Machine(replace(spec, parameters={})).with_parameters(offsets)
     bare.__dict__["model"] = machine.model  # the tree is the same, and costly to build
     names = ("zero", *(f"{leg}{end}" for leg in LEGS for end in ("max", "min")))
     rho = np.array([spec.geometry.command(name) for name in names])
     apart = np.linalg.norm(machine.forward(rho) - bare.forward(rho), axis=-1)
     return compact(float(apart.max()) * 1e3, 2)
-
-
-def _without_parameters(spec: Any) -> Any:
-    from dataclasses import replace
-
-    return replace(spec, parameters={})
 
 
 def _parameters(estimate: Estimate, figures: Mapping[str, Drawing]) -> Data:

@@ -65,8 +65,8 @@ def score_rows(estimate: Estimate) -> list[ScoreRow]:
     before, after = estimate.nominal, estimate.scores
 
     def mm(what: str, name: str, meaning: str) -> ScoreRow:
-        values = (getattr(score, name) * 1e3 for score in (before, after))
-        return ScoreRow(what, *(f"{value:.3f}" for value in values), meaning)
+        first, second = (f"{getattr(score, name) * 1e3:.3f}" for score in (before, after))
+        return ScoreRow(what, first, second, meaning)
 
     return [
         mm("deviations, rms, mm", "deviation_rms",

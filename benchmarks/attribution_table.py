@@ -1,0 +1,319 @@
+"""The truth table: from the records of the campaigns to the figures that the docs show."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.attribution_cases import FAMILIES, FAULTS, OUTSIDE, PROTOCOLS
+from benchmarks.attribution_run import Record, accepted
+from orthoglide.effects import family_of
+
+STRONG, APART = 3.0, 5.0
+"""An effect should be named: rms past the base, and distance to the nearest other class."""
+
+SHORT = {
+    "encoder_scale": "scale", "screw_error": "screw", "backlash": "lash",
+    "drive_compliance": "give", "axis_offset": "a.off", "axis_tilt": "a.tilt",
+    "rail_tilt": "r.tilt", "rail_bow": "r.bow", "mount_tilt": "mount", "bar_mismatch": "bars",
+    "parallelogram_width": "width", "thermal_growth": "warm", "thermal_drift": "t.drift",
+    "gauge_scale": "g.scale", "gauge_direction": "g.dir", "gauge_drift": "g.drift",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Table:
+    """A heading, a sentence, and rows of cells; the first row holds the columns' names."""
+
+    title: str
+    note: str
+    rows: Sequence[Sequence[str]]
+
+    def text(self) -> str:
+        """Plain text, columns aligned."""
+        widths = [max(len(r[k]) for r in self.rows) for k in range(len(self.rows[0]))]
+        lines = [
+            "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(pairs))
+            for pairs in (list(zip(row, widths, strict=True)) for row in self.rows)
+        ]
+        return "\n".join([f"\n{self.title}", *([self.note] if self.note else []), "", *lines])
+
+    def markdown(self) -> str:
+        """A table of Markdown."""
+        lines = ["| " + " | ".join(row) + " |" for row in self.rows]
+        lines.insert(1, "|---" + "|---:" * (len(self.rows[0]) - 1) + "|")
+        return "\n".join([f"\n## {self.title}\n", *([f"{self.note}\n"] if self.note else []), *lines])
+
+
+def tables(records: Sequence[Record]) -> list[Table]:
+    """All tables of a run."""
+    return [
+        requirements(records),
+        words(records),
+        confusion(records),
+        detectable(records),
+        reliability(records),
+        accuracy(records),
+    ]
+
+
+# -- what the table asks of a record -------------------------------------------------------------
+
+
+def well(records: Iterable[Record]) -> list[Record]:
+    """Records that ended."""
+    return [r for r in records if r["word"] not in ("error", "crash")]
+
+
+def singles(records: Iterable[Record]) -> list[Record]:
+    """Campaigns with one effect of the catalogue."""
+    return [r for r in well(records) if r["kind"] in ("effect", "structured") and r["truth"]]
+
+
+def clear(truth: Record) -> bool:
+    """Whether these readings should name a cause."""
+    return bool(truth["rms"] >= STRONG and truth["distance"] >= APART)
+
+
+def holds(effect: Record, truth: Record) -> bool:
+    """Whether the cause named, or its class, is the true one."""
+    return any(accepted(truth, name, parameters) for name, parameters, _ in effect["members"])
+
+
+def named(record: Record) -> bool:
+    """Whether any cause added is the true one."""
+    return any(holds(e, record["truth"][0]) for e in record["effects"])
+
+
+def alarmed(record: Record) -> bool:
+    """Whether anything at all was said to be wrong."""
+    return bool(record["word"] != "adequate" or record["blunders"])
+
+
+def wrongly_explained(record: Record) -> bool:
+    """Whether a verdict claims to have explained what no effect of the catalogue is."""
+    return record["word"] in ("explained", "ambiguous")
+
+
+def upper_bound(hits: int, count: int) -> float:
+    """Clopper and Pearson's one-sided upper 95 % bound of a share."""
+    from scipy.special import betaincinv
+
+    return 1.0 if hits >= count else float(betaincinv(hits + 1, count - hits, 0.95))
+
+
+def share(records: Sequence[Record], test: Callable[[Record], bool]) -> str:
+    """Percentage and counts."""
+    hits = sum(map(test, records))
+    return f"{100 * hits / len(records):.1f} % ({hits}/{len(records)})" if records else "-"
+
+
+# -- tables --------------------------------------------------------------------------------------
+
+
+def requirements(records: Sequence[Record]) -> Table:
+    """What is required, and what was found."""
+    done = well(records)
+    kinds = {k: [r for r in done if r["kind"] == k] for k in ("nothing", "pair", "outside", "fault")}
+    single = singles(records)
+    strong = [r for r in single if clear(r["truth"][0])]
+    weak = [r for r in single if not clear(r["truth"][0])]
+    both = [r for r in kinds["pair"] if r["truth"] and all(map(clear, r["truth"]))]
+    strange = [r for r in kinds["outside"] if r["truth"] and r["truth"][0]["rms"] >= STRONG]
+    alone = [r for r in strange if clear(r["truth"][0]) and not r["truth"][0]["same"]]
+    alarms = sum(map(alarmed, kinds["nothing"]))
+    sizes = [len(e["members"]) for r in strong for e in r["effects"][:1]]
+    told = [r for r in strong if r.get("told") and named(r)]
+    rows = [
+        ("", "required", "found"),
+        ("campaigns", "600", f"{len(records)}, {len(records) - len(done)} failed"),
+        ("false alarms", "", share(kinds["nothing"], alarmed)),
+        ("  their upper 95 % bound", "<= 5 %",
+         f"{100 * upper_bound(alarms, max(len(kinds['nothing']), 1)):.1f} %"),
+        ("clear effects named, alone or in a class", ">= 95 %", share(strong, named)),
+        ("  named first and alone", "", share(strong, lambda r: holds_alone(r))),
+        ("  verdict is no mere part", "",
+         share(strong, lambda r: r["word"] in ("explained", "ambiguous"))),
+        ("effects below that named", "", share(weak, named)),
+        ("  called by a wrong name", "", share(weak, lambda r: bool(r["effects"]) and not named(r))),
+        ("mean size of the class of clear effects", "", f"{np.mean(sizes or [np.nan]):.2f}"),
+        ("second effect added for a single cause", "<= 5 %",
+         share(single, lambda r: len(r["effects"]) > 1)),
+        ("clear pairs: both found", "", share(both, both_found)),
+        ("outside the catalogue, at least 3 sigma: explained by a wrong name", "<= 5 %",
+         share(strange, wrongly_explained)),
+        ("  of those 5 sigma from any effect", "", share(alone, wrongly_explained)),
+        ("data faults: explained by a wrong name", "<= 5 %",
+         share(kinds["fault"], lambda r: wrongly_explained(r) and not r["blunders"])),
+        ("  found", "", share(kinds["fault"], fault_found)),
+        ("parameters seen: inside their 95 % interval", ">= 93 %", _covered(done)),
+        ("TCP coordinates inside their 95 % interval", ">= 93 %", _inside(done)),
+        ("TCP error over that of an identification told the effect, median", "",
+         f"{np.median([r['tcp']['after'][0] / r['told'][0] for r in told] or [np.nan]):.2f}"),
+    ]  # fmt: skip
+    return Table("What is required and what was found", "", rows)
+
+
+def holds_alone(record: Record) -> bool:
+    """Whether the cause named first is the true one itself."""
+    effects = record["effects"][:1]
+    return any(accepted(record["truth"][0], *e["members"][0][:2]) for e in effects)
+
+
+def both_found(record: Record) -> bool:
+    """Whether each of two causes is held by an effect of its own."""
+    held = [{k for k, e in enumerate(record["effects"]) if holds(e, t)} for t in record["truth"]]
+    return all(held) and len(set().union(*held)) > 1
+
+
+def fault_found(record: Record) -> bool:
+    """Whether a fault was reported with any of the rows that carry it."""
+    touched = set(record["touched"])
+    return any(touched & set(rows) for _, rows in record["blunders"])
+
+
+def _covered(records: Sequence[Record]) -> str:
+    errors = np.array([abs(e) for r in _trusted(records) for _, e, _ in r["covered"]])
+    return f"{100 * np.mean(errors <= 1.96):.1f} % of {len(errors)}" if len(errors) else "-"
+
+
+def _inside(records: Sequence[Record]) -> str:
+    inside = [r["tcp"]["inside"] for r in _trusted(records)]
+    return f"{100 * np.mean(inside):.1f} %" if inside else "-"
+
+
+def _trusted(records: Sequence[Record]) -> list[Record]:
+    """Campaigns whose verdict stands by its intervals: what is left is described."""
+    kinds = ("nothing", "effect", "structured", "pair")
+    return [r for r in records if r["kind"] in kinds]
+
+
+def words(records: Sequence[Record]) -> Table:
+    """Verdicts by kind of campaign."""
+    columns = ("adequate", "explained", "ambiguous", "partial", "unexplained", "error", "crash")
+    groups = [("nothing", "nothing"), ("clear effect", "effect"), ("fainter effect", "effect"),
+              ("pair", "pair"), *[(f"outside: {o}", "outside") for o in OUTSIDE],
+              *[(f"fault: {f}", "fault") for f in FAULTS]]  # fmt: skip
+    rows: list[Sequence[str]] = [("", *columns, "fault found")]
+    for title, kind in groups:
+        chosen = [r for r in records if _in_group(r, title, kind)]
+        count = Counter(r["word"] for r in chosen)
+        faults = sum(bool(r.get("blunders")) for r in chosen)
+        rows.append((title, *(str(count[c] or "") for c in columns), str(faults or "")))
+    return Table("Verdicts", "Campaigns by what was wrong and by the verdict's word.", rows)
+
+
+def _in_group(record: Record, title: str, kind: str) -> bool:
+    if kind == "effect":
+        ended = record["kind"] in ("effect", "structured")
+        truth = (record.get("truth") or [None])[0]
+        return ended and (title == "clear effect") == (truth is not None and clear(truth))
+    return record["kind"] == kind and (": " not in title or title.endswith(f": {record['what']}"))
+
+
+def confusion(records: Sequence[Record]) -> Table:
+    """True family against the family named first; the true one where its class holds it."""
+    rows: list[Sequence[str]] = [("", *SHORT.values(), "none", "unexpl.")]
+    for family in FAMILIES:
+        chosen = [r for r in singles(records) if r["what"] == family and clear(r["truth"][0])]
+        count = Counter(_named_family(r) for r in chosen)
+        columns = (*SHORT, "adequate", "unexplained")
+        rows.append((family, *(str(count[c] or "") for c in columns)))
+    note = "Clear single effects: the row is the truth; a class that holds the truth counts as it."
+    return Table("Confusion", note, rows)
+
+
+def _named_family(record: Record) -> str:
+    if not record["effects"]:
+        return "adequate" if record["word"] == "adequate" else "unexplained"
+    return str(record["what"] if named(record) else record["effects"][0]["family"])
+
+
+def detectable(records: Sequence[Record]) -> Table:
+    """Size of which half is named, by a logistic curve over the logarithm of the rms."""
+    rows: list[Sequence[str]] = [("", "campaigns", "rms, sigmas", *PROTOCOLS, "unit")]
+    for family in FAMILIES:
+        chosen = [r for r in singles(records) if r["kind"] == "effect" and r["what"] == family]
+        if not chosen:
+            continue
+        rms = np.array([r["truth"][0]["rms"] for r in chosen])
+        half = _half(np.log(np.maximum(rms, 1e-3)), np.array([float(named(r)) for r in chosen]))
+        cells = [_size(chosen, protocol, half) for protocol in PROTOCOLS]
+        unit = family_of(family).unit.name
+        level = f"{half:.1f}" if np.isfinite(half) else "-"
+        rows.append((family, str(len(chosen)), level, *cells, unit))
+    note = "Half of the effects of this size are named, alone or in a class; -: never or always."
+    return Table("Smallest detectable effect", note, rows)
+
+
+def _half(logs: np.ndarray, hits: np.ndarray) -> float:
+    """Exponential of where a logistic curve crosses one half; nan where nothing crosses."""
+    if hits.min() == hits.max():
+        return float("nan")
+    from scipy.optimize import minimize
+
+    def cost(q: np.ndarray) -> float:
+        z = np.exp(q[1]) * (logs - q[0])
+        likelihood = np.sum(np.logaddexp(0, z) - hits * z)
+        return float(likelihood + (q[1] - np.log(3)) ** 2 / 2 + (q[0] - np.log(2)) ** 2 / 8)
+
+    found = minimize(cost, np.array([np.log(2.0), np.log(3.0)]), method="BFGS")
+    return float(np.exp(found.x[0]))
+
+
+def _size(chosen: Sequence[Record], protocol: str, rms: float) -> str:
+    from benchmarks.attribution_run import machine
+
+    here = [r["truth"][0] for r in chosen if r["protocol"] == protocol]
+    each = [t["size"] / t["rms"] for t in here if t["rms"] > 1e-3]
+    if not each or not np.isfinite(rms):
+        return "-"
+    family = family_of(chosen[0]["what"])
+    return f"{np.median(each) * rms * machine().tolerance(family.name) / family.unit.si:.2g}"
+
+
+def reliability(records: Sequence[Record]) -> Table:
+    """Stated probabilities of all members of the classes against how often they were the cause."""
+    stated, true = [], []
+    for record in singles(records):
+        for name, parameters, probability in (m for e in record["effects"][:1] for m in e["members"]):
+            stated.append(probability)
+            true.append(accepted(record["truth"][0], name, parameters))
+    edges = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 + 1e-9)
+    rows: list[Sequence[str]] = [("stated", "causes", "mean stated", "true")]
+    p, hit = np.array(stated), np.array(true, dtype=float)
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        chosen = (p >= low) & (p < high)
+        if chosen.any():
+            cells = (f"{p[chosen].mean():.2f}", f"{hit[chosen].mean():.2f}")
+            rows.append((f"{low:g} to {min(high, 1):g}", str(chosen.sum()), *cells))
+    note = "First effect of campaigns with a single cause: the chosen one and its rivals."
+    return Table("Reliability of the stated probabilities", note, rows)
+
+
+def accuracy(records: Sequence[Record]) -> Table:
+    """Mean TCP error, best translation removed."""
+    rows: list[Sequence[str]] = [
+        ("", "campaigns", "nominal", "before", "after", "told the effect", "inside")
+    ]
+    groups = {
+        "nothing": [r for r in well(records) if r["kind"] == "nothing"],
+        "clear effects, named": [r for r in singles(records) if clear(r["truth"][0]) and named(r)],
+        "all single effects": singles(records),
+        "pairs": [r for r in well(records) if r["kind"] == "pair"],
+        "outside the catalogue": [r for r in well(records) if r["kind"] == "outside"],
+        "data faults": [r for r in well(records) if r["kind"] == "fault"],
+    }
+    for title, chosen in groups.items():
+        if chosen:
+            tcp = [r["tcp"] for r in chosen]
+            cells = [f"{np.mean([t[k][0] for t in tcp]):.4f}" for k in ("nominal", "before", "after")]
+            told = [r["told"][0] for r in chosen if r.get("told")]
+            cells.append(f"{np.mean(told):.4f}" if told else "")
+            cells.append(f"{100 * np.mean([t['inside'] for t in tcp]):.1f} %")
+            rows.append((title, str(len(chosen)), *cells))
+    note = "Millimetres, mean over points and campaigns, best translation removed."
+    return Table("TCP error", note, rows)

@@ -1,0 +1,83 @@
+"""Choosing readings: greedy, then every mounting in turn taken out and chosen again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from orthoglide.design.bench import Bench
+from orthoglide.design.objectives import Objective
+from orthoglide.errors import InputError
+
+Criterion = TypeVar("Criterion", bound=Objective)
+
+_PASSES = 2
+_NOTHING = 1e-9  # gain below which a step is not worth a reading
+
+
+def choose(
+    bench: Bench,
+    start: Criterion,
+    count: int,
+    *,
+    exchange: bool = False,
+) -> tuple[tuple[int, ...], Criterion]:
+    """Readings that serve a criterion best.
+
+    Args:
+        bench: to choose from.
+        start: the criterion before any is taken.
+        count: how many readings at most.
+        exchange: whether to try again mounting by mounting, until nothing improves.
+
+    Returns:
+        Rows of the pool, with repetitions, and the criterion with them.
+
+    Raises:
+        InputError: for fewer than two readings.
+    """
+    if count < 2:
+        raise InputError(f"a setup needs two readings, as its datum is free: ask for 2, not {count}")
+    rows, best = _grow(bench, start, [], count)
+    for _ in range(_PASSES if exchange else 0):
+        before = best.value
+        for setup in dict.fromkeys(int(bench.pool.setup[k]) for k in rows):
+            kept = [k for k in rows if bench.pool.setup[k] != setup]
+            again, found = _grow(bench, replayed(bench, start, kept), kept, count)
+            if found.value > best.value:
+                rows, best = again, found
+        if best.value - before < 1e-6 * abs(before):
+            break
+    return tuple(rows), best
+
+
+def _grow(
+    bench: Bench, objective: Criterion, rows: Sequence[int], count: int
+) -> tuple[list[int], Criterion]:
+    """Take the step of most gain for its cost until the readings are used up."""
+    taken = list(rows)
+    while len(taken) < count and not (taken and objective.reached):
+        steps = bench.steps(taken, count - len(taken))
+        if not len(steps.rows):
+            break
+        gains = objective.gains(steps)
+        k = int(np.argmax(gains / steps.cost))
+        if not gains[k] > _NOTHING:
+            break
+        objective = objective.after(steps, k)
+        taken += steps.taken(k)
+    return taken, objective
+
+
+def replayed(bench: Bench, start: Criterion, rows: Sequence[int]) -> Criterion:
+    """The criterion once rows have been taken, mounting by mounting."""
+    objective = start
+    for setup in dict.fromkeys(int(bench.pool.setup[k]) for k in rows):
+        own = [k for k in rows if bench.pool.setup[k] == setup]
+        for i in range(1, len(own)):
+            steps = bench.continued(setup, own[:i])
+            place = int(np.flatnonzero(steps.rows[:, 1] == own[i])[0])
+            objective = objective.after(steps, place)
+    return objective

@@ -1,0 +1,155 @@
+"""The readings a machine can give: setups, and the stations that each of them can visit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from orthoglide import pss
+from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.observations import Campaign, Setup
+
+GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
+"""Where the dials may stand, as fractions of the leg."""
+
+BARS: tuple[int, ...] = (0, 1, 2)
+"""What they may touch: the leg's median line, bar 1, bar 2."""
+
+DIAL_TRAVEL = 5e-3
+"""Metres that the touched line may stray sideways at the dial, nominally, from mechanical zero."""
+
+_STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
+_SIDEWAYS = 6e-3  # metres off the axis
+_CLEARANCE = 5e-3  # metres that a dial keeps from either end of the leg
+_OVERSHOOT = 1e-3  # metres from beyond which a command is approached
+_GRID = 9  # decimals of a metre that fit on a sheet
+
+
+class Station(NamedTuple):
+    """A command and the side it is reached from, as one leg's dials see it.
+
+    Attributes:
+        label: for people.
+        command: rho ``(3,)``, metres.
+        p: nominal TCP ``(3,)``, metres.
+        approach: +1 or -1, the last move of all three axes.
+    """
+
+    label: str
+    command: Array
+    p: Array
+    approach: int
+
+
+def stations(leg: int, geometry: Geometry) -> list[Station]:
+    """Stations for a leg's dials, all within the stroke, approaches included.
+
+    On the leg's own axis: steps of the stroke, reached with all axes moving in + and in -. Off it:
+    a few millimetres to either side at three of them, reached in +.
+    """
+    low, high = geometry.stroke
+    own = np.concatenate(
+        [low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN, high * np.arange(_STEPS_UP + 1) / _STEPS_UP]
+    )
+    found = []
+    for travel in own:
+        p = np.zeros(3)
+        p[leg] = travel
+        found += _reached(f"{travel * 1e3:+.6g}", p, (1, -1), geometry)
+    for travel in (low / 2, 0.0, high / 2):
+        for axis in range(3):
+            for side in (1, -1):
+                if axis != leg:
+                    p = np.zeros(3)
+                    p[leg], p[axis] = travel, side * _SIDEWAYS
+                    label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * _SIDEWAYS * 1e3:+.6g}"
+                    found += _reached(label, p, (1,), geometry)
+    return found
+
+
+def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> list[Station]:
+    rho = np.round(pss.inverse(p, geometry=geometry), _GRID)
+    return [
+        Station(label, rho, p, side)
+        for side in sides
+        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * _OVERSHOOT).all()
+    ]
+
+
+def visible(station: Station, setup: Setup) -> bool:
+    """Whether a dial keeps on its leg and within its travel at a station, nominally."""
+    own, p = station.command[setup.leg], station.p
+    if not p[setup.leg] + _CLEARANCE <= setup.gauge <= own - _CLEARANCE:
+        return False
+    share = (own - setup.gauge) / (own - p[setup.leg])  # of the platform in the touched point
+    aside = np.delete(p, setup.leg) * share
+    return bool(np.abs(aside).max() <= DIAL_TRAVEL)
+
+
+def reading_pool(
+    geometry: Geometry | None = None,
+    *,
+    gauges: Sequence[float] = GAUGES,
+    bars: Sequence[int] = BARS,
+    load: float = 0.0,
+) -> Campaign:
+    """Every reading there is to choose from, as a campaign without readings.
+
+    Args:
+        geometry: whose stroke and lengths count; the nominal one if None.
+        gauges: places of the dials, fractions of the leg.
+        bars: what may be touched.
+        load: at the TCP, newtons.
+
+    Returns:
+        A campaign with a setup for every leg, direction, place and bar, one row a station.
+    """
+    geometry = geometry or Geometry()
+    setups, rows = [], []
+    for leg in range(3):
+        reach = stations(leg, geometry)
+        for axis in ((leg + 1) % 3, (leg + 2) % 3):
+            for gauge in gauges:
+                for bar in bars:
+                    name = f"next-{LEGS[leg]}{LEGS[axis]}-{gauge:g}" + (f"-bar{bar}" if bar else "")
+                    setup = Setup(name, leg, axis, 1, round(gauge * geometry.L, _GRID), bar)
+                    rows += [(len(setups), s) for s in reach if visible(s, setup)]
+                    setups.append(setup)
+    n = len(rows)
+    return Campaign(
+        name="next",
+        setups=tuple(setups),
+        setup=np.array([k for k, _ in rows]),
+        command=np.array([s.command for _, s in rows]),
+        approach=np.repeat([[float(s.approach)] for _, s in rows], 3, axis=1),
+        time=np.full(n, np.nan),
+        temperature=np.full(n, np.nan),
+        load=np.full(n, load),
+        repeat=np.ones(n, dtype=np.int64),
+        order=np.arange(n),
+        posture=tuple(s.label for _, s in rows),
+        reading=np.full(n, np.nan),
+        sigma=np.full(n, np.nan),
+        line=np.arange(n) + 2,
+    )
+
+
+def sheet(pool: Campaign, chosen: Sequence[int], name: str = "next") -> Campaign:
+    """Chosen rows of a pool, mounting by mounting, visits to a station numbered.
+
+    Args:
+        pool: as from :func:`reading_pool`.
+        chosen: indices, with repetitions where a station is visited again.
+        name: of the campaign.
+    """
+    from dataclasses import replace
+
+    rows = np.array(sorted(chosen, key=lambda k: (pool.setup[k], k)), dtype=np.int64)
+    repeat = np.array([int(np.sum(rows[:i] == k)) + 1 for i, k in enumerate(rows)], dtype=np.int64)
+    # All stations once, then again: repeats in a row would not see the mounting creep.
+    order = np.lexsort([rows, repeat, pool.setup[rows]])
+    part = pool.subset(rows[order])
+    place = np.arange(len(rows))
+    return replace(part, name=name, repeat=repeat[order], order=place, line=place + 2)

@@ -1,0 +1,137 @@
+"""How often to repeat a protocol for the accuracy that is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.accuracy import workspace
+from orthoglide.design.expected import Expected, expected, expected_noise, scatter_of
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array
+from orthoglide.identification import Noise
+from orthoglide.identification.noise import station_table
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
+from orthoglide.prediction import Conditions
+
+TCP = "TCP"
+"""Stands for the TCP where a parameter's name might stand."""
+
+_MOST = 1000
+_GRID = 4
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """An answer to "how often".
+
+    Attributes:
+        what: parameter, or ``"TCP"``: root mean square over the workspace and its three axes, best
+            translation removed.
+        wanted: standard deviation, SI.
+        repeats: visits to every station; ``None`` where no number is enough.
+        sigma: with that many; with one visit where none is enough.
+        floor: what is left with any number of repeats: rounding, placement, and what is not seen.
+    """
+
+    what: str
+    wanted: float
+    repeats: int | None
+    sigma: float
+    floor: float
+
+
+def once(campaign: Campaign) -> Campaign:
+    """Every station of a campaign visited once."""
+    _, first = np.unique(station_table(campaign), axis=0, return_index=True)
+    return campaign.subset(np.sort(first))
+
+
+def sigma_after(
+    machine: Machine,
+    campaign: Campaign,
+    families: Sequence[str],
+    what: str,
+    repeats: float,
+    noise: float | None = None,
+) -> float:
+    """Standard deviation to expect of a parameter or of the TCP, SI, tolerances as priors.
+
+    Args:
+        machine: tolerances and dial.
+        campaign: stations; its own repeats do not count.
+        families: to identify.
+        what: one of their parameters, or ``"TCP"``.
+        repeats: visits to every station; infinite for the limit.
+        noise: standard deviation of one reading, metres.
+    """
+    visits = once(campaign)
+    level = expected_noise(machine, visits, noise)
+    scatter = scatter_of(machine, level.typical)
+    own = max(scatter.reading / np.sqrt(repeats), 1e-3 * level.typical)
+    averaged = Noise((np.full(len(visits), own),), level.typical, level.source, scatter.common)
+    return _sigma(machine, expected(machine, visits, families, averaged), what)
+
+
+def _sigma(machine: Machine, seen: Expected, what: str) -> float:
+    problem, covariance = seen.problem, seen.covariance
+    if what != TCP:
+        if what not in problem.names:
+            known = ", ".join(problem.names)
+            raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
+        k = problem.names.index(what)
+        return float(np.sqrt(covariance[k, k]) * problem.tolerance[k])
+    slope = _tcp_slope(machine, seen)
+    return float(np.sqrt(np.mean(np.einsum("rp,pq,rq->r", slope, covariance, slope))))
+
+
+def _tcp_slope(machine: Machine, seen: Expected) -> Array:
+    """Derivative of the TCP over the workspace ``(3 g, P)``, mean removed, by tolerances."""
+    names, weights = seen.problem.elementary(0)
+    conditions = Conditions.at(workspace(machine.geometry, _GRID))
+    _, by_name = machine.model.sensitivities(machine.values, conditions, names)
+    slope = by_name[:, :3] @ weights * seen.problem.tolerance
+    return np.asarray((slope - slope.mean(axis=0)).reshape(-1, slope.shape[-1]))
+
+
+def repeats_needed(
+    machine: Machine,
+    campaign: Campaign,
+    families: Sequence[str],
+    what: str,
+    wanted: float,
+    noise: float | None = None,
+) -> Repeats:
+    """How often every station must be visited for a wanted accuracy.
+
+    Repeats reduce the scatter of readings. They reduce neither the rounding that a station's
+    visits share, nor the dial's misplacement, nor what no reading of the protocol sees.
+
+    Args:
+        machine: tolerances and dial.
+        campaign: stations; its own repeats do not count.
+        families: to identify, with their tolerances as priors.
+        what: one of their parameters, or ``"TCP"``.
+        wanted: standard deviation, SI.
+        noise: standard deviation of one reading, metres.
+
+    Raises:
+        InputError: for a parameter that is not identified, or a ``wanted`` that is not positive.
+    """
+    if not wanted > 0:
+        raise InputError(f"the accuracy wanted of {what} must be a positive standard deviation")
+
+    def sigma(repeats: float) -> float:
+        return sigma_after(machine, campaign, families, what, repeats, noise)
+
+    floor = sigma(np.inf)
+    if sigma(_MOST) > wanted:
+        return Repeats(what, wanted, None, sigma(1), floor)
+    low, high = 0, _MOST
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if sigma(middle) <= wanted else (middle, high)
+    return Repeats(what, wanted, high, sigma(high), floor)

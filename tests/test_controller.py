@@ -1,0 +1,483 @@
+"""Compensation and exports, judged by machines of their own: ``rig.py`` and Pinocchio."""
+
+import csv
+import io
+import json
+import re
+import runpy
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from click.testing import CliRunner
+
+from orthoglide import Campaign, Machine, UnreachableError, identify
+from orthoglide.cli.compensate import COMMANDS
+from orthoglide.cli.run import Commands
+from orthoglide.controller import (
+    HELD_BY_URDF,
+    calibrated_urdf,
+    commands_text,
+    compensate,
+    controller_numbers,
+    read_path,
+    tcp_sigma,
+)
+from orthoglide.effects import MACHINE_PARAMETERS
+from orthoglide.errors import FileError, InputError
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.machine_file import Controller
+from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.tree import Tree, _sorted, _with_extras
+from orthoglide.urdf import to_urdf
+from tests.rig import Array, Rig
+from tests.rig_campaigns import simulate
+
+ROOT = Path(__file__).parents[1]
+PITCH = 0.02
+L = Geometry().L
+
+
+def machine(values: dict[str, float], **changes: object) -> Machine:
+    spec = replace(Machine.nominal().spec, screw_pitch=PITCH, **changes)  # type: ignore[arg-type]
+    return Machine(spec).with_parameters(values)
+
+
+def circle(points: int = 40) -> Array:
+    angle = np.linspace(0, 2 * np.pi, points)
+    return np.stack([0.04 * np.cos(angle), 0.035 * np.sin(angle), 0.02 * np.sin(angle)], 1)
+
+
+@cache
+def everything() -> dict[str, float]:
+    """An error of every kind, each a share of its tolerance; lost motion is positive."""
+    rng, plain = np.random.default_rng(5), Machine.nominal()
+    drawn = {n: 0.7 * plain.tolerance(n) * float(rng.standard_normal()) for n in MACHINE_PARAMETERS}
+    return {n: abs(v) if n.startswith("backlash") else v for n, v in drawn.items()}
+
+
+def misses(p: Array, goal: Array) -> Array:
+    return np.linalg.norm(p - goal, axis=1)
+
+
+def directions(rho: Array) -> Array:
+    """Direction of each axis' last move, + for the first."""
+    way = np.ones_like(rho)
+    for k in range(1, len(rho)):
+        step = rho[k] - rho[k - 1]
+        way[k] = np.where(np.abs(step) > 1e-6, np.sign(step), way[k - 1])
+    return way
+
+
+# -- compensation -------------------------------------------------------------------------------
+
+
+def test_compensated_commands_bring_the_independent_machine_to_the_points() -> None:
+    goal, rig = circle(), Rig(errors=everything(), screw_pitch=PITCH)
+    plain = compensate(Machine.nominal(), goal)
+    plan = compensate(machine(everything()), goal)
+    before = misses(rig.pose(plain.rho, directions(plain.rho)).p, goal)
+    after = misses(rig.pose(plan.rho, directions(plan.rho)).p, goal)
+    assert before.min() > 0.5e-3
+    assert after.max() < 5e-9  # the commands are rounded to a nanometre
+    assert np.array_equal(plan.approach, directions(plan.rho))
+    assert plan.error_before == pytest.approx(before, abs=5e-9)
+
+
+def test_conditions_count() -> None:
+    goal, rig = circle(12), Rig(errors=everything(), screw_pitch=PITCH)
+    time, warming = np.linspace(0, 3000, 12), np.linspace(0, 8, 12)
+    plan = compensate(machine(everything()), goal, time=time, warming=warming)
+    after = misses(rig.pose(plan.rho, plan.approach, time, warming).p, goal)
+    assert after.max() < 2e-8
+    assert misses(rig.pose(plan.rho, plan.approach).p, goal).max() > 1e-6
+
+
+def test_a_calibration_from_readings_pays_at_the_tcp() -> None:
+    errors = {
+        "joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "joint_offset.z": 0.5e-3,
+        "backlash.y": 4e-5, "axis_tilt.z.x": 1.5e-3,
+    }  # fmt: skip
+    rig, goal = Rig(errors=errors), circle()
+    rows = simulate(rig, "sweep", np.random.default_rng(3), noise=2e-6, resolution=1e-6)
+    campaign = Campaign.from_frame({name: [r[name] for r in rows] for name in rows[0]})
+    free = ("joint_offset", "backlash.y", "axis_tilt.z.x")
+    plan = compensate(identify(campaign, free=free).machine, goal)
+    plain = compensate(Machine.nominal(), goal)
+    before = rig.pose(plain.rho, plain.approach).p - goal
+    after = rig.pose(plan.rho, plan.approach).p - goal
+    assert np.linalg.norm(before, axis=1).min() > 1e-3
+    assert np.linalg.norm(after, axis=1).max() < 3e-5
+    assert np.linalg.norm(after, axis=1).mean() < 0.02 * np.linalg.norm(before, axis=1).mean()
+
+
+def test_the_example_shows_error_after_against_before() -> None:
+    example = runpy.run_path(str(ROOT / "examples" / "compensate_path.py"))
+    result = example["run"]()
+    before, after = (e - e.mean(axis=0) for e in (result.before, result.after))
+    assert np.linalg.norm(after, axis=1).max() < 0.2 * np.linalg.norm(before, axis=1).max()
+
+
+def test_lost_motion_follows_the_order_of_the_path() -> None:
+    worn = machine({"backlash.x": 1e-4})
+    there, back = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.0, 0, 0]]), (0, 2)
+    plan = compensate(worn, there)
+    assert plan.approach[:, 0].tolist() == [1, 1, -1]
+    assert plan.rho[back[0], 0] - plan.rho[back[1], 0] == pytest.approx(1e-4, abs=1e-7)
+    # Moves shorter than the lost motion, each reversing: the command must still reverse.
+    tiny = np.zeros((6, 3))
+    tiny[1::2, 0] = 2e-5
+    plan = compensate(worn, tiny)
+    assert plan.approach[:, 0].tolist() == [1, 1, -1, 1, -1, 1]
+    assert (
+        misses(Rig(errors={"backlash.x": 1e-4}).pose(plan.rho, plan.approach).p, tiny).max() < 5e-9
+    )
+
+
+def test_where_the_path_starts_from_decides_the_first_approach() -> None:
+    worn, goal = machine({"backlash.x": 1e-4}), np.zeros((1, 3))
+    assert compensate(worn, goal).approach[0, 0] == 1
+    from_outside = compensate(worn, goal, start=[0.03, 0, 0])
+    assert from_outside.approach[0, 0] == -1
+    assert len(from_outside) == 1
+
+
+def test_negative_lost_motion_has_no_consistent_approach() -> None:
+    path = np.zeros((2, 3))
+    path[1, 0] = -2e-5
+    with pytest.raises(InputError, match=r"row 2 .* approach"):
+        compensate(machine({"backlash.x": -1e-4}), path)
+
+
+def test_commands_in_the_controllers_counting() -> None:
+    controller = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
+    odd = machine(everything(), controller=controller)
+    plan = compensate(odd, circle(8), resolution=1e-5)
+    assert np.abs(plan.travel * 1e5 - np.round(plan.travel * 1e5)).max() < 1e-6
+    assert np.abs(controller.to_rho(plan.travel, odd.geometry) - plan.rho).max() == 0
+    shown = [0.5 - (plan.rho[:, 0] - L), -0.02 + (plan.rho[:, 1] - L), 0.1 - (plan.rho[:, 2] - L)]
+    assert np.abs(np.transpose(shown) - plan.travel).max() < 1e-14
+    assert 1e-7 < plan.residual.max() < 2e-5
+    assert np.array_equal(plan.predicted, odd.forward(plan.rho, approach=plan.approach))
+
+
+@pytest.mark.parametrize(
+    ("point", "leg", "words"),
+    [
+        ((0.0, 0.25, 0.25), "x", "too short"),
+        ((0.065, 0.0, 0.0), "x", "beyond its stroke"),
+        ((0.0, 0.0, 0.3), "x", "beyond its stroke"),
+        ((0.0, -0.12, 0.0), "y", "beyond its stroke"),
+        ((0.12, 0.12, 0.12), "", "row 3 of the path"),
+    ],
+)
+def test_points_out_of_reach_name_their_row(
+    point: tuple[float, float, float], leg: str, words: str
+) -> None:
+    path = np.zeros((4, 3))
+    path[2] = point
+    with pytest.raises(UnreachableError, match=words) as caught:
+        compensate(machine(everything()), path)
+    assert caught.value.index == (2,)
+    assert "row 3" in str(caught.value)
+    assert caught.value.leg == leg or not leg
+
+
+@pytest.mark.parametrize("path", [np.zeros((0, 3)), np.zeros(3), np.zeros((2, 2))])
+def test_what_is_no_path_is_refused(path: Array) -> None:
+    with pytest.raises(InputError, match="shape"):
+        compensate(Machine.nominal(), path)
+
+
+def test_a_point_that_is_no_number_is_refused() -> None:
+    with pytest.raises(InputError, match="row 2"):
+        compensate(Machine.nominal(), [[0, 0, 0], [0, np.nan, 0]])
+
+
+# -- expected accuracy --------------------------------------------------------------------------
+
+
+def test_sigmas_are_those_of_finite_differences() -> None:
+    sigmas = {"joint_offset.x": 2e-5, "axis_tilt.y.z": 3e-4, "backlash.z": 1e-5}
+    values = {name: 3 * sigma for name, sigma in sigmas.items()}
+    seen = machine({}).with_parameters(values, sigmas)
+    rho, approach = L + np.array([[0.01, -0.05, 0.03], [-0.08, 0.02, 0.05]]), -1.0
+    variance = np.zeros((2, 3))
+    for name, sigma in sigmas.items():
+        ends = [
+            seen.with_parameters({name: values[name] + way * sigma}).forward(rho, approach=approach)
+            for way in (1, -1)
+        ]
+        variance += ((ends[0] - ends[1]) / 2) ** 2
+    assert tcp_sigma(seen, rho, approach=approach) == pytest.approx(np.sqrt(variance), rel=1e-4)
+    # Known values have no sigma.
+    assert tcp_sigma(machine(values), rho).max() == 0
+
+
+def test_a_covariance_replaces_independence() -> None:
+    """An offset with the two carriages' shifts the same way is a translation of the machine."""
+    names = ["joint_offset.y", "axis_offset.x.y", "axis_offset.z.y"]
+    seen = machine({}).with_parameters(dict.fromkeys(names, 0.0), dict.fromkeys(names, 1e-4))
+    rho = L + np.random.default_rng(0).uniform(-0.08, 0.05, (5, 3))
+    together = tcp_sigma(seen, rho, covariance=(names, np.full((3, 3), 1e-8)))
+    assert together == pytest.approx(np.tile([0, 1e-4, 0], (5, 1)), abs=1e-12)
+    assert np.all(tcp_sigma(seen, rho)[:, [0, 2]] > 1e-7)
+    plan = compensate(seen, circle(4), covariance=(names, np.full((3, 3), 1e-8)))
+    assert plan.accuracy == pytest.approx(np.full(4, 1e-4), rel=1e-3)
+    assert "covariance" in str(plan)
+    assert "independent" in str(compensate(seen, circle(4)))
+    with pytest.raises(InputError, match="rows and columns"):
+        tcp_sigma(seen, rho, covariance=(names, np.eye(2)))
+    with pytest.raises(InputError, match="no single parameter"):
+        tcp_sigma(seen, rho, covariance=(["axis_tilt.common"], np.eye(1)))
+
+
+# -- numbers for a controller -------------------------------------------------------------------
+
+DRIVES = {
+    "joint_offset.x": 1.2e-3, "joint_offset.y": -0.6e-3, "encoder_scale.x": 2e-4,
+    "encoder_scale.z": -1e-4, "backlash.x": 5e-5, "backlash.z": 3e-5,
+}  # fmt: skip
+COUNTING = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
+
+
+@pytest.mark.parametrize("way", [1, -1, 0])
+def test_the_numbers_put_the_drives_right(way: int) -> None:
+    numbers = controller_numbers(machine(DRIVES, controller=COUNTING))
+    wanted = np.array([0.03, -0.05, 0.02])  # true travel of the carriages
+    shown = [d.shown(s, way) for d, s in zip(numbers.drives, wanted, strict=True)]
+    rho = COUNTING.to_rho(shown, Geometry())
+    p = Rig(errors=DRIVES).pose(rho, float(way)).p[0]
+    assert np.abs(p - Rig().pose(L + wanted).p[0]).max() < 1e-12
+    assert np.abs(Rig().pose(rho).p[0] - p).max() > 1e-4
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_the_rules_as_they_are_written_put_the_drives_right(way: int) -> None:
+    """By the exported numbers alone: zero, scale factor, backlash on both sides or on one."""
+    exported = controller_numbers(machine(DRIVES, controller=COUNTING)).as_dict()["drives"]
+    wanted = np.array([0.03, -0.05, 0.02])
+    goal = Rig().pose(L + wanted).p[0]
+    both, one = [], []
+    for leg, s in zip(LEGS, wanted, strict=True):
+        n = exported[leg]
+        half = way * n["backlash_mm"] / 2
+        whole = -n["backlash_mm"] if way < 0 else 0.0
+        # Commanded in a corrected counting, then what an uncorrected controller would call it.
+        for shift, zero, found in (
+            (half, n["new_zero_mm"], both), (whole, n["new_zero_one_sided_mm"], one),
+        ):  # fmt: skip
+            corrected = zero + n["sign"] * (s * 1e3 + shift)
+            raw = n["old_zero_mm"] + (corrected - n["old_zero_mm"]) * n["scale_factor"]
+            found.append(raw * 1e-3)
+    for shown in (both, one):
+        p = Rig(errors=DRIVES).pose(COUNTING.to_rho(shown, Geometry()), float(way)).p[0]
+        assert np.abs(p - goal).max() < 1e-9
+
+
+def test_the_sign_rule_is_worked_out_in_words() -> None:
+    text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
+    assert "new zero = old zero - sign x joint_offset" in text
+    worked = re.search(r"shows (\S+) - \((\S+)\) x \((\S+)\) = (\S+) mm", text)
+    assert worked
+    zero, sign, offset, result = (float(x) for x in worked.groups())
+    assert (zero, sign, offset) == (500.0, -1.0, 1.2)
+    assert result == zero - sign * offset == 501.2
+    assert "too far out" in text
+    assert "toward the origin" in text
+    table = [line.split() for line in text.splitlines() if re.match(r"  [xyz] ", line)]
+    assert [float(row[1]) for row in table] == pytest.approx([501.2, -19.4, 100.0])
+    assert "hold all of it" in text
+    more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
+    assert more.left_over == ("axis_tilt.y.z",)
+    assert "axis_tilt.y.z" in more.text()
+
+
+def test_bar_lengths_are_those_of_the_legs() -> None:
+    numbers = controller_numbers(machine({"leg_length.z": 4e-5}))
+    assert [d.bar_length for d in numbers.drives] == pytest.approx([L, L, L + 4e-5])
+    assert numbers.as_dict()["drives"]["z"]["bar_length_mm"] == pytest.approx(310.29)
+
+
+# -- URDF ---------------------------------------------------------------------------------------
+
+RIGID = {
+    "joint_offset.x": 1.1e-3, "joint_offset.y": -0.7e-3, "leg_length.y": 8e-5,
+    "leg_length.z": -5e-5, "axis_offset.x.y": 3e-4, "axis_offset.z.x": -2e-4,
+    "axis_tilt.y.z": 1e-3, "axis_tilt.y.x": -2e-3, "axis_tilt.x.z": 1.5e-3,
+}  # fmt: skip
+COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
+
+
+def tree_of(text: str, *, general: bool) -> Tree:
+    model = pin.buildModelFromXML(text)
+    return _sorted(Geometry(), _with_extras(model) if general else model)
+
+
+def closed_tcp(tree: Tree, travel: Array) -> Array:
+    """TCP of a tree as loaded, its loops closed by Newton (least squares) from neutral."""
+    loops, q = Loops(tree), np.zeros(tree.model.nq)
+    q[tree.drive] = travel
+    for _ in range(25):
+        residual = loops.update(q)
+        step = np.linalg.lstsq(loops.newton_matrix()[:, tree.free], residual, rcond=1e-9)[0]
+        q[tree.free] -= step
+        if np.abs(step).max() < 1e-14:
+            break
+    assert np.abs(loops.update(q)).max() < 1e-11
+    pin.framesForwardKinematics(tree.model, loops.data, q)
+    return np.array(loops.data.oMf[tree.model.getFrameId("x_tcp")].translation)
+
+
+def slopes(values: dict[str, float]) -> Array:
+    """Slope of each carriage's path."""
+    found = np.zeros(3)
+    for name, value in values.items():
+        if name.partition(".")[0] in ("axis_tilt", "rail_tilt"):
+            found[LEGS.index(name.split(".")[1])] += value**2
+    return np.sqrt(found)
+
+
+def test_rigid_legs_close_on_the_machines_own_tcp() -> None:
+    tree = tree_of(calibrated_urdf(machine(RIGID)), general=False)
+    expected = machine(RIGID).forward(COMMANDS_RHO)
+    longer = np.sqrt(1 + slopes(RIGID) ** 2)
+    for rho, p in zip(COMMANDS_RHO, expected, strict=True):
+        # URDF's axis is a unit vector: along it the path is longer than its own-axis share.
+        assert np.abs(closed_tcp(tree, (rho - L) * longer) - p).max() < 1e-9
+        remainder = np.abs(rho - L) @ slopes(RIGID) ** 2
+        left = np.abs(closed_tcp(tree, rho - L) - p).max()
+        assert left < 2 * remainder
+        assert (
+            np.abs(closed_tcp(tree_of(to_urdf(Geometry()), general=False), rho - L) - p).max()
+            > 5e-4
+        )
+
+
+@pytest.mark.parametrize("family", ["joint_offset", "leg_length", "axis_offset"])
+def test_offsets_and_lengths_are_held_exactly(family: str) -> None:
+    values = {n: v for n, v in RIGID.items() if n.startswith(family)}
+    tree = tree_of(calibrated_urdf(machine(values)), general=False)
+    for rho, p in zip(COMMANDS_RHO, machine(values).forward(COMMANDS_RHO), strict=True):
+        assert np.abs(closed_tcp(tree, rho - L) - p).max() < 1e-12
+
+
+def test_with_relief_joints_all_constant_geometry_is_held() -> None:
+    values = {n: v for n, v in everything().items() if n.partition(".")[0] in HELD_BY_URDF}
+    assert len(values) > 30
+    tree = tree_of(calibrated_urdf(machine(values)), general=True)
+    slope = np.zeros(3)
+    for leg in range(3):
+        across = [j for j in range(3) if j != leg]
+        lateral = [
+            sum(values[f"{f}.{LEGS[leg]}.{LEGS[j]}"] for f in ("axis_tilt", "rail_tilt"))
+            for j in across
+        ]
+        slope[leg] = np.hypot(*lateral)
+    for rho, p in zip(COMMANDS_RHO, machine(values).forward(COMMANDS_RHO), strict=True):
+        found = closed_tcp(tree, (rho - L) * np.sqrt(1 + slope**2))
+        assert np.abs(found - p).max() < 1e-9
+
+
+def test_nothing_identified_is_the_nominal_urdf() -> None:
+    own, nominal = (
+        ET.canonicalize(text, strip_text=True)
+        for text in (calibrated_urdf(Machine.nominal()), to_urdf(Geometry()))
+    )
+    assert own == nominal
+
+
+def test_the_comment_says_what_is_left_out() -> None:
+    named = replace(machine({"backlash.x": 1e-5, "bar_mismatch.y": 1e-5}).spec, name="A--b")
+    text = calibrated_urdf(Machine(named))
+    comment = text.partition("<!--")[2].partition("-->")[0]
+    assert re.search(r"Left out, [^.]*: backlash\.x\.", comment)
+    assert re.search(r"cannot take up bar_mismatch\.y:", comment)
+    assert "Holds bar_mismatch.y." in comment
+    ET.fromstring(text)
+    assert pin.buildModelFromXML(text).nq == 18
+
+
+# -- files and commands -------------------------------------------------------------------------
+
+
+def invoke(*arguments: str) -> tuple[int, str]:
+    group = Commands(commands={c.name or "": c for c in COMMANDS})
+    result = CliRunner().invoke(group, list(arguments))
+    return result.exit_code, result.output
+
+
+def write_path(path: Path, points: Array) -> Path:
+    lines = ["p_x_mm,p_y_mm,p_z_mm", *(",".join(f"{x * 1e3:.4f}" for x in p) for p in points)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_command_writes_commands_that_reach_the_points(tmp_path: Path) -> None:
+    values = {"joint_offset.x": 1e-3, "backlash.y": 3e-5}
+    calibrated = machine({}, controller=COUNTING).with_parameters(values, {"joint_offset.x": 1e-5})
+    calibrated.save(tmp_path / "m.toml")
+    path, out = write_path(tmp_path / "path.csv", circle(9)), tmp_path / "commands.csv"
+    arguments = ("compensate", str(path), "--machine", str(tmp_path / "m.toml"), "--out", str(out))
+    code, text = invoke(*arguments)
+    assert code == 0, text
+    assert "not covered" in text
+    rows = list(csv.DictReader(io.StringIO(out.read_text())))
+    goal = read_path(path).p
+
+    def column(*names: str) -> Array:
+        return np.array([[float(row[n]) for n in names] for row in rows]) * 1e-3
+
+    rho = column(*(f"rho_{leg}_mm" for leg in LEGS))
+    way = column(*(f"approach_{leg}" for leg in LEGS)) * 1e3
+    assert misses(Rig(errors=values).pose(rho, way).p, goal).max() < 5e-9
+    travel = column(*(f"travel_{leg}_mm" for leg in LEGS))
+    assert np.abs(COUNTING.to_rho(travel, Geometry()) - rho).max() < 1e-12
+    assert column("p_x_mm", "p_y_mm", "p_z_mm") == pytest.approx(goal, abs=1e-12)
+    assert 5e-6 < column("expected_mm").max() < 2e-5
+    assert column("uncompensated_mm").min() > 0.5e-3
+    again = invoke(*arguments)
+    assert again[0] == 2
+    assert out.read_text().count("\n") == 10
+
+
+def test_a_point_out_of_reach_names_file_and_line(tmp_path: Path) -> None:
+    Machine.nominal().save(tmp_path / "m.toml")
+    path = write_path(tmp_path / "path.csv", np.array([[0, 0, 0], [0.3, 0, 0]]))
+    out = tmp_path / "commands.csv"
+    code, text = invoke(
+        "compensate", str(path), "--machine", str(tmp_path / "m.toml"), "--out", str(out)
+    )
+    assert code == 2
+    assert "path.csv, line 3" in text
+    assert not out.exists()
+
+
+def test_a_path_without_its_columns_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm\n1,2\n")
+    with pytest.raises(FileError, match="p_z_mm"):
+        read_path(tmp_path / "path.csv")
+
+
+def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
+    machine(RIGID).save(tmp_path / "m.toml")
+    out = tmp_path / "out"
+    code, text = invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))
+    assert code == 0, text
+    assert {p.name for p in out.iterdir()} == {
+        "controller.txt", "controller.json", "orthoglide.urdf", "orthoglide.closures.toml",
+    }  # fmt: skip
+    numbers = json.loads((out / "controller.json").read_text())
+    assert numbers["drives"]["x"]["add_to_command_mm"] == pytest.approx(-1.1)
+    assert (out / "orthoglide.urdf").read_text() == calibrated_urdf(machine(RIGID))
+    assert invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))[0] == 2
+
+
+def test_the_text_of_commands_has_a_row_a_point() -> None:
+    text = commands_text(compensate(Machine.nominal(), circle(5)))
+    assert text.count("\n") == 6
+    assert "-0.000000" not in text

@@ -1,0 +1,449 @@
+"""The report and what lies beside it: well formed, self-contained, the same bytes, and true."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import tomllib
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.identification import Estimate, WeakDirection, identify
+from orthoglide.machine_file import Controller
+from orthoglide.observations import protocol
+from orthoglide.report import Run, identification_files, read_input
+from orthoglide.report.embed import panels, whole
+from orthoglide.report.figures import PALETTE, draw
+from orthoglide.report.numbers import compact, decimals_for, plain, probability, signed
+from orthoglide.report.rows import controller_rows
+from orthoglide.report.wording import headline, listed, parameter_words, weak_sentences
+
+DATA = Path(og.__file__).parent / "data"
+RIG = Path(__file__).parent / "data" / "rig"
+
+
+@cache
+def published() -> Estimate:
+    return identify(og.read_campaign(DATA / "experiment2.csv"))
+
+
+@cache
+def rig() -> Estimate:
+    machine = og.Machine.load(RIG / "machine.toml")
+    return identify(og.read_campaign(RIG / "rig-6.csv", machine.spec), machine)
+
+
+@cache
+def two_campaigns() -> Estimate:
+    campaigns = [og.read_campaign(DATA / f"experiment{k}.csv") for k in (2, 3)]
+    return identify(campaigns, free=["joint_offset", "axis_tilt"], own=["joint_offset"])
+
+
+def run_of(*files: str | Path) -> Run:
+    inputs = tuple(read_input(DATA / file) for file in files)
+    arguments = {"campaigns": [i.file for i in inputs]}
+    return Run("identify", arguments, inputs, again="orthoglide identify experiment2.csv --out DIR")
+
+
+@cache
+def files_of(which: str = "published") -> dict[str, str]:
+    estimate, names = {
+        "published": (published, ("experiment2.csv",)),
+        "rig": (rig, (RIG / "rig-6.csv",)),
+        "two": (two_campaigns, ("experiment2.csv", "experiment3.csv")),
+    }[which]
+    return identification_files(estimate(), run_of(*names))
+
+
+def words(html: str) -> str:
+    """The text of a page, spaces made single."""
+    text = re.sub(r"<style>.*?</style>", "", html, flags=re.DOTALL)
+    text = re.sub(r"<[^>]*>", " ", text).replace("&#160;", " ").replace("&#39;", "'")
+    return " ".join(text.split())
+
+
+VOID = {"meta", "br", "link", "img", "hr", "input"}
+
+
+class Balanced(HTMLParser):
+    """Fails on a page whose elements do not close in order; collects ids and references."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.references: set[str] = set()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._look(attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._look(attrs)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open[-1:] == [tag], f"</{tag}> closes {self.open[-1:]}"
+        self.open.pop()
+
+    def _look(self, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            text = value or ""
+            if name == "id":
+                self.ids.append(text)
+            if name in ("href", "src", "xlink:href"):
+                self.addresses.append(text)
+            self.references.update(re.findall(r"url\(#([^)]+)\)", text))
+
+
+@pytest.mark.parametrize("which", ["published", "rig", "two"])
+def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
+    page = files_of(which)["report.html"]
+    parser = Balanced()
+    parser.feed(page)
+    parser.close()
+    assert parser.open == []
+    assert len(parser.ids) == len(set(parser.ids))
+    assert parser.addresses
+    assert all(address.startswith("#") for address in parser.addresses)
+    assert {a[1:] for a in parser.addresses} | parser.references <= set(parser.ids)
+    assert not re.search(r"https?:|//|@import|<script|<link|url\((?!#)", page.replace("<!--", ""))
+    assert page.startswith("<!DOCTYPE html>")
+
+
+@pytest.mark.parametrize("which", ["published", "rig", "two"])
+def test_nothing_tells_where_or_when(which: str) -> None:
+    for name, text in files_of(which).items():
+        assert not re.search(r"/(?:home|root|tmp|usr|work|var)/", text), name
+        assert str(Path.cwd()) not in text, name
+        assert not re.search(r"\b20[2-9]\d-\d\d-\d\d", text), name
+        assert not re.search(r"\bnan\b|\binf\b|Infinity|NaN|None|undefined", text), name
+
+
+def test_the_same_bytes_again() -> None:
+    first = files_of()
+    again = identification_files(
+        identify(og.read_campaign(DATA / "experiment2.csv")), run_of("experiment2.csv")
+    )
+    assert list(first) == list(again)
+    assert first == again
+
+
+def test_result_is_written_last() -> None:
+    assert list(files_of())[-1] == "result.json"
+
+
+def test_the_key_numbers_are_on_the_page() -> None:
+    estimate, text = published(), words(files_of()["report.html"])
+    assert headline(estimate) in text
+    assert "x −0.51, y +0.55, z −1.72 mm" in text
+    assert "leg lengths nominal to 0.02 mm" in text
+    assert "from 0.32 to 0.14 mm" in text
+    assert "5.5 times the noise" in text
+    for name, value in estimate.values.items():
+        low, high = estimate.interval(name)
+        assert f"{signed(value * 1e3, 2)} ± {estimate.sigmas[name] * 1e3:.2f}" in text
+        assert f"{signed(low * 1e3, 2)} to {signed(high * 1e3, 2)}" in text
+    assert f"{estimate.nominal.deviation_rms * 1e3:.3f}" in text
+    assert f"{estimate.scores.cv_rms * 1e3:.3f}" in text
+    assert "cannot tell the joint offset from the leg length of leg x, y and z" in text
+    assert "less than 10⁻⁹ mm" in text
+    assert "orthoglide identify experiment2.csv --out DIR" in text
+    assert text.count("The residuals are") == 0  # said once, at the top, in plain words
+
+
+# --- The numbers for the controller ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("zero", "sign"), [((0.0, 0.0, 0.0), (1, 1, 1)), ((0.01, -0.02, 0.3), (1, -1, -1))]
+)
+def test_the_sign_rule_brings_the_carriage_to_its_place(
+    zero: tuple[float, float, float], sign: tuple[int, int, int]
+) -> None:
+    """What the page tells to command is tried on the machine it was identified from."""
+    controller = Controller(zero, sign)  # type: ignore[arg-type]
+    spec = og.Machine.nominal().spec
+    machine = og.Machine(replace(spec, controller=controller))
+    offsets = {"joint_offset.x": 0.7e-3, "joint_offset.y": -0.3e-3, "joint_offset.z": 1.2e-3}
+    real = machine.with_parameters(offsets)
+    sheet = protocol("standard")
+    campaign = sheet.with_readings(real.readings(sheet))
+    rows = controller_rows(identify(campaign, machine, ["joint_offset"], priors=False))
+    said = ("example_command", "zero_is", "add", "example_true", "example_shown")
+    told = [[float(getattr(row, name).replace("−", "-")) for row in rows] for name in said]
+    command, zeros, add, true, shown = np.array(told) * 1e-3
+    geometry = machine.geometry
+    # Commanding what the worked line says brings the real TCP to the origin.
+    np.testing.assert_allclose(real.forward(controller.to_rho(command, geometry)), 0.0, atol=2e-6)
+    # Believing the old zero leaves each carriage its offset away, as the line says.
+    np.testing.assert_allclose(
+        controller.to_rho(shown, geometry) + np.array(list(offsets.values())), true, atol=1e-6
+    )
+    # A controller whose display was raised by `add` means what it shows.
+    wanted = np.array([0.3, 0.31, 0.32])
+    display = controller.from_rho(wanted, geometry)
+    np.testing.assert_allclose(
+        real.forward(controller.to_rho(display - add, geometry)),
+        machine.forward(wanted),
+        atol=2e-6,
+    )
+    np.testing.assert_allclose(zeros, command, atol=1e-12)
+
+
+def test_no_offsets_no_numbers_for_the_controller() -> None:
+    estimate = identify(og.read_campaign(DATA / "experiment2.csv"), free=["leg_length"])
+    page = identification_files(estimate, run_of("experiment2.csv"))["report.html"]
+    assert "Numbers for the controller" not in page
+    assert "Numbers for the controller" in files_of()["report.html"]
+
+
+# --- result.json and its neighbours ---------------------------------------------------------
+
+KEYS = {
+    "schema", "version", "command", "arguments", "seed", "inputs", "noise_mm", "noise_source",
+    "sigma_scale", "verdict", "before", "after", "holdout", "tcp", "effects", "parameters",
+    "candidates", "blunders", "weak_directions", "cross_check", "next_measurements",
+}  # fmt: skip
+SCORES = {"rms_mm", "deviation_rms_mm", "max_mm", "chi2", "dof", "lack_of_fit_p", "cv_rms_mm"}
+
+
+def test_result_has_the_keys_of_the_contract_and_the_estimates_numbers() -> None:
+    estimate, result = published(), json.loads(files_of()["result.json"])
+    assert set(result) >= KEYS
+    assert (result["schema"], result["command"], result["verdict"]) == (1, "identify", None)
+    assert set(result["before"]) == set(result["after"]) == SCORES
+    for side, scores in (("before", estimate.nominal), ("after", estimate.scores)):
+        assert result[side]["chi2"] == pytest.approx(scores.chi2, rel=1e-9)
+        assert result[side]["deviation_rms_mm"] == pytest.approx(scores.deviation_rms * 1e3)
+        assert result[side]["dof"] == scores.dof == 12
+    for name, entry in result["parameters"].items():
+        assert entry["value"] == pytest.approx(estimate.values[name] * 1e3, rel=1e-9)
+        assert entry["sigma"] == pytest.approx(estimate.sigmas[name] * 1e3, rel=1e-9)
+        assert entry["unit"] == "mm"
+    assert len(result["weak_directions"]) == 3
+    assert result["cross_check"]["reduction_max_difference_mm"] < 1e-6
+
+
+def test_result_is_enough_to_run_it_again() -> None:
+    """From the rows and the machine in the file alone, the same values come out."""
+    result = json.loads(files_of("rig")["result.json"])
+    rows = result["inputs"][0]["rows"]
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    from orthoglide.machine_file import parse_machine_file
+
+    spec = parse_machine_file(result["machine"]["toml"])
+    campaign = og.Campaign.from_frame(columns, name="rig-6", machine_file=spec)
+    again = identify(campaign, og.Machine(spec))
+    for name, entry in result["parameters"].items():
+        assert again.values[name] * 1e3 == pytest.approx(entry["value"], abs=1e-9)
+
+
+def test_calibrated_machine_says_where_it_comes_from(tmp_path: Path) -> None:
+    text = files_of("two")["calibrated.toml"]
+    provenance = tomllib.loads(text)["provenance"]
+    assert provenance["version"] == og.__version__
+    assert [c["file"] for c in provenance["campaigns"]] == ["experiment2.csv", "experiment3.csv"]
+    assert all(len(c["sha256"]) == 64 for c in provenance["campaigns"])
+    (tmp_path / "calibrated.toml").write_text(text)
+    machine = og.Machine.load(tmp_path / "calibrated.toml")
+    assert machine.values == two_campaigns().machine.values
+    own = two_campaigns().values["joint_offset.x@experiment3"]
+    assert machine.values["joint_offset.x"] == pytest.approx(own, abs=1e-15)
+
+
+def test_residuals_add_up() -> None:
+    estimate = rig()
+    table = list(csv.DictReader(io.StringIO(files_of("rig")["residuals.csv"])))
+    assert len(table) == len(estimate.problem.measured)
+    after = np.array([float(row["residual_after_mm"]) for row in table])
+    before = np.array([float(row["residual_before_mm"]) for row in table])
+    assert np.sqrt(np.mean(after**2)) == pytest.approx(estimate.scores.rms * 1e3, rel=1e-4)
+    assert np.sqrt(np.mean(before**2)) == pytest.approx(estimate.nominal.rms * 1e3, rel=1e-4)
+    for row in table[:20]:
+        value = float(row["reading_mm"]) - float(row["predicted_after_mm"])
+        assert value == pytest.approx(float(row["residual_after_mm"]), abs=2e-6)
+
+
+# --- Figures --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", [published, rig, two_campaigns])
+def test_figures_are_svg_with_a_panel_a_setup(which: Any) -> None:
+    estimate = which()
+    drawings = {d.name: d for d in draw(estimate)}
+    for drawing in drawings.values():
+        root = ET.fromstring(re.sub(r"<!DOCTYPE[^>]*>", "", drawing.svg))
+        assert root.tag.endswith("svg")
+        inline = whole(drawing)
+        ET.fromstring(inline)
+        assert "var(--fig-ink)" in inline
+        assert not [code for code in PALETTE.values() if code in inline]
+    shown = panels(drawings["readings"])
+    assert len(shown) == estimate.problem.setup_count
+    titles = [f"{s.name}: leg" for c in estimate.problem.campaigns for s in c.setups]
+    for title, panel in zip(titles, shown, strict=True):
+        assert title in panel
+        assert panel.count(": leg ") == 1
+
+
+def test_figures_leave_matplotlib_as_it_was() -> None:
+    import matplotlib
+
+    with matplotlib.rc_context({"font.size": 23.0, "svg.hashsalt": "other"}):
+        first = draw(published())
+        assert matplotlib.rcParams["font.size"] == 23.0
+    assert [d.svg for d in first] == [d.svg for d in draw(published())]
+
+
+# --- Words and numbers ----------------------------------------------------------------------
+
+
+def test_numbers_for_people() -> None:
+    assert signed(-0.5056, 2) == "−0.51"
+    assert signed(-0.001, 2) == "0.00"
+    assert (plain(0.25, 2), plain(-0.25, 2)) == ("0.25", "−0.25")
+    assert [decimals_for(s) for s in (35.0, 3.5, 0.35, 0.02, 1e-9, 0.0)] == [0, 1, 2, 3, 6, 3]
+    assert compact(1e-10, 1) == "10⁻¹⁰"
+    assert compact(-2.5e-7, 2) == "−2.5·10⁻⁷"
+    assert compact(float("nan")) == "–"
+    assert [probability(p) for p in (0.0, 0.012, 0.4)] == ["below 10⁻⁶", "0.012", "0.40"]
+
+
+def test_words() -> None:
+    assert parameter_words("axis_tilt.y.z") == "axis tilt of leg y toward z"
+    assert parameter_words("joint_offset.x@day-2") == "joint offset of leg x (day-2)"
+    assert parameter_words("mount_tilt.x.a") == "mount tilt of leg x about its axis"
+    assert parameter_words("gauge_scale.left") == "gauge scale of setup left"
+    assert parameter_words("axis_tilt.xy.symmetric") == "axis tilt, xy symmetric"
+    assert (listed(["a"]), listed("ab"), listed("abc")) == ("a", "a and b", "a, b and c")
+
+
+def test_weak_directions_in_words() -> None:
+    pair = WeakDirection({"axis_tilt.x.y": 0.6, "axis_offset.x.y": -0.8}, 0.4, 0.4, "mm")
+    blind = WeakDirection({"backlash.x": 1.0}, float("inf"), 0.02, "mm")
+    first, second = weak_sentences([pair, blind])
+    assert "axis tilt of leg x toward y and axis offset of leg x toward y apart" in first
+    assert "0.4 mm" in first
+    assert "tolerances" not in first
+    assert "nothing at all is seen" in second
+    assert "The tolerances narrow this to 0.02 mm" in second
+
+
+def perfect(noise: float = 0.0) -> Estimate:
+    machine = og.Machine.nominal().with_parameters({"joint_offset.x": 5e-4})
+    sheet = protocol("sweep")
+    scatter = np.random.default_rng(1).normal(scale=noise, size=len(sheet))
+    return identify(sheet.with_readings(machine.readings(sheet) + scatter), free=["joint_offset"])
+
+
+def test_the_sentence_of_a_machine_with_nothing_else_wrong() -> None:
+    text = headline(perfect(1e-5))
+    assert text.startswith("Joint offsets x +0.50, y")
+    assert "no more than the noise" in text
+    assert "cannot explain" not in text
+
+
+def test_the_sentence_of_a_machine_that_was_right() -> None:
+    sheet = protocol("sweep")
+    scatter = np.random.default_rng(2).normal(scale=1e-5, size=len(sheet))
+    machine = og.Machine.nominal()
+    campaign = sheet.with_readings(machine.readings(sheet) + scatter)
+    text = headline(identify(campaign, free=["joint_offset"]))
+    assert text.startswith("Joint offsets nominal to 0.02 mm hardly change")
+    assert "hardly change the deviations" in text
+
+
+def test_many_parameters_are_not_all_named() -> None:
+    text = headline(two_campaigns())
+    assert "(experiment2)" in text
+    assert "2 further parameters" in text
+    assert text.count("axis tilt of leg") == 4
+
+
+# --- In a browser ---------------------------------------------------------------------------
+
+MEASURE = """<script>
+addEventListener("load", () => {
+  const page = document.scrollingElement, wide = innerWidth;
+  const out = [...document.querySelectorAll("main *, header *")].filter(e =>
+    !e.closest("svg *, .scroll *") && e.getBoundingClientRect().right > wide + 1);
+  const cut = [...document.querySelectorAll(".scroll")].filter(
+    e => e.scrollWidth > e.clientWidth + 1);
+  const flat = [...document.querySelectorAll("svg")].filter(
+    e => e.getBoundingClientRect().height < 60);
+  document.body.dataset.measured = JSON.stringify({
+    inner: wide, page: page.scrollWidth, out: out.map(e => e.outerHTML.slice(0, 80)),
+    cut: cut.map(e => e.innerText.slice(0, 40)), flat: flat.length,
+    svgs: document.querySelectorAll("svg").length, height: page.scrollHeight });
+});
+</script></body>"""
+
+
+def browser() -> str:
+    found = next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), ""
+    )
+    if not found and os.environ.get("CI") == "true":
+        pytest.fail("no chromium: install Debian's chromium, the report must be seen in a browser")
+    if not found:
+        pytest.skip("no chromium: the report is not looked at in a browser")
+    return found
+
+
+def opened(page: str, width: int, folder: Path) -> SimpleNamespace:
+    """What a headless browser measures on a page in a frame of the given width."""
+    (folder / "page.html").write_text(page.replace("</body>", MEASURE), encoding="utf-8")
+    # A window has a least width, a frame has none.
+    (folder / "frame.html").write_text(
+        f'<body style="margin:0"><iframe src="page.html" style="border:0" width="{width}" '
+        f'height="800"></iframe><script>addEventListener("load", () => setTimeout(() => {{'
+        f"document.title = document.querySelector('iframe').contentDocument.body.dataset.measured"
+        f"}}, 200))</script></body>"
+    )
+    command = [
+        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+        "--no-first-run", "--disable-background-networking", "--disable-component-update",
+        "--disable-sync", "--allow-file-access-from-files", "--virtual-time-budget=3000",
+        f"--user-data-dir={folder / 'profile'}", "--window-size=1400,900", "--dump-dom",
+        f"file://{folder / 'frame.html'}",
+    ]  # fmt: skip
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    found = re.search(r"<title>(\{.*?\})</title>", shown, flags=re.DOTALL)
+    assert found, shown[-500:]
+    import html
+
+    return SimpleNamespace(**json.loads(html.unescape(found[1])))
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("which", ["published", "rig", "two"])
+def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) -> None:
+    seen = opened(files_of(which)["report.html"], width, tmp_path)
+    assert seen.inner == width
+    assert seen.page <= width
+    assert (seen.out, seen.cut, seen.flat) == ([], [], 0)
+    assert seen.svgs == 3 + {"published": 6, "rig": 12, "two": 12}[which]
+    assert seen.height > 2000
+
+
+def test_the_browser_would_notice_an_overflow(tmp_path: Path) -> None:
+    page = files_of()["report.html"].replace("<main>", '<main><p style="width:500px">wide</p>')
+    seen = opened(page, 390, tmp_path)
+    assert seen.out
+    assert seen.page > 390
