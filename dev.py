@@ -175,7 +175,9 @@ def can_make_venv() -> bool:
 
 def install_venv_module() -> None:
     """Debian's python3-venv, by root; anybody else is told."""
-    remedy = "Python lacks ensurepip: install it (Debian: apt-get install python3-venv) and run again"
+    remedy = (
+        "Python lacks ensurepip: install it (Debian: apt-get install python3-venv) and run again"
+    )
     root = getattr(os, "geteuid", lambda: 1)() == 0
     if not (root and shutil.which("apt-get")):
         raise SystemExit(remedy)

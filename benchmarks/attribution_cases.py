@@ -1,7 +1,7 @@
 """The campaigns of the truth table: which faults are put into which machine, and what they show.
 
-Everything is simulated by the tests' own machine (`tests/rig.py`); a case is drawn from the seed and
-its own key alone, so that any one of them can be made again.
+Everything is simulated by the tests' own machine (`tests/rig.py`); a case is drawn from the seed
+and its own key alone, so that any one of them can be made again.
 """
 
 from __future__ import annotations
@@ -19,8 +19,12 @@ from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
 
 Array = NDArray[np.float64]
 
-BACKGROUND = 0.02
-"""Share of its tolerance in `tests/rig.py` that everything not put in on purpose has as an error."""
+BACKGROUND = 0.015
+"""Share of its tolerance in `tests/rig.py` that everything not put in on purpose has as an error.
+
+Chosen by what it shows and not by what the tool says of it: past the base, the rms stays below half
+a sigma of the averaged readings in 95 of 100 machines, on the protocol that shows it most.
+"""
 
 PROTOCOLS = ("standard", "sweep", "two-gauges")
 RMS = (1.0, 2.0, 4.0, 8.0, 20.0)
@@ -124,11 +128,13 @@ def rows_of(case: Case) -> list[rc.Row]:
             warming = 8 * np.sin(2.2 * np.pi * row["time_s"] / end)
             row["temperature_C"] = round(float(22 + warming), 1)
     if case.what == "drive_compliance":
-        rows = [
-            {**row, "order": 2 * row["order"] + k, "time_s": row["time_s"] + 8 * k, "load_N": load}
+        both = [
+            {**row, "time_s": row["time_s"] + wait, "load_N": load}
             for row in rows
-            for k, load in enumerate((0.0, 100.0))
+            for wait, load in ((0.0, 0.0), (8.0, 100.0))
         ]
+        both.sort(key=lambda row: row["time_s"])
+        rows = [{**row, "order": k} for k, row in enumerate(both)]
     return rows
 
 
@@ -138,10 +144,10 @@ def base_errors(rng: np.random.Generator) -> dict[str, float]:
     return offsets | {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
 
 
-def background(rng: np.random.Generator, setups: list[str]) -> dict[str, float]:
+def background(rng: np.random.Generator, setups: list[str], share: float) -> dict[str, float]:
     """Small errors of everything."""
     return {
-        name: BACKGROUND * TOLERANCE[name.partition(".")[0]] * float(rng.standard_normal())
+        name: share * TOLERANCE[name.partition(".")[0]] * float(rng.standard_normal())
         for name in parameter_names(setups)
         if name.partition(".")[0] in TOLERANCE
     }

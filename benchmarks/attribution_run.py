@@ -61,12 +61,12 @@ class Drawn:
     points: TcpPoints
 
 
-def draw(case: Case, seed: int) -> Drawn:
+def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     """Simulate a case."""
     rng = case.rng(seed)
     rows = ac.rows_of(case)
     setups = list(dict.fromkeys(row["setup"] for row in rows))
-    bare = Rig(errors=ac.background(rng, setups) | ac.base_errors(rng))
+    bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
     causes: list[tuple[Cause, float]] = []
     rig = bare
     chosen = _causes(case, setups, rng)
@@ -103,18 +103,14 @@ def _causes(case: Case, setups: list[str], rng: np.random.Generator) -> list[Cau
     ]
 
 
-def _size(
-    cause: Cause, rms: float, bare: Rig, rows: list[rc.Row], seen: Signatures
-) -> float:
+def _size(cause: Cause, rms: float, bare: Rig, rows: list[rc.Row], seen: Signatures) -> float:
     """Size at which a cause shows so much past the base, or the largest that is asked for."""
     small = 1.0 if cause.extra is None else ac.FIRST_SIZE
     shown = _rms(_shown(cause, small, bare, rows, seen), seen)
     return min(small * rms / max(shown, 1e-12), cause.largest)
 
 
-def _shown(
-    cause: Cause, size: float, bare: Rig, rows: list[rc.Row], seen: Signatures
-) -> Array:
+def _shown(cause: Cause, size: float, bare: Rig, rows: list[rc.Row], seen: Signatures) -> Array:
     """What a cause adds to the readings, whitened and past the base ``(m,)``."""
     added = rc.predict(cause.added_to(bare, size), rows) - rc.predict(bare, rows)
     return seen.whiten(added)
@@ -156,7 +152,7 @@ def _metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Reco
         "family": cause.family,
         "rms": _rms(shown, seen),
         "norm": float(np.linalg.norm(left)),
-        "same": same,
+        "same": len(same),
         "same_family": [name for name in same if family[name] == cause.family],
         "nearest": nearest,
         "distance": rest.get(nearest, float(np.linalg.norm(left))),
@@ -179,8 +175,10 @@ def _truth(drawn: Drawn, seen: Signatures) -> list[Record]:
 
 
 def accepted(truth: Record, name: str, parameters: Sequence[str]) -> bool:
-    """Whether a named cause is the true one: itself, a block of its family that holds it, or a
-    member of its family that shows the same."""
+    """Whether a named cause is the true one.
+
+    That is itself, a block of its family that holds it, or a member that shows the same.
+    """
     own = f"{truth['family']}.", truth["family"]
     of_family = name == own[1] or name.startswith(own[0])
     block = of_family and len(parameters) > 1 and (name == own[1] or truth["name"] in parameters)
@@ -190,15 +188,15 @@ def accepted(truth: Record, name: str, parameters: Sequence[str]) -> bool:
 # -- what the tool says --------------------------------------------------------------------------
 
 
-def run(case: Case, seed: int) -> Record:
+def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
     """Everything the tables need of one case, ready for JSON."""
     began = time.perf_counter()
     record: Record = {
-        "key": case.key, "seed": seed, "kind": case.kind, "what": case.what,
+        "key": case.key, "seed": seed, "share": background, "kind": case.kind, "what": case.what,
         "protocol": case.protocol,
     }  # fmt: skip
     try:
-        drawn = draw(case, seed)
+        drawn = draw(case, seed, background)
         verdict = close_loop([campaign(drawn.rows)], machine(), tcp=drawn.points)
         record |= _said(verdict) | _compared(drawn, verdict)
     except OrthoglideError as error:
@@ -228,10 +226,7 @@ def _said(verdict: Verdict) -> Record:
         "stopped": verdict.stopped,
         "left": [left.p_value, left.lack_of_fit_p],
         "chi2": [verdict.base.scores.chi2, verdict.fit.scores.chi2, verdict.fit.scores.dof],
-        "blunders": [
-            [str(getattr(b, "kind", "")), [int(r) for r in getattr(b, "rows", ())]]
-            for b in verdict.blunders
-        ],
+        "blunders": [[b.kind, [row for _, row in b.rows]] for b in verdict.blunders],
     }
 
 

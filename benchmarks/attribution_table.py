@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.attribution_asked import (
+    STRONG,
+    alarmed,
+    both_found,
+    clear,
+    fault_found,
+    holds_alone,
+    misnamed,
+    named,
+    share,
+    singles,
+    upper_bound,
+    well,
+    wrongly_explained,
+)  # fmt: skip
 from benchmarks.attribution_cases import FAMILIES, FAULTS, OUTSIDE, PROTOCOLS
 from benchmarks.attribution_run import Record, accepted
 from orthoglide.effects import family_of
-
-STRONG, APART = 3.0, 5.0
-"""An effect should be named: rms past the base, and distance to the nearest other class."""
 
 SHORT = {
     "encoder_scale": "scale", "screw_error": "screw", "backlash": "lash",
@@ -45,7 +58,9 @@ class Table:
         """A table of Markdown."""
         lines = ["| " + " | ".join(row) + " |" for row in self.rows]
         lines.insert(1, "|---" + "|---:" * (len(self.rows[0]) - 1) + "|")
-        return "\n".join([f"\n## {self.title}\n", *([f"{self.note}\n"] if self.note else []), *lines])
+        return "\n".join(
+            [f"\n## {self.title}\n", *([f"{self.note}\n"] if self.note else []), *lines]
+        )
 
 
 def tables(records: Sequence[Record]) -> list[Table]:
@@ -60,64 +75,15 @@ def tables(records: Sequence[Record]) -> list[Table]:
     ]
 
 
-# -- what the table asks of a record -------------------------------------------------------------
-
-
-def well(records: Iterable[Record]) -> list[Record]:
-    """Records that ended."""
-    return [r for r in records if r["word"] not in ("error", "crash")]
-
-
-def singles(records: Iterable[Record]) -> list[Record]:
-    """Campaigns with one effect of the catalogue."""
-    return [r for r in well(records) if r["kind"] in ("effect", "structured") and r["truth"]]
-
-
-def clear(truth: Record) -> bool:
-    """Whether these readings should name a cause."""
-    return bool(truth["rms"] >= STRONG and truth["distance"] >= APART)
-
-
-def holds(effect: Record, truth: Record) -> bool:
-    """Whether the cause named, or its class, is the true one."""
-    return any(accepted(truth, name, parameters) for name, parameters, _ in effect["members"])
-
-
-def named(record: Record) -> bool:
-    """Whether any cause added is the true one."""
-    return any(holds(e, record["truth"][0]) for e in record["effects"])
-
-
-def alarmed(record: Record) -> bool:
-    """Whether anything at all was said to be wrong."""
-    return bool(record["word"] != "adequate" or record["blunders"])
-
-
-def wrongly_explained(record: Record) -> bool:
-    """Whether a verdict claims to have explained what no effect of the catalogue is."""
-    return record["word"] in ("explained", "ambiguous")
-
-
-def upper_bound(hits: int, count: int) -> float:
-    """Clopper and Pearson's one-sided upper 95 % bound of a share."""
-    from scipy.special import betaincinv
-
-    return 1.0 if hits >= count else float(betaincinv(hits + 1, count - hits, 0.95))
-
-
-def share(records: Sequence[Record], test: Callable[[Record], bool]) -> str:
-    """Percentage and counts."""
-    hits = sum(map(test, records))
-    return f"{100 * hits / len(records):.1f} % ({hits}/{len(records)})" if records else "-"
-
-
 # -- tables --------------------------------------------------------------------------------------
 
 
 def requirements(records: Sequence[Record]) -> Table:
     """What is required, and what was found."""
     done = well(records)
-    kinds = {k: [r for r in done if r["kind"] == k] for k in ("nothing", "pair", "outside", "fault")}
+    kinds = {
+        k: [r for r in done if r["kind"] == k] for k in ("nothing", "pair", "outside", "fault")
+    }
     single = singles(records)
     strong = [r for r in single if clear(r["truth"][0])]
     weak = [r for r in single if not clear(r["truth"][0])]
@@ -138,7 +104,7 @@ def requirements(records: Sequence[Record]) -> Table:
         ("  verdict is no mere part", "",
          share(strong, lambda r: r["word"] in ("explained", "ambiguous"))),
         ("effects below that named", "", share(weak, named)),
-        ("  called by a wrong name", "", share(weak, lambda r: bool(r["effects"]) and not named(r))),
+        ("  called by a wrong name", "", share(weak, misnamed)),
         ("mean size of the class of clear effects", "", f"{np.mean(sizes or [np.nan]):.2f}"),
         ("second effect added for a single cause", "<= 5 %",
          share(single, lambda r: len(r["effects"]) > 1)),
@@ -155,24 +121,6 @@ def requirements(records: Sequence[Record]) -> Table:
          f"{np.median([r['tcp']['after'][0] / r['told'][0] for r in told] or [np.nan]):.2f}"),
     ]  # fmt: skip
     return Table("What is required and what was found", "", rows)
-
-
-def holds_alone(record: Record) -> bool:
-    """Whether the cause named first is the true one itself."""
-    effects = record["effects"][:1]
-    return any(accepted(record["truth"][0], *e["members"][0][:2]) for e in effects)
-
-
-def both_found(record: Record) -> bool:
-    """Whether each of two causes is held by an effect of its own."""
-    held = [{k for k, e in enumerate(record["effects"]) if holds(e, t)} for t in record["truth"]]
-    return all(held) and len(set().union(*held)) > 1
-
-
-def fault_found(record: Record) -> bool:
-    """Whether a fault was reported with any of the rows that carry it."""
-    touched = set(record["touched"])
-    return any(touched & set(rows) for _, rows in record["blunders"])
 
 
 def _covered(records: Sequence[Record]) -> str:
@@ -279,13 +227,15 @@ def reliability(records: Sequence[Record]) -> Table:
     """Stated probabilities of all members of the classes against how often they were the cause."""
     stated, true = [], []
     for record in singles(records):
-        for name, parameters, probability in (m for e in record["effects"][:1] for m in e["members"]):
+        for name, parameters, probability in (
+            m for e in record["effects"][:1] for m in e["members"]
+        ):
             stated.append(probability)
             true.append(accepted(record["truth"][0], name, parameters))
     edges = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 + 1e-9)
     rows: list[Sequence[str]] = [("stated", "causes", "mean stated", "true")]
     p, hit = np.array(stated), np.array(true, dtype=float)
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         chosen = (p >= low) & (p < high)
         if chosen.any():
             cells = (f"{p[chosen].mean():.2f}", f"{hit[chosen].mean():.2f}")
@@ -310,7 +260,9 @@ def accuracy(records: Sequence[Record]) -> Table:
     for title, chosen in groups.items():
         if chosen:
             tcp = [r["tcp"] for r in chosen]
-            cells = [f"{np.mean([t[k][0] for t in tcp]):.4f}" for k in ("nominal", "before", "after")]
+            cells = [
+                f"{np.mean([t[k][0] for t in tcp]):.4f}" for k in ("nominal", "before", "after")
+            ]
             told = [r["told"][0] for r in chosen if r.get("told")]
             cells.append(f"{np.mean(told):.4f}" if told else "")
             cells.append(f"{100 * np.mean([t['inside'] for t in tcp]):.1f} %")

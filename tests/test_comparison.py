@@ -191,16 +191,31 @@ def test_structured_members_and_dials() -> None:
 
 
 def test_planes_show_the_same_difference() -> None:
-    machine = Machine.nominal().with_parameters({"bar_mismatch.y": row("bar_mismatch.y").value})
-    planes = slices(machine, 5, FEW)
+    worn = Machine.nominal().with_parameters({"bar_mismatch.y": 5e-5, "backlash.x": 2e-5})
+    six = np.array(compare_machine(worn, FEW)[0].six)
+    planes = slices(worn, 5, FEW)
     assert [plane.normal for plane in planes] == [0, 1, 2]
-    six = np.array(row("bar_mismatch.y").six)
     for plane in planes:
         assert np.all(plane.p[..., plane.normal] == 0)
         rho = pss.inverse(plane.p)
-        apart = machine.forward(rho) - pss.forward(rho, six[:3], six[3:])
-        assert np.abs(np.linalg.norm(apart, axis=-1) - plane.difference).max() < 1e-10
-        assert plane.difference.max() > 1e-7
+        reduced = pss.forward(rho, six[:3], six[3:])
+        plus, minus = (
+            np.linalg.norm(worn.forward(rho, approach=way) - reduced, axis=-1) for way in (1, -1)
+        )
+        assert np.abs(np.maximum(plus, minus) - plane.difference).max() < 1e-10
+        assert np.abs(plus - minus).max() > 1e-7
+
+
+def test_constants_cannot_be_cold_and_warm_or_come_from_both_sides() -> None:
+    for name in ("thermal_growth.y", "thermal_drift.x", "backlash.x"):
+        assert row(name).fitted.mean > 1e-6
+    seen = bench().seen
+    half = len(seen) // 2
+    assert np.array_equal(seen.command[:half], seen.command[half:])
+    assert np.all(seen.approach[:half] == 1)
+    assert np.all(seen.approach[half:] == -1)
+    assert np.ptp(bench().campaign.temperature_rise) == pytest.approx(FEW.warming)
+    assert np.all(bench().campaign.load == FEW.load)
 
 
 def test_the_worst_of_a_family() -> None:

@@ -450,7 +450,7 @@ def test_bounds_hold_and_are_reported(method: Any, key: str) -> None:
     there = MACHINE.with_parameters({"joint_offset.z": -1e-3})
     rest = identify(campaign, there, ["joint_offset.x", "joint_offset.y"])
     for name, value in rest.values.items():
-        assert found.values[name] == pytest.approx(value, abs=1e-8)
+        assert found.values[name] == pytest.approx(value, abs=1e-6)  # slopes taken elsewhere
 
 
 @pytest.mark.parametrize("method", ["nlp", "nested"])
@@ -506,7 +506,7 @@ def test_covariance_is_the_scatter_of_repeated_campaigns() -> None:
     one = solve(held, method="nested")
     step = pss_step(one)
     draws = NOISE * np.random.default_rng(0).standard_normal((2000, len(truth)))
-    scatter = np.cov((step @ draws.T))
+    scatter = np.cov(step @ draws.T)
     assert np.allclose(scatter, one.covariance, rtol=0.15, atol=0.1 * one.covariance.max())
 
 

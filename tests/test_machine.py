@@ -92,7 +92,7 @@ def test_nominal_jacobian_is_equation_5() -> None:
 def test_readings_differ_from_the_nominal_by_the_errors() -> None:
     sheet = protocol("standard")
     assert np.abs(NOMINAL.readings(sheet) - CROOKED.readings(sheet)).max() > 1e-4
-    zero = NOMINAL.with_parameters({name: 0.0 for name in ERRORS})
+    zero = NOMINAL.with_parameters(dict.fromkeys(ERRORS, 0.0))
     assert np.allclose(NOMINAL.readings(sheet), zero.readings(sheet), rtol=0, atol=1e-15)
 
 

@@ -18,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path.insert(0, str(ROOT))
 
-WIDTH, HEIGHT = 900, 700
+WIDTH, HEIGHT = 800, 800
 REPORT = (1100, 1180)
 COMMAND_MM = (-40.0, 30.0, -50.0)  # travel of the posture shown
 
@@ -39,6 +39,9 @@ def machine() -> None:
     getattr(spec.visual, "global").offheight = HEIGHT
     spec.visual.headlight.ambient = [0.45] * 3
     spec.visual.headlight.diffuse = [0.5] * 3
+    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+    sky.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    sky.rgb1, sky.rgb2, sky.width, sky.height = [0.86, 0.9, 0.94], [0.86, 0.9, 0.94], 64, 64
     spec.worldbody.add_light(pos=[-1, -1, 2], dir=[0.5, 0.5, -1])
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -50,8 +53,8 @@ def machine() -> None:
         data.joint(name).qpos = closed.q[tree.joints[tree.getJointId(name)].idx_q]
     mujoco.mj_forward(model, data)
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = (0.18, 0.18, 0.12)
-    camera.distance, camera.azimuth, camera.elevation = 1.25, 50, -22
+    camera.lookat[:] = (0.18, 0.18, 0.14)
+    camera.distance, camera.azimuth, camera.elevation = 1.4, 50, -22
     with mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
         renderer.update_scene(data, camera)
         matplotlib.image.imsave(HERE / "machine.png", renderer.render())

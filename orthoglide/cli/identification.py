@@ -12,6 +12,7 @@ import click
 
 from orthoglide.cli.options import Names, fit_options, load_machine, out_option, run_options
 from orthoglide.cli.progress import progress
+from orthoglide.cli.run import stop_if_asked
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -150,6 +151,7 @@ def run_identify(
         from orthoglide.report import identification_files
 
         files = identification_files(estimate, run)
+        stop_if_asked()
         write_folder(out, files)
     if as_json:
         click.echo(files["result.json"], nl=False)

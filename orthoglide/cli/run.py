@@ -10,6 +10,9 @@ import click
 
 from orthoglide.errors import InputError, OrthoglideError
 
+_STOP = "orthoglide.stop"
+_INTERRUPTED = "interrupted: nothing was written"
+
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130
 
 
@@ -41,18 +44,34 @@ class Commands(click.Group):
         """Run a command; what it raises becomes an exit code."""
         try:
             return super().invoke(ctx)
-        except InputError as error:
-            raise Refusal(str(error), BAD_INPUT) from error
-        except OrthoglideError as error:
-            raise Refusal(str(error), NUMERICS_FAILED) from error
         except KeyboardInterrupt as error:
-            raise Refusal("interrupted: nothing was written", INTERRUPTED) from error
+            raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+        except OrthoglideError as error:
+            if _asked_to_stop():  # a solver that was interrupted says that it failed
+                raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+            bad = isinstance(error, InputError)
+            raise Refusal(str(error), BAD_INPUT if bad else NUMERICS_FAILED) from error
 
 
 def stop_cleanly() -> None:
-    """A request to end (SIGTERM) is treated as Ctrl-C, so that nothing half done stays behind."""
+    """Ctrl-C and a request to end (SIGTERM) leave nothing half done behind."""
 
     def interrupt(*_: Any) -> NoReturn:
+        context = click.get_current_context(silent=True)
+        if context is not None:
+            context.meta[_STOP] = True
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, interrupt)
+    for asked in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(asked, interrupt)
+
+
+def stop_if_asked() -> None:
+    """Last call before anything is written: compiled solvers may have swallowed a Ctrl-C."""
+    if _asked_to_stop():
+        raise KeyboardInterrupt
+
+
+def _asked_to_stop() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and _STOP in context.meta

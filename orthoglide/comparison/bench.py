@@ -26,6 +26,7 @@ class Circumstances:
 
     The workspace is visited twice: cold, at time zero, every axis arriving in the + direction;
     then warm, at the end, every axis arriving in the - direction. Six constants must do for both.
+    Where the machine file gives a stiffness, the load deforms the machine too.
 
     Attributes:
         points: of the workspace along each axis.

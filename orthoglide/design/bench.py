@@ -15,13 +15,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 _DATUM = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
-_MOUNTING_COST = 4  # readings that mounting a dial is worth
 
 
 class Scatter(NamedTuple):
@@ -46,13 +45,13 @@ class Steps:
         rows: of the pool ``(k, 2)``; the first is -1 where the mounting stands already.
         columns: ``d`` ``(k, P)``.
         variance: ``s2`` ``(k,)``, square metres.
-        cost: in readings ``(k,)``.
+        opening: whether a dial has to be mounted first ``(k,)``.
     """
 
     rows: NDArray[np.int64]
     columns: Array
     variance: Array
-    cost: Array
+    opening: NDArray[np.bool_]
 
     def taken(self, k: int) -> list[int]:
         """Rows of the pool that step ``k`` reads."""
@@ -75,9 +74,9 @@ class Bench:
     slope: Array
     scatter: Scatter
 
-    def covariance(self, one: Sequence[int] | Array, other: Sequence[int] | Array) -> Array:
+    def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:
         """Covariance ``(a, b)`` of rows of one mounting, other visits, parameters given."""
-        i, j = np.asarray(one), np.asarray(other)
+        i, j = np.asarray(one, dtype=np.int64), np.asarray(other, dtype=np.int64)
         slopes = np.multiply.outer(self.slope[i], self.slope[j])
         shared = np.equal.outer(i, j) * self.scatter.common**2
         return np.asarray(_DATUM**2 + self.scatter.placement**2 * slopes + shared)
@@ -107,7 +106,7 @@ class Bench:
             table,
             self.columns[second] - self.columns[first],
             2 * single + (self.scatter.placement * apart) ** 2,
-            np.full(len(table), float(_MOUNTING_COST)),
+            np.ones(len(table), dtype=bool),
         )
 
     def continued(self, setup: int, chosen: Sequence[int]) -> Steps:
@@ -121,7 +120,7 @@ class Bench:
             np.column_stack([np.full(len(rows), -1), rows]).astype(np.int64),
             self.columns[rows] - weights @ self.columns[list(chosen)],
             single - np.sum(weights * across, axis=1),
-            np.ones(len(rows)),
+            np.zeros(len(rows), dtype=bool),
         )
 
     def steps(self, chosen: Sequence[int], room: int) -> Steps:
@@ -136,7 +135,7 @@ class Bench:
         if room >= 2:
             free = ~np.isin(self.pool.setup[self.openings.rows[:, 0]], list(standing))
             o = self.openings
-            parts.append(Steps(o.rows[free], o.columns[free], o.variance[free], o.cost[free]))
+            parts.append(Steps(o.rows[free], o.columns[free], o.variance[free], o.opening[free]))
         for setup in standing:
             own = [k for k in chosen if self.pool.setup[k] == setup]
             parts.append(self.continued(setup, own))
@@ -144,7 +143,7 @@ class Bench:
             np.concatenate([p.rows for p in parts]),
             np.concatenate([p.columns for p in parts]),
             np.concatenate([p.variance for p in parts]),
-            np.concatenate([p.cost for p in parts]),
+            np.concatenate([p.opening for p in parts]),
         )
 
     def information(self, chosen: Sequence[int]) -> Array:

@@ -22,6 +22,7 @@ def choose(
     start: Criterion,
     count: int,
     *,
+    mounting: float = 2.0,
     exchange: bool = False,
 ) -> tuple[tuple[int, ...], Criterion]:
     """Readings that serve a criterion best.
@@ -30,6 +31,7 @@ def choose(
         bench: to choose from.
         start: the criterion before any is taken.
         count: how many readings at most.
+        mounting: what it costs to mount a dial and take its first two readings, in readings.
         exchange: whether to try again mounting by mounting, until nothing improves.
 
     Returns:
@@ -39,13 +41,15 @@ def choose(
         InputError: for fewer than two readings.
     """
     if count < 2:
-        raise InputError(f"a setup needs two readings, as its datum is free: ask for 2, not {count}")
-    rows, best = _grow(bench, start, [], count)
+        raise InputError(
+            f"a setup needs two readings, as its datum is free: ask for 2, not {count}"
+        )
+    rows, best = _grow(bench, start, [], count, mounting)
     for _ in range(_PASSES if exchange else 0):
         before = best.value
         for setup in dict.fromkeys(int(bench.pool.setup[k]) for k in rows):
             kept = [k for k in rows if bench.pool.setup[k] != setup]
-            again, found = _grow(bench, replayed(bench, start, kept), kept, count)
+            again, found = _grow(bench, replayed(bench, start, kept), kept, count, mounting)
             if found.value > best.value:
                 rows, best = again, found
         if best.value - before < 1e-6 * abs(before):
@@ -54,7 +58,7 @@ def choose(
 
 
 def _grow(
-    bench: Bench, objective: Criterion, rows: Sequence[int], count: int
+    bench: Bench, objective: Criterion, rows: Sequence[int], count: int, mounting: float
 ) -> tuple[list[int], Criterion]:
     """Take the step of most gain for its cost until the readings are used up."""
     taken = list(rows)
@@ -63,7 +67,7 @@ def _grow(
         if not len(steps.rows):
             break
         gains = objective.gains(steps)
-        k = int(np.argmax(gains / steps.cost))
+        k = int(np.argmax(gains / np.where(steps.opening, mounting, 1.0)))
         if not gains[k] > _NOTHING:
             break
         objective = objective.after(steps, k)

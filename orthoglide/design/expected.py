@@ -52,6 +52,12 @@ class Expected:
     at: Linearised
     jacobian: Array
 
+    def with_noise(self, noise: Noise) -> Expected:
+        """The same with readings of another noise."""
+        problem = replace(self.problem, noise=noise)
+        here = normal(problem, self.at, nuisances(problem, self.at.by_gauge))
+        return Expected(problem, self.at, here.jacobian * problem.tolerance)
+
     @property
     def covariance(self) -> Array:
         """Of the unknowns with tolerances as priors, in tolerances ``(P, P)``."""

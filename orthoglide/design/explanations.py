@@ -97,7 +97,7 @@ def _problem(name: str, values: Values, like: Problem) -> Problem:
     covered = {p for u in kept for p in u.parts[last]}
     missing = [n for n, v in values.items() if v and n not in covered]
     added = [name] if own and own >= set(missing) and missing else missing
-    held = tuple({} for _ in like.campaigns)
+    held: tuple[dict[str, float], ...] = tuple({} for _ in like.campaigns)
     return extend(replace(like, unknowns=kept, held=held), added)
 
 

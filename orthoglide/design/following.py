@@ -8,8 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from orthoglide.accuracy import workspace
 from orthoglide.design.bench import Bench
-from orthoglide.design.choosing import choose
+from orthoglide.design.choosing import choose, replayed
 from orthoglide.design.expected import scatter_of
 from orthoglide.design.explanations import Explanation, Values, explanation
 from orthoglide.design.objectives import Narrow, Separate
@@ -20,6 +21,7 @@ from orthoglide.geometry import Array
 from orthoglide.identification import Estimate, WeakDirection
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.prediction import Conditions
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "none"]
@@ -27,10 +29,12 @@ Aim = Literal["separate", "narrow", "none"]
 ENOUGH = 6.0
 """Sigmas of separation beyond which no further reading is proposed."""
 
-_SEPARATE = 2.0  # sigmas: less is no separation (a class is a chi2 of 4 wide)
-_NEVER = 0.5  # sigmas by the whole pool: rivals that are one and the same to a dial
+_NEVER = 5.0  # sigmas by the whole pool: rivals that no few of its readings tell apart
+_DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
+_SAME = 0.02  # of the shift between two machines: less is no difference in shape
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
+_MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,7 @@ def next_measurements(
     bench, names = _bench(machine, choice, estimate, [own, *several], scale)
     found: list[Suggestion] = []
     if len(several) > 1:
-        found += _to_separate(bench, names, several, count)
+        found += _to_separate(bench, names, several, count, machine)
     for direction in weak:
         found.append(_to_narrow(bench, names, own, estimate, direction, count))
     return tuple(found)
@@ -132,18 +136,22 @@ def _bench(
 
 
 def _to_separate(
-    bench: Bench, names: tuple[str, ...], several: Sequence[Explanation], count: int
+    bench: Bench,
+    names: tuple[str, ...],
+    several: Sequence[Explanation],
+    count: int,
+    machine: Machine,
 ) -> list[Suggestion]:
     spread = np.stack([e.spread(names) for e in several])
     pairs = np.array([(a, b) for a in range(len(several)) for b in range(len(several)) if a != b])
     most = np.sqrt([_by_everything(bench, spread, len(names), a, b) for a, b in pairs])
     most = np.minimum(most, most[[_place(pairs, b, a) for a, b in pairs]])
     found = [
-        _hopeless(several[a].name, several[b].name, sigmas, bench)
+        _hopeless(several[a], several[b], sigmas, bench, machine)
         for (a, b), sigmas in zip(pairs, most, strict=True)
-        if a < b and sigmas < _SEPARATE
+        if a < b and sigmas < _NEVER
     ]
-    kept = most >= _SEPARATE
+    kept = most >= _NEVER
     if not kept.any():
         return found
     start = Separate(
@@ -153,10 +161,13 @@ def _to_separate(
         np.zeros(int(kept.sum())),
         ENOUGH**2,
     )
-    rows, end = choose(bench, start, count)
+    rows, end = choose(bench, start, count, mounting=_MOUNTING)
     if not rows:
         return found
-    sigmas = {(int(a), int(b)): float(np.sqrt(c)) for (a, b), c in zip(end.pairs, end.chi2, strict=True)}
+    rows, end = _twice(bench, start, rows, end, count)
+    sigmas = {
+        (int(a), int(b)): float(np.sqrt(c)) for (a, b), c in zip(end.pairs, end.chi2, strict=True)
+    }
     least = {(a, b): min(s, sigmas[b, a]) for (a, b), s in sigmas.items() if a < b}
     gain = min(least.values())
     text = "; ".join(
@@ -166,7 +177,20 @@ def _to_separate(
     more = f" (and {len(least) - 3} further pairs by more)" if len(least) > 3 else ""
     chosen = sheet(bench.pool, rows)
     reason = f"{_size(chosen)} expected to separate {text}{more}"
+    if gain < _DECIDES:
+        reason += ": too little to decide, but the most that so few readings can do"
     return [Suggestion(reason, "separate", gain, chosen), *found]
+
+
+def _twice(
+    bench: Bench, start: Separate, rows: tuple[int, ...], end: Separate, count: int
+) -> tuple[tuple[int, ...], Separate]:
+    """Every station visited again where there is room: a single visit may be misread."""
+    alone = [k for k in rows if rows.count(k) == 1]
+    if len(rows) + len(alone) > count or not alone:
+        return rows, end
+    more = (*rows, *alone)
+    return more, replayed(bench, start, more)
 
 
 def _place(pairs: Array, a: int, b: int) -> int:
@@ -184,19 +208,40 @@ def _by_everything(bench: Bench, spread: Array, size: int, a: int, b: int) -> fl
     return float(max(e @ W[size:, size:] @ e - toward @ absorbed, 0.0))
 
 
-def _hopeless(one: str, other: str, sigmas: float, bench: Bench) -> Suggestion:
-    if sigmas < _NEVER:
-        reason = (
-            f"{one} and {other} differ by nothing that a dial on a leg can see: no reading would "
-            "tell them apart, and the corrected machine is the same but for a rigid motion or for "
-            "what the tolerances allow"
-        )
+def _hopeless(
+    one: Explanation, other: Explanation, sigmas: float, bench: Bench, machine: Machine
+) -> Suggestion:
+    """Why no reading is proposed for two rivals, and whether it matters for the TCP."""
+    shift, rest = _tcp_apart(machine, one, other)
+    level = bench.scatter.reading
+    if max(shift, rest) < level:
+        tail = "to the TCP they are the same, too"
+    elif rest < max(_SAME * shift, level):
+        tail = f"the TCP is the same but for a shift of {shift * 1e3:.2g} mm"
     else:
-        reason = (
-            f"{one} and {other} differ by too little for this dial: all {len(bench.pool)} readings "
-            f"within reach would separate them by {sigmas:.1f} sigma"
+        tail = (
+            f"the TCP differs by up to {rest * 1e3:.2g} mm after the best shift: measure the TCP, "
+            "or look at the part itself"
         )
-    return Suggestion(reason, "none", sigmas, None)
+    return Suggestion(
+        f"{one.name} and {other.name} differ by nothing that this dial on a leg can see (all "
+        f"{len(bench.pool)} readings within reach: {sigmas:.1f} sigma); {tail}",
+        "none",
+        sigmas,
+        None,
+    )
+
+
+def _tcp_apart(machine: Machine, one: Explanation, other: Explanation) -> tuple[float, float]:
+    """Between two explanations' TCP: length of the best shift, and the most it leaves, metres."""
+    conditions = Conditions.at(workspace(machine.geometry, 3))
+    p, q = (
+        machine.model.outputs({n: v for n, v in e.values.items() if not is_dial(n)}, conditions).p
+        for e in (one, other)
+    )
+    apart = p - q
+    shift = apart.mean(axis=0)
+    return float(np.linalg.norm(shift)), float(np.linalg.norm(apart - shift, axis=1).max())
 
 
 def _to_narrow(
@@ -221,7 +266,7 @@ def _to_narrow(
     columns = bench.columns[:, : len(names)] @ (weights * size)
     here = Bench(bench.pool, columns, bench.slope, bench.scatter)
     start = Narrow(own.covariance / size / size[:, None], d * size)
-    rows, end = choose(here, start, count)
+    rows, end = choose(here, start, count, mounting=_MOUNTING)
     before, after = (np.sqrt(o.variance) / unit.si for o in (start, end))
     what = " and ".join(direction.parameters)
     along = " ".join(f"{share:+.2f} {name}" for name, share in direction.parameters.items())

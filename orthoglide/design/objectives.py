@@ -13,7 +13,7 @@ import numpy as np
 from orthoglide.design.bench import Steps
 from orthoglide.geometry import Array
 
-_WORST = 60  # pairs that a discriminating step looks at: those told apart least
+_WORST = 150  # pairs that a discriminating step looks at: those told apart least
 
 
 class Objective(Protocol):
@@ -36,7 +36,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class Determinant:
-    """Bayesian D-optimality: log det(information) in tolerances, tolerances as priors.
+    """D-optimality: log det(information), unknowns in tolerances.
 
     Attributes:
         covariance: of the unknowns ``(P, P)``.
@@ -145,7 +145,7 @@ class Separate:
 
     def after(self, steps: Steps, k: int) -> Self:
         """Kalman's update of every rival."""
-        one = Steps(steps.rows[[k]], steps.columns[[k]], steps.variance[[k]], steps.cost[[k]])
+        one = Steps(steps.rows[[k]], steps.columns[[k]], steps.variance[[k]], steps.opening[[k]])
         left, variance = self._increments(one)
         d = one.columns[0, : self.covariance.shape[1]]
         gain = (self.covariance @ d)[self.pairs[:, 1]] / variance[0][:, None]
@@ -163,7 +163,8 @@ class Discriminate:
     """Effects at their tolerance, each as far from every other (and from none) as can be.
 
     With the Gram matrix G of the signatures past the base, a pair is
-    ``min(G_ii, G_jj) - G_ij^2 / max(G_ii, G_jj)`` apart: chi2 of one at tolerance, the other fitted.
+    ``min(G_ii, G_jj) - G_ij^2 / max(G_ii, G_jj)`` apart: the chi2 of one at tolerance when the
+    other is fitted to it.
 
     Attributes:
         information: in tolerances, the base's priors in it ``(P, P)``.
@@ -202,7 +203,7 @@ class Discriminate:
         b, M = self.base, self.information
         regress = np.linalg.solve(M[:b, :b], M[:b, b:])
         left = steps.columns[:, b:] - steps.columns[:, :b] @ regress
-        spread = _spread(steps.columns[:, :b], np.linalg.inv(M[:b, :b]))
+        spread = _spread(steps.columns[:, :b], np.asarray(np.linalg.inv(M[:b, :b])))
         u = left / np.sqrt(steps.variance + spread)[:, None]
         i, j = self.pairs[worst].T
         G = self.gram

@@ -16,7 +16,7 @@ from orthoglide.design.objectives import Determinant, Discriminate, Objective, g
 from orthoglide.design.observability import Observability, observability
 from orthoglide.design.pool import reading_pool, sheet
 from orthoglide.design.precision import Repeats
-from orthoglide.effects import BASE_FAMILIES, family_of
+from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -25,7 +25,8 @@ from orthoglide.units import Unit
 
 Criterion = Literal["d-optimal", "discriminate"]
 
-_NEVER = 0.5  # sigmas by the whole pool: a pair that no reading tells apart
+_NEVER = 5.0  # sigmas by the whole pool: a pair that no few of its readings tell apart
+_LOOSE = 100.0  # tolerances: priors that keep a determinant finite and otherwise say nothing
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,11 @@ class Design:
         criterion: ``d-optimal`` or ``discriminate``.
         names: parameters it is for, the base last where it is fitted besides.
         campaign: a measuring sheet.
-        value: of the criterion: log det of the information in tolerances, or the sigmas between
-            the two effects that are hardest to tell apart.
+        value: of the criterion: log det of the information in tolerances, gained over its loose
+            priors; or the sigmas between the two effects that are hardest to tell apart.
         indices: of the sheet for ``names``.
         closest: for ``discriminate``: pairs that are told apart least, least first.
-        never: for ``discriminate``: pairs that no reading within reach tells apart.
+        never: for ``discriminate``: pairs that no few readings within reach tell apart.
     """
 
     criterion: Criterion
@@ -83,8 +84,9 @@ def design(
         families: families, parameters or structured members: to identify (``d-optimal``), or to
             tell apart (``discriminate``; offsets and lengths are fitted besides).
         count: readings.
-        criterion: ``d-optimal``: the largest determinant of the information, with tolerances as
-            priors; ``discriminate``: the largest least separation of two effects at tolerance.
+        criterion: ``d-optimal``: the largest determinant of the information, with priors of a
+            hundred tolerances; ``discriminate``: the largest least separation of two effects at
+            tolerance.
         noise: standard deviation of one reading, metres.
         pool: to choose from; all of ``reading_pool`` where absent.
 
@@ -99,7 +101,9 @@ def design(
     names = machine_families(machine, pool, families)
     if criterion == "d-optimal":
         bench = bench_of(machine, pool, names, noise)
-        rows, best = choose(bench, Determinant(np.eye(len(names))), count, exchange=True)
+        rows, best = choose(
+            bench, Determinant(_LOOSE**2 * np.eye(len(names))), count, exchange=True
+        )
         return _finished(machine, bench, names, rows, criterion, best.value, noise)
     base = machine_families(machine, pool, BASE_FAMILIES)
     effects = tuple(n for n in names if n not in base)
@@ -145,9 +149,7 @@ def _discriminating(
     sigmas = np.sqrt(best.squares)
     order = np.argsort(sigmas, kind="stable")
     closest = tuple(_pair(names[base:], pairs[possible][k], sigmas[k]) for k in order)
-    never = tuple(
-        _pair(names[base:], pairs[k], everything[k]) for k in np.flatnonzero(~possible)
-    )
+    never = tuple(_pair(names[base:], pairs[k], everything[k]) for k in np.flatnonzero(~possible))
     return _finished(
         machine, bench, names, rows, "discriminate", float(sigmas.min()), noise, closest, never
     )
@@ -206,7 +208,7 @@ def _pair_rows(found: Design) -> list[str]:
         lines.append(f"{pair.one} {against}: {pair.sigmas:.1f} sigma at tolerance")
     for pair in found.never:
         against = f"{pair.one} and {pair.other}" if pair.other else pair.one
-        lines.append(f"{against}: no reading within reach tells at tolerance")
+        lines.append(f"{against}: no few readings within reach tell at tolerance")
     return lines
 
 
@@ -225,20 +227,32 @@ def _repeats_row(answer: Repeats) -> str:
 
 
 def _detectable_rows(found: Detectability) -> list[str]:
-    lines = [f"{'effect':<32}{'tolerance':>12}{'found from':>12}{'named from':>12}  unit  nearest"]
-    lines += [_smallest_row(s) for s in found.smallest]
+    """A row a family: the member that takes the largest effect to be found, and to be named."""
+    by_family: dict[str, list[Smallest]] = {}
+    for smallest in found.smallest:
+        if is_elementary(smallest.name):
+            by_family.setdefault(family_of(smallest.name).name, []).append(smallest)
+    lines = [f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit  nearest"]
+    lines += [_family_row(name, members) for name, members in by_family.items()]
     if found.invisible:
         lines.append(f"not visible, which is not absent: {', '.join(found.invisible)}")
     return lines
 
 
-def _smallest_row(s: Smallest) -> str:
-    si = family_of(s.name).unit.si
-    named = f"{s.nameable / si:.2g}" if np.isfinite(s.nameable) else "never"
+def _family_row(name: str, members: Sequence[Smallest]) -> str:
+    family = family_of(name)
+    si, hardest = family.unit.si, max(members, key=lambda s: s.nameable)
+    named = f"{hardest.nameable / si:.2g}" if np.isfinite(hardest.nameable) else "never"
+    found = max(s.detectable for s in members) / si
     return (
-        f"{s.name:<32}{s.tolerance / si:>12.2g}{s.detectable / si:>12.2g}{named:>12}  {s.unit}  "
-        f"{s.nearest}"
+        f"{name:<20}{hardest.tolerance / si:>11.2g}{found:>12.2g}{named:>12}  "
+        f"{family.unit.name:<4}  {hardest.nearest} for {hardest.name}"
     )
+
+
+def is_elementary(name: str) -> bool:
+    """Whether a candidate is a single parameter, no structured member of a family."""
+    return name in MACHINE_PARAMETERS or (is_dial(name) and not name.endswith(".common"))
 
 
 def criterion_value(bench: Bench, start: Objective, rows: Sequence[int]) -> float:

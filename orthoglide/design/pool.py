@@ -51,7 +51,10 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
     """
     low, high = geometry.stroke
     own = np.concatenate(
-        [low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN, high * np.arange(_STEPS_UP + 1) / _STEPS_UP]
+        [
+            low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN,
+            high * np.arange(_STEPS_UP + 1) / _STEPS_UP,
+        ]
     )
     found = []
     for travel in own:
@@ -107,7 +110,8 @@ def reading_pool(
         A campaign with a setup for every leg, direction, place and bar, one row a station.
     """
     geometry = geometry or Geometry()
-    setups, rows = [], []
+    setups: list[Setup] = []
+    rows: list[tuple[int, Station]] = []
     for leg in range(3):
         reach = stations(leg, geometry)
         for axis in ((leg + 1) % 3, (leg + 2) % 3):

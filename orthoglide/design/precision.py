@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.accuracy import workspace
+from orthoglide.design.bench import Scatter
 from orthoglide.design.expected import Expected, expected, expected_noise, scatter_of
+from orthoglide.effects import is_dial
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.identification import Noise
@@ -50,50 +52,79 @@ def once(campaign: Campaign) -> Campaign:
     return campaign.subset(np.sort(first))
 
 
-def sigma_after(
+@dataclass(frozen=True)
+class Accuracy:
+    """What a protocol would tell of one figure, by how often it is repeated.
+
+    Attributes:
+        seen: the protocol, every station once, at the machine as it is believed to be.
+        slope: derivative of the figure ``(k, P)`` by unknowns in tolerances, SI.
+        scatter: of one reading.
+        level: noise of one reading, all counted.
+    """
+
+    seen: Expected
+    slope: Array
+    scatter: Scatter
+    level: Noise
+
+    def sigma(self, repeats: float) -> float:
+        """Standard deviation with so many visits to every station, SI, tolerances as priors.
+
+        Args:
+            repeats: at least 1; infinite for the limit.
+        """
+        typical = self.level.typical
+        own = max(self.scatter.reading / np.sqrt(repeats), 1e-3 * typical)
+        visits = np.full(len(self.seen.problem.measured), own)
+        noise = Noise((visits,), typical, self.level.source, self.scatter.common)
+        covariance = self.seen.with_noise(noise).covariance
+        variances = np.einsum("rp,pq,rq->r", self.slope, covariance, self.slope)
+        return float(np.sqrt(np.mean(variances)))
+
+
+def accuracy_of(
     machine: Machine,
     campaign: Campaign,
     families: Sequence[str],
     what: str,
-    repeats: float,
     noise: float | None = None,
-) -> float:
-    """Standard deviation to expect of a parameter or of the TCP, SI, tolerances as priors.
+) -> Accuracy:
+    """Prepare a protocol for questions of accuracy.
 
     Args:
         machine: tolerances and dial.
         campaign: stations; its own repeats do not count.
         families: to identify.
         what: one of their parameters, or ``"TCP"``.
-        repeats: visits to every station; infinite for the limit.
         noise: standard deviation of one reading, metres.
+
+    Raises:
+        InputError: for a parameter that is not identified.
     """
     visits = once(campaign)
     level = expected_noise(machine, visits, noise)
-    scatter = scatter_of(machine, level.typical)
-    own = max(scatter.reading / np.sqrt(repeats), 1e-3 * level.typical)
-    averaged = Noise((np.full(len(visits), own),), level.typical, level.source, scatter.common)
-    return _sigma(machine, expected(machine, visits, families, averaged), what)
-
-
-def _sigma(machine: Machine, seen: Expected, what: str) -> float:
-    problem, covariance = seen.problem, seen.covariance
-    if what != TCP:
-        if what not in problem.names:
-            known = ", ".join(problem.names)
-            raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
-        k = problem.names.index(what)
-        return float(np.sqrt(covariance[k, k]) * problem.tolerance[k])
-    slope = _tcp_slope(machine, seen)
-    return float(np.sqrt(np.mean(np.einsum("rp,pq,rq->r", slope, covariance, slope))))
+    seen = expected(machine, visits, families, level)
+    problem = seen.problem
+    if what != TCP and what not in problem.names:
+        known = ", ".join(problem.names)
+        raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
+    slope = (
+        _tcp_slope(machine, seen)
+        if what == TCP
+        else np.diag(problem.tolerance)[[problem.names.index(what)]]
+    )
+    return Accuracy(seen, slope, scatter_of(machine, level.typical), level)
 
 
 def _tcp_slope(machine: Machine, seen: Expected) -> Array:
     """Derivative of the TCP over the workspace ``(3 g, P)``, mean removed, by tolerances."""
     names, weights = seen.problem.elementary(0)
+    kept = [k for k, n in enumerate(names) if not is_dial(n)]
     conditions = Conditions.at(workspace(machine.geometry, _GRID))
-    _, by_name = machine.model.sensitivities(machine.values, conditions, names)
-    slope = by_name[:, :3] @ weights * seen.problem.tolerance
+    here = {n: v for n, v in machine.values.items() if not is_dial(n)}
+    _, by_name = machine.model.sensitivities(here, conditions, [names[k] for k in kept])
+    slope = by_name[:, :3] @ weights[kept] * seen.problem.tolerance
     return np.asarray((slope - slope.mean(axis=0)).reshape(-1, slope.shape[-1]))
 
 
@@ -124,9 +155,7 @@ def repeats_needed(
     if not wanted > 0:
         raise InputError(f"the accuracy wanted of {what} must be a positive standard deviation")
 
-    def sigma(repeats: float) -> float:
-        return sigma_after(machine, campaign, families, what, repeats, noise)
-
+    sigma = accuracy_of(machine, campaign, families, what, noise).sigma
     floor = sigma(np.inf)
     if sigma(_MOST) > wanted:
         return Repeats(what, wanted, None, sigma(1), floor)

@@ -7,17 +7,17 @@ explain the readings better than the best effect of the catalogue (`fit_faults`,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.diagnosis.faults import Fault, Kind, message, places, setup_names
-from orthoglide.diagnosis.fit_faults import fit_fault, set_free
+from orthoglide.diagnosis.fault_view import set_free
+from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
+from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.repeat_faults import repeat_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.stuck_faults import stuck_faults
-from orthoglide.effects import is_dial
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import Array
 from orthoglide.identification import Estimate, Noise, Problem, noise_of, solve
@@ -147,6 +147,7 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     campaigns, sigmas = [], []
     for k, campaign in enumerate(problem.campaigns):
         kept = np.ones(len(campaign), dtype=bool)
+        split = campaign
         for blunder in blunders:
             rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
             if blunder.kind != "knocked_stand":
@@ -166,7 +167,7 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     return replace(problem, campaigns=tuple(campaigns), noise=noise)
 
 
-def _split(campaign: Campaign, rows: Array) -> Campaign:
+def _split(campaign: Campaign, rows: Rows) -> Campaign:
     """Rows of one setup as a setup of their own."""
     old = campaign.setups[int(campaign.setup[rows[0]])]
     taken = {s.name for s in campaign.setups}
@@ -174,10 +175,6 @@ def _split(campaign: Campaign, rows: Array) -> Campaign:
     while name in taken:
         name += "-again"
     setup = campaign.setup.copy()
-    setup[rows] = len(campaign.setups)
+    own = rows[setup[rows] == setup[rows[0]]]  # the rest was split off by a later knock
+    setup[own] = len(campaign.setups)
     return replace(campaign, setups=(*campaign.setups, replace(old, name=name)), setup=setup)
-
-
-def _dials(problem: Problem) -> Problem:
-    """Unknowns of dials whose setups are gone are dropped; a split setup's keep both halves."""
-    return problem

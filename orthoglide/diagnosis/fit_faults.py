@@ -9,18 +9,18 @@ noise known no better than what is left says: Student's form of the evidence,
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.evidence import Scoring
+from orthoglide.diagnosis.fault_view import View, set_free, with_effect
 from orthoglide.diagnosis.faults import UNITS, Fault, Rows, in_order
-from orthoglide.diagnosis.repeat_faults import EVIDENCE, FEWEST, span
+from orthoglide.diagnosis.repeat_faults import EVIDENCE, FEWEST
 from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.diagnosis.significance import within_groups
+from orthoglide.errors import NumericsError
 from orthoglide.geometry import Array
-from orthoglide.identification import Problem
-from orthoglide.identification.least_squares import linearise
+from orthoglide.identification import Problem, solve
 
 MARGIN = 5.0
 """Log Bayes factor by which a fault must beat the best effect of the catalogue."""
@@ -28,108 +28,13 @@ MARGIN = 5.0
 _EFFECTS = 2  # of the catalogue that may be in the model beside a fault
 _LACK = 1.5  # chi2 a degree of freedom below which nothing is worth looking for
 _HALVED = 0.6  # share of the rms of its own setups that a fault may leave
-_STUCK = 4  # equal readings one after the other
-_MOVES, _SIGMAS = 5.0, 6.0  # steps of the dial and sigmas that a stuck dial must have missed
+_APART = 3.0  # log Bayes factor between the best fault and the next one of other setups
+_OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres
+_DIGITS = 10.0  # log Bayes factor that the digits may add at most
+_RELABELLED = 2  # pairs of setups that are identified anew with their labels exchanged
+_MASSIVE = 30.0  # chi2 a degree of freedom that puts the linearisation itself in doubt
+_FACTOR = 0.2  # relative error of a sign's or unit's factor that the readings themselves may give
 _SPOILT = 3.0  # resolutions that an outlier or a knock must reach
-
-
-@dataclass(frozen=True)
-class View:
-    """A residual past everything known, and its station means.
-
-    Attributes:
-        seen: signatures, columns and residual past what is free ``(m, ...)``.
-        averaging: orthonormal columns ``(m, g)``.
-    """
-
-    seen: Signatures
-    averaging: Array
-
-    @classmethod
-    def of(cls, seen: Signatures) -> View:
-        """Prepare the station means."""
-        groups = seen.groups
-        indicator = np.eye(int(groups.max()) + 1)[groups]
-        shown = seen.whiten(indicator)
-        left, singular, _ = np.linalg.svd(shown, full_matrices=False)
-        kept = singular > 1e-6 * max(float(singular.max(initial=0.0)), 1e-300)
-        return cls(seen, left[:, kept])
-
-    @cached_property
-    def residual(self) -> Array:
-        """Station means of the residual ``(g,)``."""
-        return np.asarray(self.averaging.T @ self.seen.residual)
-
-    @cached_property
-    def dof(self) -> float:
-        """What noise alone makes of the square of ``residual``."""
-        return float(np.sum(self.averaging[: self.seen.count] ** 2))
-
-    @property
-    def chi2(self) -> float:
-        """Square of ``residual``."""
-        return float(self.residual @ self.residual)
-
-    def shown(self, readings: Array) -> Array:
-        """Readings ``(n, ...)`` in metres as station means ``(g, ...)``."""
-        return np.asarray(self.averaging.T @ self.seen.whiten(readings))
-
-    def evidence(self, after: Array, size: int = 0) -> Array:
-        """Log Bayes factor where chi2 falls to ``after``, with ``size`` readings' worth freed."""
-        dof = max(self.dof - size, 1e-9)
-        floor = dof * self._floor
-        before = max(self.chi2, floor)
-        return np.asarray(dof / 2 * np.log(before / np.maximum(after, floor)))
-
-    @cached_property
-    def _floor(self) -> float:
-        problem = self.seen.estimate.problem
-        if problem.noise.source != "repeats":
-            return 1.0
-        return min(1.0, (problem.machine.spec.dial.resolution / problem.noise.typical) ** 2 / 12)
-
-    @cached_property
-    def scoring(self) -> Scoring:
-        """Candidates on station means."""
-        return Scoring.of(self.seen, self.seen.candidates, self.averaging)
-
-    @cached_property
-    def rival(self) -> tuple[float, int]:
-        """Evidence and place of the best effect of the catalogue."""
-        if not self.seen.candidates:
-            return -np.inf, -1
-        gain = self.scoring.gains(self.residual)
-        evidence = self.evidence(self.chi2 - gain) - self.scoring.occam / 2
-        return float(evidence.max()), int(evidence.argmax())
-
-
-def set_free(seen: Signatures, columns: Array) -> Signatures:
-    """Signatures and residual past more columns of readings ``(n, k)``."""
-    basis = span(seen.whiten(columns))
-    return replace(
-        seen,
-        fitted=np.hstack([seen.fitted, basis]),
-        columns=seen.columns - basis @ (basis.T @ seen.columns),
-        residual=seen.residual - basis @ (basis.T @ seen.residual),
-    )
-
-
-def with_effect(seen: Signatures, place: int) -> Signatures:
-    """Signatures and residual past an effect of the catalogue, its tolerance as a prior."""
-    shape = seen.of(seen.candidates[place])
-    size = shape.shape[1]
-    basis = span(np.vstack([shape, np.eye(size)]))
-
-    def longer(rows: Array) -> Array:
-        return np.vstack([rows, np.zeros((size, rows.shape[1]))])
-
-    columns, residual = longer(seen.columns), longer(seen.residual[:, None])
-    return replace(
-        seen,
-        fitted=np.hstack([longer(seen.fitted), basis]),
-        columns=columns - basis @ (basis.T @ columns),
-        residual=(residual - basis @ (basis.T @ residual))[:, 0],
-    )
 
 
 def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
@@ -144,9 +49,9 @@ def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
         seen = set_free(seen, fault.columns(problem))
     for _ in range(_EFFECTS + 1):
         view = View.of(seen)
-        if view.chi2 < _LACK * view.dof * view._floor:
+        if view.chi2 < _LACK * view.dof * view.floor:
             return None
-        best = max(_hypotheses(view, known), key=lambda f: f.evidence, default=None)
+        best = _best(list(_hypotheses(view, known)))
         rival, place = view.rival
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
             return best
@@ -154,6 +59,15 @@ def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
             return None
         seen = with_effect(seen, place)
     return None
+
+
+def _best(faults: list[Fault]) -> Fault | None:
+    """The most probable fault, unless one of other setups is nearly as probable."""
+    if not faults:
+        return None
+    best = max(faults, key=lambda f: f.evidence)
+    others = [f.evidence for f in faults if not set(f.setups) & set(best.setups)]
+    return best if best.evidence - max(others, default=-np.inf) >= _APART else None
 
 
 def _hypotheses(view: View, known: Sequence[Fault]) -> Iterator[Fault]:
@@ -190,10 +104,42 @@ def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
         change[rows, k] = values - measured[rows]
     after = np.sum((view.residual[:, None] + view.shown(change)) ** 2, axis=0)
     evidence = view.evidence(after) - np.log(len(found))
+    evidence += [_grain(problem, f[2], f[4]) if f[0] == "unit" else 0.0 for f in found]
     for k in np.flatnonzero(evidence >= EVIDENCE):
         kind, own, rows, _, size = found[k]
-        if _mended(view, own, change[:, k]):
+        meant = kind == "exchanged_labels" or _meant(view, rows, size)
+        if meant and _mended(view, own, change[:, k]):
             yield Fault(kind, rows, own, size, float(evidence[k]))  # type: ignore[arg-type]
+
+
+def _grain(problem: Problem, rows: Rows, factor: float) -> float:
+    """Log Bayes factor of the digits: in its own unit a dial shows multiples of its step."""
+    step = problem.machine.spec.dial.resolution
+    if step <= 0:
+        return 0.0
+
+    def on_grid(readings: Array) -> bool:
+        return bool((np.abs(readings / step - np.round(readings / step)) < _OFF_GRID).all())
+
+    others = np.ones(len(problem.measured), dtype=bool)
+    others[rows] = False
+    readings = problem.measured[rows]
+    if not on_grid(problem.measured[others]) or not on_grid(readings * factor):
+        return 0.0
+    if on_grid(readings) and factor > 1:
+        return 0.0
+    values = len(np.unique(readings)) - 1
+    chance = 2 * _OFF_GRID if factor > 1 else max(factor, 2 * _OFF_GRID)
+    return min(-values * float(np.log(chance)), _DIGITS)
+
+
+def _meant(view: View, rows: Rows, factor: float) -> bool:
+    """Whether the factor that fits best is this one: flat readings would fit any small factor."""
+    readings = np.zeros(view.seen.count)
+    readings[rows] = view.seen.estimate.problem.measured[rows]
+    shown = view.shown(readings)
+    best = 1 - float(shown @ view.residual) / max(float(shown @ shown), 1e-300)
+    return abs(best - factor) <= _FACTOR * abs(factor)
 
 
 def _mended(view: View, setups: tuple[int, ...], change: Array) -> bool:
@@ -222,15 +168,46 @@ def _relabelled(view: View, setups: list[int]) -> Iterator[Fault]:
     if not pairs:
         return
     said = _under_each_label(problem, view.seen.estimate.x)
-    for one, other in pairs:
+    change = np.zeros((len(value), len(pairs)))
+    for k, (one, other) in enumerate(pairs):
         a, b = in_order(problem, one), in_order(problem, other)
-        change = np.zeros(len(value))
-        change[a] = value[a] - said[a, other]
-        change[b] = value[b] - said[b, one]
-        after = float(np.sum((view.residual + view.shown(change)) ** 2))
-        evidence = float(view.evidence(np.array(after))) - float(np.log(len(pairs)))
-        if evidence >= EVIDENCE and _mended(view, (one, other), change):
-            yield Fault("exchanged_labels", np.concatenate([a, b]), (one, other), 1.0, evidence)
+        change[a, k] = value[a] - said[a, other]
+        change[b, k] = value[b] - said[b, one]
+    after = np.sum((view.residual[:, None] + view.shown(change)) ** 2, axis=0)
+    for k in np.argsort(after)[:_RELABELLED]:
+        if view.chi2 < _MASSIVE * view.dof and after[k] > view.chi2 / 2:
+            continue
+        exact = _refitted(view, pairs[k])
+        if exact is None:
+            continue
+        evidence = float(view.evidence(np.array(exact))) - float(np.log(len(pairs)))
+        if evidence >= EVIDENCE:
+            rows = np.concatenate([in_order(problem, s) for s in pairs[k]])
+            yield Fault("exchanged_labels", rows, pairs[k], 1.0, evidence)
+
+
+def _refitted(view: View, pair: tuple[int, int]) -> float | None:
+    """Square of the station means' residual with two setups' labels exchanged, identified anew.
+
+    Wrong labels lead the fit far from where it belongs: its linearisation is no guide there.
+    """
+    problem = view.seen.estimate.problem
+    ends = np.cumsum([len(c.setups) for c in problem.campaigns])
+    home = int(np.searchsorted(ends, pair[0], side="right"))
+    first = int(ends[home]) - len(problem.campaigns[home].setups)
+    one, other = pair[0] - first, pair[1] - first
+    setups = list(problem.campaigns[home].setups)
+    setups[one], setups[other] = (
+        replace(setups[other], name=setups[one].name),
+        replace(setups[one], name=setups[other].name),
+    )
+    campaigns = list(problem.campaigns)
+    campaigns[home] = replace(campaigns[home], setups=tuple(setups))
+    try:
+        fit = solve(replace(problem, campaigns=tuple(campaigns)), method="nested")
+    except NumericsError:
+        return None
+    return fit.scores.chi2 - within_groups(view.seen)
 
 
 def _same_commands(problem: Problem, one: int, other: int) -> bool:

@@ -26,7 +26,7 @@ FEWEST = 3
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one
 _OUTLIER_STEPS, _KNOCK_STEPS = 3.0, 2.0  # of the dial, that a fault must at least reach
 _MOST = 6
-_TREND_MARGIN = 12.0  # fall of chi2 by which a step must beat a cubic trend
+_TREND_MARGIN = 12.0  # fall of chi2, over the noise, by which a step must beat a smooth drift
 
 
 @dataclass(frozen=True)
@@ -136,17 +136,12 @@ def gains(columns: Array, rest: Array, weight: Array) -> tuple[Array, Array]:
 
 
 def scatter(problem: Problem, setups: list[Within]) -> float:
-    """Squared scatter of all readings about their stations, whitened, whatever a few of them do."""
+    """Squared scatter of all readings about their stations, whitened, whatever one setup does."""
     floor = 1.0
     if problem.noise.source == "repeats":
         floor = (problem.machine.spec.dial.resolution / problem.noise.typical) ** 2 / 12
-    spread = []
-    for own in setups:
-        share = np.sqrt(np.maximum(1 - np.sum(own.free**2, axis=1), 0))
-        seen = share > 0.1
-        spread.append(np.abs(own.rest[seen]) / share[seen])
-    every = np.concatenate([*spread, np.empty(0)])
-    return max(floor, (1.4826 * float(np.median(every))) ** 2 if len(every) > 5 else 0.0)
+    spread = [own.rest @ own.rest / own.dof for own in setups if own.dof >= 2]
+    return max(floor, float(np.median(spread)) if spread else 0.0)
 
 
 def repeat_faults(estimate: Estimate, known: Sequence[Fault]) -> list[Fault]:
@@ -242,7 +237,7 @@ def _confirmed(
 
 
 def _beats_trend(own: Within, gain: float, scale: float) -> bool:
-    basis = span(own.trend)
+    basis = span(own.trend[:, :2])
     smooth = float(np.sum((basis.T @ own.rest) ** 2))
     left = max(float(own.rest @ own.rest) - gain, 0.0)
     noise = max(scale, left / max(own.dof - 1, 1))

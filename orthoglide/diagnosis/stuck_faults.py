@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
+from orthoglide.diagnosis.fault_view import View
 from orthoglide.diagnosis.faults import Fault, Rows, in_order
-from orthoglide.diagnosis.fit_faults import MARGIN, View
+from orthoglide.diagnosis.fit_faults import MARGIN
 from orthoglide.diagnosis.repeat_faults import EVIDENCE, Within, scatter, span
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.identification import Problem
@@ -75,6 +76,3 @@ def _by_fit(view: View, run: Rows) -> float:
     basis = span(view.shown(np.eye(view.seen.count)[:, run]))
     after = view.chi2 - float(np.sum((basis.T @ view.residual) ** 2))
     return float(view.evidence(np.array(after), basis.shape[1])) - basis.shape[1]
-
-
-__all__: Sequence[str] = ("stuck_faults",)

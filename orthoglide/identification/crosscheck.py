@@ -111,9 +111,9 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
     """
     if not problem.representable:
         return None
-    # What ended on a bound is held there; elsewhere the reduction starts anew.
+    # What ended on a bound is held there, and far from the start the legs need not meet.
     held = problem.on_bound(x)
-    start = np.where(held, x, problem.start)
+    start = x if held.any() else problem.start
     own = reduction_fit(problem, nuisance, start=start, held=held)
     difference = float(np.max(np.abs(own.values[:-1] - x), initial=0.0))
     if not own.converged or difference > AGREEMENT:

@@ -28,6 +28,7 @@ from orthoglide.identification.scores import Scores, score
 from orthoglide.identification.weakness import weak_directions
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.prediction import Conditions
 
 Method = Literal["auto", "nlp", "nested", "reduction"]
 
@@ -159,7 +160,11 @@ def _solved(
     if method == "reduction":
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
-    if method == "nested" or (method == "auto" and posture_count(problem) > NLP_POSTURES):
+    elastic = _elastic(problem)
+    if elastic and method == "nlp":
+        raise InputError("the programme closes unloaded loops: take the nested method under load")
+    large = posture_count(problem) > NLP_POSTURES
+    if method == "nested" or (method == "auto" and (large or elastic)):
         nested = solve_nested(problem, nuisance, near)
         return nested.at, nested.iterations + 1, "nested"
     from orthoglide.identification.nlp import Nlp
@@ -182,6 +187,12 @@ def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
         if not beyond.any():
             return x, iterations
         x, held = np.clip(x, -problem.bound, problem.bound), held | beyond
+
+
+def _elastic(problem: Problem) -> bool:
+    """Whether stiffness moves any of the postures."""
+    model = problem.machine.model
+    return any(model.is_elastic(Conditions.of(c)) for c in problem.campaigns)
 
 
 def posture_count(problem: Problem) -> int:

@@ -22,6 +22,9 @@ from orthoglide.pss.kinematics import NOMINAL
 RANK_TOLERANCE = 1e-9
 """Directions seen less than this (relative, columns scaled) are left where they started."""
 
+LONGEST_STEP = 5e-3
+"""Metres: along weak directions a longer one can end in a minimum far from any machine."""
+
 
 @dataclass(frozen=True)
 class ReadingFit:
@@ -297,7 +300,8 @@ def _iterate(
         small = float(np.max(np.abs(step), initial=0.0)) <= tolerance
         if small or iteration == most:
             return state, unwhiten, small, iteration
-        moved = _search(problem, state, step, float(gain))
+        reach = min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
+        moved = _search(problem, state, reach * step, reach * float(gain))
         if moved is None:
             return state, unwhiten, False, iteration
         state = moved

@@ -44,7 +44,7 @@ _SINGLE = 3.9  # inches: width of a figure that fits a phone
 _PANEL = (3.0, 2.75)  # inches: one of the small multiples
 _ACROSS = 3
 _LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
-_MOST_CELLS = 12  # unknowns up to which correlations are printed as numbers
+_MOST_CELLS = 8  # unknowns up to which correlations are printed as numbers
 
 
 @dataclass(frozen=True)
@@ -328,7 +328,7 @@ def _draw_family(axes: Axes, estimate: Estimate, family: str, members: list[int]
     reach = 1.1 * max(float(np.max(np.abs(value) + half)), 1.1 * tolerance)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(members) - 0.5, -0.5)
-    _few_ticks(axes, across=6)
+    _few_ticks(axes, across=5)
     axes.set_title(f"{family.replace('_', ' ')}, {unit.name}", pad=3)
     return [dots, band]
 
@@ -354,7 +354,7 @@ def _correlations(estimate: Estimate) -> Drawing:
         for i, j, v in zip(row, column, flat, strict=True):
             text = "1" if i == j else "0" if abs(v) < 5e-3 else signed(v, 2)
             axes.text(j + 0.5, i + 0.5, text, ha="center", va="center",
-                      fontsize=7.5 if count <= 8 else 6)  # fmt: skip
+                      fontsize=7.5)  # fmt: skip
     axes.set_xlim(0, count)
     axes.set_ylim(count, 0)
     axes.grid(False)

@@ -9,7 +9,7 @@ from orthoglide.identification import Estimate, WeakDirection
 from orthoglide.report.numbers import compact, decimals_for, signed
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
-_MOST_NAMED = 4
+_MOST_NAMED = 2
 _TOLD = {"joint_offset": "joint offset", "leg_length": "leg length"}
 
 
@@ -83,9 +83,8 @@ def _by_leg(estimate: Estimate, family: str) -> list[str]:
 
 def _value(estimate: Estimate, name: str, unit: str | None = None) -> str:
     of = family_of(name).unit
-    # A weak direction leaves sigmas of millimetres where the readings fix the sum to microns.
-    fine = min(estimate.sigmas[name], estimate.problem.noise.typical) / of.si
-    places = min(decimals_for(fine), 2) if of.name == "mm" else decimals_for(fine)
+    # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
+    places = 2 if of.name == "mm" else decimals_for(estimate.sigmas[name] / of.si, 9)
     text = signed(estimate.values[name] / of.si, places)
     return f"{text} {of.name}" if unit is None else text
 

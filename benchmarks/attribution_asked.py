@@ -1,0 +1,81 @@
+"""What the truth table asks of the record of one campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from benchmarks.attribution_run import Record, accepted
+
+STRONG, APART = 3.0, 5.0
+"""An effect should be named: rms past the base, and distance to the nearest other class."""
+
+
+def well(records: Iterable[Record]) -> list[Record]:
+    """Records that ended."""
+    return [r for r in records if r["word"] not in ("error", "crash")]
+
+
+def singles(records: Iterable[Record]) -> list[Record]:
+    """Campaigns with one effect of the catalogue."""
+    return [r for r in well(records) if r["kind"] in ("effect", "structured") and r["truth"]]
+
+
+def clear(truth: Record) -> bool:
+    """Whether these readings should name a cause."""
+    return bool(truth["rms"] >= STRONG and truth["distance"] >= APART)
+
+
+def holds(effect: Record, truth: Record) -> bool:
+    """Whether the cause named, or its class, is the true one."""
+    return any(accepted(truth, name, parameters) for name, parameters, _ in effect["members"])
+
+
+def named(record: Record) -> bool:
+    """Whether any cause added is the true one."""
+    return any(holds(e, record["truth"][0]) for e in record["effects"])
+
+
+def alarmed(record: Record) -> bool:
+    """Whether anything at all was said to be wrong."""
+    return bool(record["word"] != "adequate" or record["blunders"])
+
+
+def wrongly_explained(record: Record) -> bool:
+    """Whether a verdict claims to have explained what no effect of the catalogue is."""
+    return record["word"] in ("explained", "ambiguous")
+
+
+def upper_bound(hits: int, count: int) -> float:
+    """Clopper and Pearson's one-sided upper 95 % bound of a share."""
+    from scipy.special import betaincinv
+
+    return 1.0 if hits >= count else float(betaincinv(hits + 1, count - hits, 0.95))
+
+
+def share(records: Sequence[Record], test: Callable[[Record], bool]) -> str:
+    """Percentage and counts."""
+    hits = sum(map(test, records))
+    return f"{100 * hits / len(records):.1f} % ({hits}/{len(records)})" if records else "-"
+
+
+def holds_alone(record: Record) -> bool:
+    """Whether the cause named first is the true one itself."""
+    effects = record["effects"][:1]
+    return any(accepted(record["truth"][0], *e["members"][0][:2]) for e in effects)
+
+
+def misnamed(record: Record) -> bool:
+    """Whether causes were named and none of them is the true one."""
+    return bool(record["effects"]) and not named(record)
+
+
+def both_found(record: Record) -> bool:
+    """Whether each of two causes is held by an effect of its own."""
+    held = [{k for k, e in enumerate(record["effects"]) if holds(e, t)} for t in record["truth"]]
+    return all(held) and len(set().union(*held)) > 1
+
+
+def fault_found(record: Record) -> bool:
+    """Whether a fault was reported with any of the rows that carry it."""
+    touched = set(record["touched"])
+    return any(touched & set(rows) for _, rows in record["blunders"])

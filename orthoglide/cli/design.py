@@ -1,0 +1,154 @@
+"""``design``: which readings to take, before any is taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orthoglide.cli.options import PATH, Names, load_machine, machine_option
+from orthoglide.cli.progress import Step, progress
+from orthoglide.errors import InputError
+
+if TYPE_CHECKING:
+    from orthoglide.design import Repeats
+    from orthoglide.machine import Machine
+    from orthoglide.observations import Campaign
+
+KINDS = ("standard", "sweep", "two-gauges")
+
+
+@click.command()
+@click.argument("campaigns", nargs=-1, type=PATH, metavar="[SHEET.csv ...]")
+@machine_option
+@click.option("--out", type=PATH, metavar="SHEET.csv", help="Measuring sheet to write.")
+@click.option(
+    "--free",
+    type=Names(),
+    default=(),
+    metavar="NAME,...",
+    help="Families or parameters it is for.  [default: joint_offset,leg_length; with "
+    "--criterion discriminate all that a design can show]",
+)
+@click.option("--count", type=int, default=24, show_default=True, help="Readings to choose.")
+@click.option(
+    "--criterion",
+    type=click.Choice(("d-optimal", "discriminate")),
+    default="d-optimal",
+    show_default=True,
+    help="To identify what is free as well as can be, or to tell effects apart.",
+)
+@click.option("--want", type=Names(), default=(), metavar="NAME=SIGMA,...",
+              help="Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
+                   "repeat.")  # fmt: skip
+@click.option("--detect", is_flag=True, help="Also tell the smallest effects found and named.")
+@click.option("--noise", "noise_mm", type=float, metavar="MM",
+              help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
+@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+@click.option("--quiet", is_flag=True, help="No progress and no tables.")
+def design(
+    campaigns: tuple[Path, ...],
+    machine_path: Path | None,
+    out: Path | None,
+    free: tuple[str, ...],
+    count: int,
+    criterion: str,
+    want: tuple[str, ...],
+    detect: bool,
+    noise_mm: float | None,
+    seed: int,
+    quiet: bool,
+) -> None:
+    """Choose readings before any is taken, and compare protocols and sheets by what they see."""
+    from orthoglide.design import design as choose
+    from orthoglide.design import observability, report_design, smallest_effects
+    from orthoglide.design.expected import expected_noise
+    from orthoglide.effects import BASE_FAMILIES
+    from orthoglide.errors import FileError
+    from orthoglide.observations import write_campaign
+
+    if out is not None and out.exists():
+        raise FileError("exists and is not overwritten: choose another name", file=str(out))
+    if noise_mm is not None and not noise_mm > 0:
+        raise InputError(f"--noise must be a positive number of millimetres, not {noise_mm}")
+    machine = load_machine(machine_path)
+    noise = None if noise_mm is None else noise_mm * 1e-3
+    families = free or (BASE_FAMILIES if criterion == "d-optimal" else ())
+    wanted = _wanted(want)
+    with progress(quiet) as step:
+        step("choosing readings")
+        found = choose(machine, families, count, criterion, noise=noise)  # type: ignore[arg-type]
+        step("comparing")
+        sheets = _sheets(machine, campaigns)
+        compared = [
+            (name, observability(machine, c, found.names, expected_noise(machine, c, noise)))
+            for name, c in sheets.items()
+        ]
+        sheets["design"] = found.campaign
+        answers = [
+            (f"{name}, ", answer)
+            for name, c in sheets.items()
+            for answer in _repeats(machine, c, found.names, wanted, noise, step)
+        ]
+        small = []
+        for name, c in sheets.items() if detect else ():
+            step(f"smallest effects: {name}")
+            small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
+        if out is not None:
+            write_campaign(found.campaign, out)
+    if quiet:
+        return
+    for line in report_design(found, compared):
+        click.echo(line)
+    for name, answer in answers:
+        click.echo(name + report_design(repeats=[answer])[0])
+    for name, detectability in small:
+        click.echo("\n".join((f"\n{name}:", *report_design(detectability=detectability))))
+    if out is not None:
+        click.echo(f"{click.format_filename(out)}: {len(found.campaign)} readings")
+
+
+COMMANDS = (design,)
+
+
+def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
+    """The sheets given, or the protocols there are."""
+    from orthoglide.observations import protocol, read_campaign
+
+    if paths:
+        read = [read_campaign(p, machine.spec, require_readings=False) for p in paths]
+        return {c.name: c for c in read}
+    return {kind: protocol(kind, machine.geometry) for kind in KINDS}  # type: ignore[arg-type]
+
+
+def _wanted(want: tuple[str, ...]) -> dict[str, float]:
+    """``NAME=SIGMA`` in SI."""
+    from orthoglide.effects import unit_of
+
+    found = {}
+    for item in want:
+        name, _, number = item.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            raise InputError(f"--want takes NAME=SIGMA such as TCP=0.01, not {item!r}") from None
+        found[name] = value * (1e-3 if name == "TCP" else unit_of(name).si)
+    return found
+
+
+def _repeats(
+    machine: Machine,
+    campaign: Campaign,
+    names: tuple[str, ...],
+    wanted: dict[str, float],
+    noise: float | None,
+    step: Step,
+) -> list[Repeats]:
+    from orthoglide.design import repeats_needed
+
+    found = []
+    for what, sigma in wanted.items():
+        step(f"how often to repeat {campaign.name}")
+        found.append(repeats_needed(machine, campaign, names, what, sigma, noise))
+    return found

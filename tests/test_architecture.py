@@ -1,0 +1,147 @@
+"""The plan of the house, as code: who may import whom, how large a file may be, what loads when."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "orthoglide"
+LONGEST = 400
+
+# A room may import from the floors below its own, never from beside or above.
+FLOORS: tuple[frozenset[str], ...] = (
+    frozenset({"errors"}),
+    frozenset({"geometry", "files", "units"}),
+    frozenset({"pss", "urdf", "effects"}),
+    frozenset({"mechanism", "machine_file"}),
+    frozenset({"observations"}),
+    frozenset({"prediction"}),
+    frozenset({"machine"}),
+    frozenset({"identification", "comparison", "controller"}),
+    frozenset({"diagnosis"}),
+    frozenset({"accuracy", "judging"}),
+    frozenset({"closing"}),
+    frozenset({"design"}),
+    frozenset({"report"}),
+    frozenset({"cli"}),
+    frozenset({"__main__"}),
+)
+# Nearer than the floors: two derivations never meet below, and declarations know names only.
+NEVER = {
+    ("mechanism", "pss"), ("mechanism", "effects"), ("machine_file", "mechanism"),
+    ("observations", "mechanism"), ("prediction", "pss"), ("machine", "pss"),
+    ("diagnosis", "pss"), ("controller", "pss"),
+}  # fmt: skip
+# A result writes its own report: the name is fetched when it is asked to.
+UPWARD = {("closing", "report")}
+HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "yourdfpy")
+
+
+def modules() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def room_of(path: Path) -> str:
+    """Module or folder directly in the package."""
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Dotted names that a file imports, at its top or within functions; not those for types."""
+
+    def visit(node: ast.AST) -> Iterator[str]:
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            children: list[ast.stmt] | Iterator[ast.AST] = node.orelse
+        else:
+            children = ast.iter_child_nodes(node)
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        for child in children:
+            yield from visit(child)
+
+    return visit(ast.parse(path.read_text(encoding="utf-8")))
+
+
+@cache
+def edges() -> dict[tuple[str, str], str]:
+    """Who imports whom among the rooms, with a file that does."""
+    rooms = {room_of(path) for path in modules()}
+    found: dict[tuple[str, str], str] = {}
+    for path in modules():
+        for name in imports(path):
+            parts = name.split(".")
+            if parts[0] == "orthoglide" and parts[1] in rooms and parts[1] != room_of(path):
+                found[room_of(path), parts[1]] = str(path.relative_to(ROOT))
+    return found
+
+
+def floor(room: str) -> int:
+    return next(k for k, rooms in enumerate(FLOORS) if room in rooms)
+
+
+def test_every_room_has_its_floor() -> None:
+    rooms = {room_of(path) for path in modules()} - {"__init__"}
+    assert rooms == frozenset().union(*FLOORS)
+
+
+def test_imports_go_down() -> None:
+    wrong = {
+        pair: path
+        for pair, path in edges().items()
+        if pair[0] != "__init__" and pair not in UPWARD and floor(pair[1]) >= floor(pair[0])
+    }
+    assert not wrong
+
+
+def test_the_rules_look_at_something() -> None:
+    """Edges that must be there: else the parsing is broken and everything passes."""
+    assert {("identification", "pss"), ("comparison", "pss"), ("cli", "report")} <= set(edges())
+    assert set(edges()) >= UPWARD
+
+
+def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
+    assert not {("pss", "mechanism"), ("mechanism", "pss")} & set(edges())
+    assert not {pair: edges()[pair] for pair in NEVER & set(edges())}
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests").glob("rig*.py")), ids=lambda p: p.name)
+def test_the_independent_machine_is_independent(path: Path) -> None:
+    known = {*sys.stdlib_module_names, "numpy", "scipy"}
+    for name in imports(path):
+        assert name.split(".")[0] in known or name.startswith("tests.rig"), name
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_stay_readable(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
+
+
+def fresh(code: str) -> str:
+    """What a new interpreter prints."""
+    return subprocess.run(
+        [sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True
+    ).stdout
+
+
+@pytest.mark.parametrize("module", ["orthoglide", "orthoglide.machine_file", "orthoglide.cli"])
+def test_nothing_heavy_is_loaded_early(module: str) -> None:
+    loaded = fresh(f"import sys, {module}; print(*sys.modules)").split()
+    assert module in loaded
+    assert not set(HEAVY) & set(loaded)
+
+
+def test_import_is_quick() -> None:
+    """The quickest of three: a busy computer says nothing of the package."""
+    code = (
+        "import time; begin = time.perf_counter(); import orthoglide; "
+        "print(time.perf_counter() - begin)"
+    )
+    assert min(float(fresh(code)) for _ in range(3)) < 0.5

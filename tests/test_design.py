@@ -1,0 +1,531 @@
+"""Designs and next measurements: formulas against numpy, expectations against the rig."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from scipy.stats import ncx2
+
+import orthoglide as og
+from orthoglide.design import (
+    design,
+    next_measurements,
+    observability,
+    reading_pool,
+    repeats_needed,
+    report_design,
+    smallest_effects,
+)
+from orthoglide.design.bench import Bench, Scatter
+from orthoglide.design.choosing import choose, replayed
+from orthoglide.design.detectable import noncentrality, separation
+from orthoglide.design.expected import bench_of, expected
+from orthoglide.design.objectives import (
+    Determinant,
+    Discriminate,
+    Narrow,
+    Separate,
+    gram,
+    separations,
+)
+from orthoglide.design.observability import indices
+from orthoglide.design.planning import is_elementary
+from orthoglide.design.pool import DIAL_TRAVEL, sheet
+from orthoglide.design.precision import accuracy_of
+from orthoglide.diagnosis.evidence import Scoring
+from orthoglide.diagnosis.ranking import refit
+from orthoglide.diagnosis.signatures import signatures
+from orthoglide.effects import BASE_FAMILIES
+from orthoglide.effects.effect import relabelled
+from orthoglide.errors import InputError
+from orthoglide.identification import build_problem, noise_of
+from orthoglide.observations import Campaign, protocol
+from tests.rig import Rig
+from tests.rig_campaigns import simulate
+
+RIG = Path(__file__).parent / "data" / "rig"
+TEXT = {"setup", "leg", "direction", "posture", "bar"}
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+def measured(machine, rig, rows, seed, name="a") -> Campaign:
+    made = simulate(rig, rows, np.random.default_rng(seed), placement=machine.spec.dial.placement)
+    return Campaign.from_frame(pd.DataFrame(made), name=name, machine_file=machine.spec)
+
+
+def base_problem(machine, campaigns):
+    return build_problem(machine, campaigns, BASE_FAMILIES, noise_of(campaigns, machine.spec.dial))
+
+
+def as_numbers(rows):
+    """Rows as the rig takes them."""
+    return [{k: v if k in TEXT or v == "" else float(v) for k, v in r.items()} for r in rows]
+
+
+# -- the pool ------------------------------------------------------------------------------------
+
+
+def test_the_pool_stays_within_stroke_dial_and_leg(machine):
+    pool = reading_pool(machine.geometry)
+    assert machine.geometry.in_stroke(pool.command).all()
+    beyond = pool.command - 1e-3 * pool.approach  # where it has to come from
+    assert machine.geometry.in_stroke(beyond).all()
+    shown = og.Machine.nominal().model.readings({}, pool)
+    for k in range(len(pool.setups)):
+        own = shown[pool.setup == k]  # a bar stands half a short link off the median line
+        at_zero = own[np.array(pool.posture)[pool.setup == k] == "+0"][0]
+        assert np.abs(own - at_zero).max() <= DIAL_TRAVEL + 1e-9
+    assert {s.bar for s in pool.setups} == {0, 1, 2}
+    assert len({s.name for s in pool.setups}) == len(pool.setups)
+    assert set(np.unique(pool.approach)) == {-1.0, 1.0}
+    off_axis = np.linalg.norm(machine.forward(pool.command), axis=1) - np.abs(
+        machine.forward(pool.command)
+    ).max(axis=1)
+    assert off_axis.max() > 1e-4
+
+
+def test_the_pool_is_the_same_for_every_leg(machine):
+    pool = reading_pool(machine.geometry)
+
+    def rows(campaign):
+        table = [
+            (s.leg, s.axis, s.gauge, s.bar, *np.round(c, 9), *a)
+            for s, c, a in zip(
+                (campaign.setups[k] for k in campaign.setup),
+                campaign.command,
+                campaign.approach,
+                strict=True,
+            )
+        ]
+        return sorted(table)
+
+    assert rows(pool) == rows(pool.relabelled())
+
+
+# -- one step at a time is exact -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bench(machine) -> Bench:
+    pool = reading_pool(machine.geometry, gauges=(0.35, 0.65), bars=(0, 1))
+    return bench_of(machine, pool, ("joint_offset.x", "joint_offset.y", "axis_tilt.x.y"))
+
+
+def by_hand(bench, rows):
+    """Information with datum, place and rounding as unknowns of their own, eliminated last."""
+    rows, s = np.asarray(rows), bench.scatter
+    setups, mounting = np.unique(bench.pool.setup[rows], return_inverse=True)
+    stations, station = np.unique(rows, return_inverse=True)
+    datum = np.eye(len(setups))[mounting]
+    extra = np.hstack([datum, datum * bench.slope[rows][:, None], np.eye(len(stations))[station]])
+    prior = [1e4] * len(setups) + [s.placement**-2] * len(setups) + [s.common**-2] * len(stations)
+    J = bench.columns[rows] / s.reading
+    U = extra / s.reading
+    inner = U.T @ U + np.diag(prior)
+    return J.T @ J - J.T @ U @ np.linalg.solve(inner, U.T @ J)
+
+
+def some_rows(bench, seed=0):
+    rng = np.random.default_rng(seed)
+    setups = rng.choice(len(bench.pool.setups), 3, replace=False)
+    rows = [int(k) for s in setups for k in rng.choice(bench.of_setup[s], 4, replace=False)]
+    return sorted([*rows, rows[1], rows[1]])  # one station three times
+
+
+def test_information_is_that_of_the_problem_with_all_nuisances(bench):
+    # A dial whose rounding repeats share shows most where something is wrong.
+    coarse = replace(bench, scatter=Scatter(5e-6, 3e-6, 1e-3))
+    rows = some_rows(coarse)
+    assert coarse.information(rows) == pytest.approx(by_hand(coarse, rows), rel=1e-6)
+
+
+def test_steps_add_up_to_the_whole(bench):
+    rows = some_rows(bench)
+    C = np.diag([2.0, 1.0, 3.0])
+    M = bench.information(rows)
+    after = replayed(bench, Determinant(C), rows)
+    assert after.value == pytest.approx(np.linalg.slogdet(np.eye(3) + C @ M)[1], rel=1e-6)
+    assert after.covariance == pytest.approx(np.linalg.inv(np.linalg.inv(C) + M), rel=1e-5)
+    d = np.array([1.0, 0.0, -1.0])
+    narrowed = replayed(bench, Narrow(C, d), rows)
+    assert narrowed.variance == pytest.approx(d @ after.covariance @ d, rel=1e-5)
+
+
+def test_steps_gain_what_they_promise(bench):
+    start = Discriminate(np.diag([1.0, 1.0, 0.0]), 2, np.array([[0, 0]]))
+    for objective in (Determinant(np.eye(3)), Narrow(np.eye(3), np.ones(3)), start):
+        steps = bench.steps(some_rows(bench), 4)
+        for k in (0, len(steps.rows) // 2, len(steps.rows) - 1):
+            promised = objective.gains(steps)[k]
+            assert objective.after(steps, k).value - objective.value == pytest.approx(promised)
+
+
+def test_rivals_are_as_far_apart_as_least_squares_says(bench):
+    rng = np.random.default_rng(3)
+    predicted = rng.normal(0, 2e-5, (len(bench.pool), 2))
+    both = Bench(bench.pool, np.hstack([bench.columns, predicted]), bench.slope, bench.scatter)
+    spread = np.stack([np.diag([1.0, 2.0, 0.5]), np.diag([0.3, 0.1, 4.0])])
+    pairs = np.array([[0, 1], [1, 0]])
+    rows = some_rows(bench)
+    after = replayed(both, Separate(spread, pairs, np.zeros((2, 3)), np.zeros(2)), rows)
+    W = both.information(rows)
+    for chi2, (a, b) in zip(after.chi2, pairs, strict=True):
+        e = np.eye(2)[a] - np.eye(2)[b]
+        normal = np.linalg.inv(spread[b]) + W[:3, :3]
+        toward = W[:3, 3:] @ e
+        left = e @ W[3:, 3:] @ e - toward @ np.linalg.solve(normal, toward)
+        assert chi2 == pytest.approx(left, rel=1e-5)
+
+
+# -- observability -------------------------------------------------------------------------------
+
+
+def test_indices_are_those_of_the_definitions():
+    J = np.random.default_rng(0).normal(size=(30, 5)) @ np.diag([1.0, 2.0, 5.0, 0.1, 3.0])
+    found = indices(J, 30)
+    s = np.sqrt(np.linalg.eigvalsh(J.T @ J))[::-1]
+    assert found.o1 == pytest.approx(np.prod(s) ** (1 / 5) / np.sqrt(30))
+    assert found.o2 == pytest.approx(s[-1] / s[0])
+    assert found.o2 == pytest.approx(1 / np.linalg.cond(J))
+    assert found.o3 == pytest.approx(s[-1])
+    assert found.o4 == pytest.approx(s[-1] ** 2 / s[0])
+    assert found.o5 == pytest.approx(1 / np.sum(1 / s))
+    assert found.rank == 5
+
+
+def test_what_is_not_seen_has_no_observability():
+    J = np.ones((4, 2))
+    assert indices(J, 4).rank == 1
+    assert set(indices(J, 4).indices.values()) == {0.0}
+
+
+def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
+    sheet_, families = protocol("standard"), ("joint_offset", "leg_length", "axis_tilt")
+    found = observability(machine, sheet_, families)
+    assert found.singular == pytest.approx(
+        observability(machine, sheet_.relabelled(), families).singular, rel=1e-6, abs=1e-6
+    )
+    assert found.rank < found.unknowns  # six tilts are more than twelve deviations show
+
+
+def test_repeating_a_protocol_helps_o3_but_not_o1(machine):
+    once = protocol("standard").subset(protocol("standard").repeat == 1)
+    one = observability(machine, once, BASE_FAMILIES)
+    three = observability(machine, protocol("standard"), BASE_FAMILIES)
+    assert three.o3 > 1.3 * one.o3
+    assert three.o1 < 1.05 * one.o1
+
+
+# -- designs -------------------------------------------------------------------------------------
+
+
+def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
+    found = design(machine, BASE_FAMILIES, 24)
+    assert len(found.campaign) == 24
+    pool = reading_pool(machine.geometry)
+    names = found.names
+    everything = bench_of(machine, pool, names)
+    start = Determinant(1e4 * np.eye(len(names)))
+    rng = np.random.default_rng(1)
+    mountings = len(found.campaign.setups)
+    random = []
+    for _ in range(20):
+        setups = rng.choice(len(pool.setups), mountings, replace=False)
+        rows = [
+            int(k)
+            for s in setups
+            for k in rng.choice(everything.of_setup[s], 24 // mountings, replace=False)
+        ]
+        random.append(replayed(everything, start, rows).value)
+    assert found.value > max(random) + 3
+    standard = observability(machine, protocol("standard"), BASE_FAMILIES)
+    assert found.indices.o1 > standard.o1
+
+
+def test_exchange_does_not_make_a_design_worse(bench):
+    start = Determinant(1e4 * np.eye(3))
+    _, greedy = choose(bench, start, 8)
+    _, exchanged = choose(bench, start, 8, exchange=True)
+    assert exchanged.value >= greedy.value
+
+
+def test_a_discriminating_design_separates_better_than_a_d_optimal_one(machine):
+    families, base = ("axis_tilt.x.y", "axis_offset.x.y", "rail_bow.x.y"), 6
+    found = design(machine, families, 16, "discriminate")
+    assert len(found.campaign) == 16
+    optimal = design(machine, families, 16)
+    seen = expected(machine, optimal.campaign, (*BASE_FAMILIES, *families)).jacobian
+    prior = np.diag([1.0] * base + [0.0] * 3)
+    pairs = np.array([(i, j) for i in range(3) for j in range(i, 3)])
+    least = np.sqrt(separations(gram(prior + seen.T @ seen, base), pairs).min())
+    assert found.value > least
+    again = expected(machine, found.campaign, (*BASE_FAMILIES, *families)).jacobian
+    same = np.sqrt(separations(gram(prior + again.T @ again, base), pairs).min())
+    assert found.value == pytest.approx(same, rel=0.02)
+
+
+def test_a_design_is_a_sheet_that_reads_back(machine, tmp_path):
+    campaign = design(machine, BASE_FAMILIES, 12).campaign
+    og.write_campaign(campaign, tmp_path / "sheet.csv")
+    again = og.read_campaign(tmp_path / "sheet.csv", machine.spec, require_readings=False)
+    assert np.array_equal(again.command, campaign.command)
+    assert np.array_equal(again.approach, campaign.approach)
+    assert again.setups == campaign.setups
+
+
+def test_a_sheet_numbers_the_visits_of_a_station(bench):
+    rows = [int(bench.of_setup[0][2])] * 3 + [int(bench.of_setup[0][5])]
+    made = sheet(bench.pool, rows)
+    assert made.repeat.tolist() == [1, 1, 2, 3]
+    assert len(made.setups) == 1
+
+
+@pytest.mark.parametrize(
+    ("families", "count", "criterion", "word"),
+    [
+        (["gauge_scale"], 12, "d-optimal", "mounting"),
+        (["joint_offset"], 1, "d-optimal", "two readings"),
+        (["joint_offset"], 12, "discriminate", "always fitted"),
+        (["joint_offset"], 12, "e-optimal", "no criterion"),
+        (["thermal_growth"], 12, "d-optimal", "leave it out"),
+    ],
+)
+def test_what_no_design_can_serve_is_refused(machine, families, count, criterion, word):
+    with pytest.raises(InputError, match=word):
+        design(machine, families, count, criterion)
+
+
+# -- accuracy and repeats ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("what", ["TCP", "joint_offset.x"])
+def test_repeats_are_the_fewest_that_reach_the_accuracy(machine, what):
+    campaign = protocol("standard")
+    two = accuracy_of(machine, campaign, BASE_FAMILIES, what).sigma(2)
+    five = accuracy_of(machine, campaign, BASE_FAMILIES, what).sigma(5)
+    wanted = (two + five) / 2
+    found = repeats_needed(machine, campaign, BASE_FAMILIES, what, wanted)
+    assert found.sigma <= wanted
+    assert 2 < found.repeats <= 5
+    fewer = accuracy_of(machine, campaign, BASE_FAMILIES, what).sigma(found.repeats - 1)
+    assert fewer > wanted
+
+
+def test_sigma_with_the_protocols_repeats_is_that_of_the_identification(machine):
+    campaign = measured(machine, Rig(), "standard", 4)
+    estimate = og.identify(campaign, machine, method="nested")
+    told = accuracy_of(machine, campaign, BASE_FAMILIES, "joint_offset.x").sigma(3)
+    assert told == pytest.approx(estimate.sigmas["joint_offset.x"] / estimate.sigma_scale, rel=0.02)
+
+
+def test_repeats_do_not_help_beyond_their_floor(machine):
+    found = repeats_needed(machine, protocol("standard"), BASE_FAMILIES, "TCP", 1e-9)
+    assert found.repeats is None
+    assert found.floor < found.sigma
+    assert "out of reach" in report_design(repeats=[found])[0]
+    with pytest.raises(InputError, match="not identified"):
+        repeats_needed(machine, protocol("standard"), BASE_FAMILIES, "axis_tilt.x.y", 1e-3)
+
+
+# -- the smallest effects ------------------------------------------------------------------------
+
+
+def test_power_is_that_of_the_noncentral_distribution():
+    square, threshold = 9.0, 4.0
+    nc = noncentrality(square, threshold)
+    limit = (2 * threshold + np.log(1 + square)) * (1 + square) / square
+    assert ncx2.sf(limit, 1, nc) == pytest.approx(0.95, abs=1e-6)
+    rng = np.random.default_rng(0)
+    distance = separation()
+    worse = distance**2 + 2 * distance * rng.standard_normal(200_000)
+    assert np.mean(worse > 4) == pytest.approx(0.95, abs=0.005)
+
+
+def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised(machine):
+    told = smallest_effects(machine, protocol("standard"))
+    size = {s.name: s.detectable for s in told.smallest}["axis_offset.z.x"]
+    # As in the promise, the noise is known: from the machine file.
+    quiet = og.Machine(machine.spec)
+
+    def share(value: float) -> float:
+        hits = 0
+        for seed in range(25):
+            campaign = measured(quiet, Rig(errors={"axis_offset.z.x": value}), "standard", seed)
+            seen = signatures(og.identify(campaign, quiet, method="nested"))
+            best = Scoring.of(seen, seen.candidates).evidences(seen.residual).max()
+            hits += best > told.threshold
+        return hits / 25
+
+    assert share(size) >= 0.84  # 0.95 but for a chance of one in forty
+    assert share(0.4 * size) <= 0.6
+
+
+def test_smallest_effects_do_not_depend_on_the_legs_names(machine):
+    told = smallest_effects(machine, protocol("sweep"), families=["axis_tilt", "backlash"])
+    size = {s.name: s.detectable for s in told.smallest}
+    assert {n.partition(".")[0] for n in size} == {"axis_tilt", "backlash"}
+    for name in filter(is_elementary, size):
+        assert size[relabelled(name)] == pytest.approx(size[name], rel=0.02)
+
+
+def test_effects_with_one_signature_are_never_named(machine):
+    told = {s.name: s for s in smallest_effects(machine, protocol("sweep")).smallest}
+    same = told["axis_tilt.y.z"]
+    assert same.nearest == "rail_tilt.y.z"
+    assert np.isinf(same.nameable)
+    bow = told["rail_bow.x.y"]
+    assert bow.detectable <= bow.nameable < np.inf
+    lines = report_design(detectability=smallest_effects(machine, protocol("standard")))
+    assert any("never" in line for line in lines)
+    assert "mount_tilt.x.a" in lines[-1]
+
+
+# -- what to measure next ------------------------------------------------------------------------
+
+WEAK_EFFECT = {"axis_offset.z.x": 4e-5}
+RIVALS = ("axis_offset.z.x", "axis_tilt.z.x")
+
+
+@pytest.fixture(scope="module")
+def ambiguous(machine):
+    campaign = measured(machine, Rig(errors=WEAK_EFFECT), "standard", 2)
+    problem = base_problem(machine, [campaign])
+    fits = {name: refit(problem, [name]) for name in RIVALS}
+    return campaign, fits
+
+
+def test_suggested_readings_separate_what_the_protocol_could_not(machine, ambiguous):
+    campaign, fits = ambiguous
+    before = fits[RIVALS[1]].scores.chi2 - fits[RIVALS[0]].scores.chi2
+    assert abs(before) < 4
+    (found,) = next_measurements(fits[RIVALS[0]], [*fits.items()], machine, count=16, directions=())
+    assert found.aim == "separate"
+    assert len(found.rows) <= 16
+    assert all("reading_mm" not in row for row in found.rows)
+    rose = []
+    for seed in range(8):
+        rig = Rig(errors={RIVALS[0]: fits[RIVALS[0]].values[RIVALS[0]]})
+        new = measured(machine, rig, as_numbers(found.rows), seed, "next")
+        problem = base_problem(machine, [campaign, new])
+        chi2 = {name: refit(problem, [name]).scores.chi2 for name in RIVALS}
+        rose.append(chi2[RIVALS[1]] - chi2[RIVALS[0]])
+    # The difference of chi2 scatters by twice the separation from draw to draw.
+    expected_rise = found.gain**2
+    assert np.mean(np.array(rose) > 4) >= 0.75
+    assert np.mean(rose) > 0.5 * expected_rise
+
+
+def test_rivals_may_be_given_by_their_values(machine, ambiguous):
+    _, fits = ambiguous
+    values = [(n, f.problem.values(0, f.x)) for n, f in fits.items()]
+    by_fit, by_values = (
+        next_measurements(fits[RIVALS[0]], rivals, machine, directions=())[0]
+        for rivals in ([*fits.items()], values)
+    )
+    assert by_values.gain == pytest.approx(by_fit.gain, rel=0.02)
+    assert by_values.rows == by_fit.rows
+
+
+def test_more_readings_separate_further(machine, ambiguous):
+    _, fits = ambiguous
+    gains = [
+        next_measurements(fits[RIVALS[0]], [*fits.items()], machine, count=n, directions=())[0].gain
+        for n in (2, 4, 8)
+    ]
+    assert gains == sorted(gains)
+    assert gains[-1] > gains[0]
+
+
+def test_a_shift_of_the_whole_machine_is_said_to_be_out_of_sight(machine):
+    campaign = measured(machine, Rig(errors={"axis_offset.z.x": 3e-4}), "standard", 1)
+    problem = base_problem(machine, [campaign])
+    fits = {n: refit(problem, [n]) for n in ("axis_offset.z.x", "axis_offset.y.x")}
+    values = {n: f.values[n] for n, f in fits.items()}
+    assert values["axis_offset.z.x"] == pytest.approx(-values["axis_offset.y.x"], rel=0.02)
+    (found,) = next_measurements(fits["axis_offset.z.x"], [*fits.items()], machine, directions=())
+    assert found.aim == "none"
+    assert found.rows == ()
+    assert "but for a shift of 0.3" in found.reason
+
+
+def test_a_mount_tilt_is_a_bar_mismatch_to_every_dial(machine):
+    campaign = measured(machine, Rig(errors={"bar_mismatch.z": 3e-4}), "standard", 1)
+    problem = base_problem(machine, [campaign])
+    fits = {n: refit(problem, [n]) for n in ("bar_mismatch.z", "mount_tilt.z.b", "rail_bow.z.x")}
+    found = next_measurements(
+        fits["bar_mismatch.z"], [*fits.items()], machine, count=8, directions=()
+    )
+    assert [s.aim for s in found] == ["separate", "none"]
+    assert "rail_bow.z.x" in found[0].reason
+    assert "bar_mismatch.z and mount_tilt.z.b differ by nothing" in found[1].reason
+
+
+def test_a_weak_direction_narrows_as_predicted(machine):
+    campaign = measured(machine, Rig(), "standard", 3)
+    estimate = og.identify(campaign, machine, method="nested")
+    weak = estimate.weak[0]
+    (found,) = next_measurements(estimate, (), machine, count=12, directions=[weak])
+    assert found.aim == "narrow"
+    assert found.gain > 1.1
+    new = measured(machine, Rig(), as_numbers(found.rows), 5, "next")
+    both = og.identify([campaign, new], machine, method="nested")
+
+    def sigma(fit):
+        d = np.array([weak.parameters.get(n, 0.0) for n in fit.names])
+        return np.sqrt(d @ fit.covariance @ d) / fit.sigma_scale
+
+    assert sigma(estimate) / sigma(both) == pytest.approx(found.gain, rel=0.03)
+
+
+def test_a_direction_that_no_dial_sees_is_said_to_stay(machine):
+    estimate = og.identify(measured(machine, Rig(), "sweep", 3), machine, method="nested")
+    weak = estimate.weak[0]
+    (found,) = next_measurements(estimate, (), machine, count=2, directions=[weak])
+    assert found.aim == "none"
+    assert "tolerances" in found.reason
+    assert found.rows == ()
+
+
+def test_250_readings_are_followed_up_within_a_second(machine):
+    campaign = og.read_campaign(RIG / "rig-3.csv", machine.spec)
+    assert len(campaign) > 250
+    problem = base_problem(machine, [campaign])
+    names = ("axis_tilt.y.z", "axis_offset.y.z", "rail_bow.y.z", "encoder_scale.y")
+    fits = {n: refit(problem, [n]) for n in names}
+    values = [(n, f.problem.values(0, f.x)) for n, f in fits.items()]
+    seen = signatures(fits[names[0]])
+    next_measurements(seen, values, machine)  # compiles what it needs
+    took = []
+    for _ in range(3):
+        start = time.perf_counter()
+        next_measurements(seen, values, machine)
+        took.append(time.perf_counter() - start)
+    assert min(took) < 1.0
+
+
+# -- the command ---------------------------------------------------------------------------------
+
+
+def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
+    command = pytest.importorskip("orthoglide.cli.design").design
+    out = tmp_path / "sheet.csv"
+    arguments = ["--machine", str(RIG / "machine.toml"), "--count", "12", "--out", str(out)]
+    done = CliRunner().invoke(command, [*arguments, "--want", "TCP=0.003"])
+    assert done.exit_code == 0, done.output
+    assert len(og.read_campaign(out, machine.spec, require_readings=False)) == 12
+    for word in ("standard", "d-optimal", "O1", "TCP: sigma 0.003 mm takes"):
+        assert word in done.output
+    again = CliRunner().invoke(command, arguments)
+    assert isinstance(again.exception, InputError)
+    wrong = CliRunner().invoke(command, ["--want", "TCP"])
+    assert isinstance(wrong.exception, InputError)

@@ -1,0 +1,145 @@
+"""The documents hold: generated pages are fresh, examples run, links lead somewhere."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.closing import Word
+from orthoglide.effects import CATALOGUE
+from orthoglide.effects.page import GROUPS, effects_page
+from orthoglide.errors import OrthoglideError
+from orthoglide.geometry import Geometry
+from orthoglide.machine_file import parse_machine_file
+from orthoglide.observations.reading import RHO, ROW_COLUMNS, SETUP_COLUMNS
+
+ROOT = Path(__file__).parents[1]
+# Pages still being written: links to them may miss them, and are held once they are there.
+COMING = {"design.md", "published-experiments.md", "truth-table.md"}
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+
+def read(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def blocks(name: str, language: str) -> list[str]:
+    """Fenced blocks of a page."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", read(name), re.MULTILINE | re.DOTALL)
+
+
+def test_the_page_of_effects_is_fresh() -> None:
+    remedy = "stale: python -m orthoglide.effects.page > docs/effects.md"
+    assert read("docs/effects.md") == effects_page(), remedy
+
+
+def test_the_page_of_effects_has_every_family_and_parameter() -> None:
+    page = effects_page()
+    assert {family.group for family in CATALOGUE.values()} <= set(GROUPS)
+    for name, family in CATALOGUE.items():
+        assert f"\n### {name}\n" in page
+        assert all(f"`{parameter}`" in page for parameter in family.parameters())
+
+
+def test_the_readme_has_python() -> None:
+    assert len(blocks("README.md", "python")) >= 2
+
+
+@pytest.mark.parametrize("block", blocks("README.md", "python"), ids=lambda b: b.split()[-1])
+def test_the_readme_runs(
+    block: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if "og.close_loop" in block and not hasattr(og, "close_loop"):
+        pytest.skip("orthoglide.close_loop is not there yet")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "README.md", "exec"), {})
+    assert capsys.readouterr().out
+    assert list(tmp_path.iterdir())
+
+
+def test_the_readme_has_every_command() -> None:
+    """Every command is in the table of the README, and every one there says what it does."""
+    table = read("README.md").partition("## On the command line")[2].partition("\n## ")[0]
+    named = set(re.findall(r"`(?:orthoglide )?([a-z-]+)`", table))
+    assert set(cli.commands) <= named
+
+
+def test_the_campaign_of_the_page_of_files_reads(tmp_path: Path) -> None:
+    (text,) = blocks("docs/files.md", "csv")
+    (tmp_path / "campaign.csv").write_text(text, encoding="utf-8")
+    campaign = og.read_campaign(tmp_path / "campaign.csv")
+    assert [campaign.posture[0], len(campaign)] == ["zero", 3]
+
+
+def test_the_machine_file_of_the_page_of_files_reads() -> None:
+    (text,) = blocks("docs/files.md", "toml")
+    machine = parse_machine_file(text)
+    assert machine.geometry == Geometry()
+    assert machine.screw_pitch == 0.02
+    assert set(machine.parameters) == {"joint_offset.x"}
+
+
+@pytest.mark.parametrize(
+    "column", [*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, "approach_x", "travel_x_mm"]
+)
+def test_the_page_of_files_has_every_column(column: str) -> None:
+    assert f"`{column}`" in read("docs/files.md")
+
+
+@pytest.mark.parametrize("word", get_args(Word))
+def test_every_verdict_is_explained(word: str) -> None:
+    assert f"| **{word}** |" in read("docs/closing-the-loop.md")
+    assert f"`{word}`" in read("docs/files.md")
+
+
+def test_the_mobility_is_what_the_mechanism_says() -> None:
+    mobility = og.Mechanism(compile=False).mobility(Geometry().zero)
+    assert f"> {mobility}\n" in read("docs/mechanism.md")
+
+
+def links(page: Path) -> list[str]:
+    return re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as code forges make them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", h.lower()).replace(" ", "-") for h in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    missing = set()
+    for link in links(page):
+        if not link.startswith("https://"):
+            name, _, anchor = link.partition("#")
+            target = (page.parent / name).resolve() if name else page
+            if target.exists():
+                assert not anchor or anchor in anchors(target), f"{page.name}: {link}"
+            else:
+                missing.add(target.name)
+    assert missing <= COMING, f"{page.name} leads nowhere"
+    if missing:
+        pytest.skip(f"not written yet: {', '.join(sorted(missing))}")
+
+
+def test_there_are_links() -> None:
+    assert len(links(ROOT / "README.md")) > 10
+
+
+def test_every_page_is_linked_from_the_readme() -> None:
+    linked = {(ROOT / link).resolve() for link in links(ROOT / "README.md")}
+    assert {page for page in PAGES if page.name != "README.md"} <= linked
+
+
+def test_every_error_is_one_of_ours() -> None:
+    """The README's exit codes rest on one root."""
+    errors = [getattr(og, name) for name in og.__all__ if name.endswith("Error")]
+    assert errors
+    assert all(issubclass(error, OrthoglideError) for error in errors)
