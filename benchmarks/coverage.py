@@ -55,7 +55,7 @@ PLANS = (
 NAMES = tuple(f"{family}.{leg}" for family in OFFSETS + LENGTHS for leg in LEGS)
 FIXED_MACHINES = 5
 WITNESSES = 5  # campaigns a case and plan that the general mechanism's programme solves as well
-DIAL = Dial(resolution=1e-5, repeatability=2e-6, placement=1e-3)
+DIAL = Dial(resolution=1e-5, repeatability=1e-5, placement=1e-3)
 
 
 @dataclass(frozen=True)

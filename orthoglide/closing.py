@@ -21,6 +21,7 @@ from orthoglide.diagnosis.ranking import (
     try_out,
 )
 from orthoglide.effects import BASE_FAMILIES, is_dial
+from orthoglide.effects.catalogue import MACHINE_PARAMETERS
 from orthoglide.identification import Estimate, Problem, noise_of, solve
 from orthoglide.identification.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
@@ -80,7 +81,17 @@ class Effect:
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate that was identified, whether it was added or not."""
+    """A candidate that was identified, whether it was added or not.
+
+    Attributes:
+        name: of the candidate.
+        parameters: what was freed for it.
+        p_value: of its fall of chi2, the search not counted.
+        evidence: log Bayes factor against no effect, linearised.
+        cv_rms: of stations left out, metres.
+        plausible: whether it stays within four tolerances.
+        round: of the search, from 1; those added before are in.
+    """
 
     name: str
     parameters: tuple[str, ...]
@@ -88,6 +99,7 @@ class Tried:
     evidence: float
     cv_rms: float
     plausible: bool
+    round: int = 1
 
 
 @dataclass(frozen=True)
@@ -108,6 +120,8 @@ class Verdict:
         faulty: the base fit with the faulty readings in, where there are any.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
+        seed: of every random draw.
+        judges: the campaign held out and the TCP points, where there are any.
     """
 
     word: Word
@@ -123,6 +137,8 @@ class Verdict:
     faulty: Estimate | None = None
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
+    seed: int = 0
+    judges: tuple[Campaign | None, TcpPoints | None] = (None, None)
 
     @cached_property
     def spread(self) -> tuple[tuple[float, dict[str, float]], ...]:
@@ -155,10 +171,20 @@ class Verdict:
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine, sigmas of the second kind."""
-        sigmas = {n.partition("@")[0]: s for n, s in self.known.sigmas.items()}
+        sigmas = self._sigmas()
         machine = Machine(replace(self.fit.problem.machine.spec, parameters={}))
         machine.__dict__["model"] = self.fit.problem.machine.model
         return machine.with_parameters(self.values, sigmas)
+
+    def _sigmas(self) -> dict[str, float]:
+        """Sigmas of the second kind of the machine's parameters, what fits as well in them."""
+        weights, mean = self.known.weights, self.values
+        variance = np.einsum("pe,ef,pf->p", weights, self.known.covariance, weights)
+        variance += (weights @ self.known.shift) ** 2
+        for share, other in self.spread:
+            apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in MACHINE_PARAMETERS]
+            variance += share * np.square(apart)
+        return dict(zip(MACHINE_PARAMETERS, np.sqrt(variance).tolist(), strict=True))
 
     @cached_property
     def map(self) -> Map:
@@ -224,7 +250,10 @@ def close_loop(
         faulty, problem = base, without(problem, blunders)
         base = solve(problem)
     verdict = replace(
-        _search(problem, base, seed, tell, tuple(own)), blunders=blunders, faulty=faulty
+        _search(problem, base, seed, tell, tuple(own)),
+        blunders=blunders,
+        faulty=faulty,
+        seed=seed,
     )
     tell("judging")
     return judge(verdict, holdout, tcp)
@@ -239,7 +268,7 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
     if tcp is not None:
         at_points = tcp_map(verdict.fit, verdict.known, verdict.values, verdict.spread, tcp.command)
         errors = tcp_errors(machine, tcp, verdict.before, verdict.values, at_points.sigma_all)
-    return replace(verdict, hold_out=scored, tcp=errors)
+    return replace(verdict, hold_out=scored, tcp=errors, judges=(holdout, tcp))
 
 
 @dataclass
@@ -329,6 +358,7 @@ def _note(state: _Search, trials: list[Trial], found: Round) -> None:
                 float(found.evidences[place]),
                 trial.estimate.scores.cv_rms,
                 trial.plausible,
+                1 + len(state.effects),
             )
         )
 

@@ -12,8 +12,6 @@ from orthoglide.geometry import Array
 from orthoglide.identification import solve
 from orthoglide.identification.least_squares import (
     Linearised,
-    covariance,
-    normal,
     nuisances,
 )
 from orthoglide.identification.noise import noise_of
@@ -158,9 +156,3 @@ def _aligned(p: Array, measured: Array, fit: str) -> Array:
     left, _, right = np.linalg.svd((source - centre).T @ (target - goal))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     return np.asarray((p - centre) @ (left @ flip @ right) + goal)
-
-
-def covariance_of(problem: Problem, at: Linearised) -> Array:
-    """Covariance of a problem's unknowns at a linearisation ``(P, P)``, SI."""
-    here = normal(problem, at, nuisances(problem, at.by_gauge))
-    return covariance(here.jacobian, here.prior)[0]

@@ -392,13 +392,13 @@ def test_effects_with_one_signature_are_never_named(machine):
 
 # -- what to measure next ------------------------------------------------------------------------
 
-WEAK_EFFECT = {"axis_offset.z.x": 4e-5}
-RIVALS = ("axis_offset.z.x", "axis_tilt.z.x")
+EFFECT = {"bar_mismatch.x": 4e-4}
+RIVALS = ("bar_mismatch.x", "axis_offset.zx.antisymmetric")
 
 
 @pytest.fixture(scope="module")
 def ambiguous(machine):
-    campaign = measured(machine, Rig(errors=WEAK_EFFECT), "standard", 2)
+    campaign = measured(machine, Rig(errors=EFFECT), "standard", 2)
     problem = base_problem(machine, [campaign])
     fits = {name: refit(problem, [name]) for name in RIVALS}
     return campaign, fits
@@ -467,7 +467,7 @@ def test_a_mount_tilt_is_a_bar_mismatch_to_every_dial(machine):
     )
     assert [s.aim for s in found] == ["separate", "none"]
     assert "rail_bow.z.x" in found[0].reason
-    assert "bar_mismatch.z and mount_tilt.z.b differ by nothing" in found[1].reason
+    assert "bar_mismatch.z and mount_tilt.z.b differ by" in found[1].reason
 
 
 def test_a_weak_direction_narrows_as_predicted(machine):

@@ -117,10 +117,17 @@ class Bench:
 
     def mechanism(self, values: dict[str, float]) -> tuple[Array, float]:
         """TCP ``(2 n, 3)`` over the workspace, and the largest turn of the platform."""
-        out = self.model.outputs(values, self.seen)
+        half = len(self.seen) // 2
+        moves = self.model.displacements(values, self.seen)
+        if np.array_equal(moves[:half], moves[half:]):  # both visits are alike: one will do
+            out = self.model.outputs(values, self.seen.part(slice(half)))
+            p = np.tile(out.p, (2, 1))
+        else:
+            out = self.model.outputs(values, self.seen)
+            p = out.p
         skew = out.R - np.swapaxes(out.R, 1, 2)
         sine = np.linalg.norm(skew[:, [2, 0, 1], [1, 2, 0]], axis=1) / 2
-        return out.p, float(np.arcsin(np.clip(sine, 0, 1)).max())
+        return p, float(np.arcsin(np.clip(sine, 0, 1)).max())
 
     def difference(self, apart: Array) -> Difference:
         """Differences ``(2 n, 3)`` over the workspace in three numbers."""

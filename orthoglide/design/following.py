@@ -29,7 +29,8 @@ Aim = Literal["separate", "narrow", "none"]
 ENOUGH = 6.0
 """Sigmas of separation beyond which no further reading is proposed."""
 
-_NEVER = 5.0  # sigmas by the whole pool: rivals that no few of its readings tell apart
+_NEVER = 2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
+_HINTS = 1.0  # sigmas: less is not worth taking readings for
 _DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
 _SAME = 0.02  # of the shift between two machines: less is no difference in shape
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
@@ -151,20 +152,14 @@ def _to_separate(
         for (a, b), sigmas in zip(pairs, most, strict=True)
         if a < b and sigmas < _NEVER
     ]
-    kept = most >= _NEVER
-    if not kept.any():
+    rows, end, weak = _for_pairs(bench, spread, pairs[most >= _NEVER], count)
+    found += [
+        _hopeless(several[a], several[b], sigmas, bench, machine, count)
+        for (a, b), sigmas in weak.items()
+        if a < b
+    ]
+    if end is None:
         return found
-    start = Separate(
-        spread,
-        pairs[kept],
-        np.zeros((int(kept.sum()), len(names))),
-        np.zeros(int(kept.sum())),
-        ENOUGH**2,
-    )
-    rows, end = choose(bench, start, count, mounting=_MOUNTING)
-    if not rows:
-        return found
-    rows, end = _twice(bench, start, rows, end, count)
     sigmas = {
         (int(a), int(b)): float(np.sqrt(c)) for (a, b), c in zip(end.pairs, end.chi2, strict=True)
     }
@@ -180,6 +175,28 @@ def _to_separate(
     if gain < _DECIDES:
         reason += ": too little to decide, but the most that so few readings can do"
     return [Suggestion(reason, "separate", gain, chosen), *found]
+
+
+def _for_pairs(
+    bench: Bench, spread: Array, pairs: Array, count: int
+) -> tuple[tuple[int, ...], Separate | None, dict[tuple[int, int], float]]:
+    """Readings for the pairs that so few of them can separate; the others with what they reach."""
+    weak: dict[tuple[int, int], float] = {}
+    size = spread.shape[1]
+    while len(pairs):
+        zero = np.zeros(len(pairs))
+        start = Separate(spread, pairs, np.zeros((len(pairs), size)), zero, ENOUGH**2)
+        rows, end = choose(bench, start, count, mounting=_MOUNTING)
+        sigmas = {
+            (int(a), int(b)): float(c) ** 0.5 for (a, b), c in zip(pairs, end.chi2, strict=True)
+        }
+        least = {(a, b): min(s, sigmas[b, a]) for (a, b), s in sigmas.items()}
+        out = {pair: s for pair, s in least.items() if s < _HINTS}
+        if not out:
+            return (*_twice(bench, start, rows, end, count), weak)
+        weak |= out
+        pairs = np.array([p for p in pairs if tuple(p) not in out], dtype=np.int64).reshape(-1, 2)
+    return (), None, weak
 
 
 def _twice(
@@ -209,7 +226,12 @@ def _by_everything(bench: Bench, spread: Array, size: int, a: int, b: int) -> fl
 
 
 def _hopeless(
-    one: Explanation, other: Explanation, sigmas: float, bench: Bench, machine: Machine
+    one: Explanation,
+    other: Explanation,
+    sigmas: float,
+    bench: Bench,
+    machine: Machine,
+    few: int = 0,
 ) -> Suggestion:
     """Why no reading is proposed for two rivals, and whether it matters for the TCP."""
     shift, rest = _tcp_apart(machine, one, other)
@@ -223,9 +245,14 @@ def _hopeless(
             f"the TCP differs by up to {rest * 1e3:.2g} mm after the best shift: measure the TCP, "
             "or look at the part itself"
         )
+    seen = (
+        f"too little for {few} readings of this dial (the best of them: {sigmas:.1f} sigma)"
+        if few
+        else f"nothing that this dial on a leg can see (all {len(bench.pool)} readings within "
+        f"reach: {sigmas:.1f} sigma)"
+    )
     return Suggestion(
-        f"{one.name} and {other.name} differ by nothing that this dial on a leg can see (all "
-        f"{len(bench.pool)} readings within reach: {sigmas:.1f} sigma); {tail}",
+        f"{one.name} and {other.name} differ by {seen}; {tail}",
         "none",
         sigmas,
         None,

@@ -36,22 +36,9 @@ class Scoring:
     occam: Array
 
     @classmethod
-    def of(
-        cls, signatures: Signatures, chosen: Sequence[Candidate], averaging: Array | None = None
-    ) -> Scoring:
-        """Prepare candidates.
-
-        Args:
-            signatures: at the fit.
-            chosen: candidates of these.
-            averaging: orthonormal columns ``(m, g)`` onto which signatures are projected first.
-        """
-        parts = []
-        for candidate in chosen:
-            signature = signatures.of(candidate)
-            if averaging is not None:
-                signature = averaging.T @ signature
-            parts.append(_decomposed(signature))
+    def of(cls, signatures: Signatures, chosen: Sequence[Candidate]) -> Scoring:
+        """Prepare candidates of a fit's signatures."""
+        parts = [_decomposed(signatures.of(candidate)) for candidate in chosen]
         return cls(
             tuple(chosen),
             tuple(p[0] for p in parts),

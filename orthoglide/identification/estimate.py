@@ -25,7 +25,7 @@ class Estimate:
     Attributes:
         problem: what was asked of which readings.
         x: identified values ``(P,)``, SI, in the order of ``names``.
-        covariance: ``(P, P)``, SI, scaled by ``sigma_scale`` squared.
+        covariance: ``(P, P)``, SI, the noise of the readings multiplied by ``sigma_scale``.
         sigma_scale: sqrt(chi2 / dof) where lack of fit remains, else 1.
         scores: of this fit.
         nominal: scores of the machine as it was before (the unknowns at zero).

@@ -236,16 +236,18 @@ def _estimate(
     optimality: float,
 ) -> Estimate:
     here = normal(problem, at, nuisance)
-    spread, unseen = covariance(here.jacobian, here.prior)
+    _, unseen = covariance(here.jacobian, here.prior)
     rank = len(problem.unknowns) - len(unseen)
     scores = score(problem, nuisance, at, here.cost, rank)
     scale = 1.0
     if scores.dof > 0 and scores.lack_of_fit_p < _LACK:
         scale = float(np.sqrt(scores.chi2 / scores.dof))
+    # What is left makes the readings worse witnesses, not the tolerances wider.
+    spread, _ = covariance(here.jacobian / scale, here.prior)
     check = cross_check(problem, nuisance, at.x, at.value)
-    weak = weak_directions(problem.names, here.jacobian, spread * scale**2, scale=scale)
+    weak = weak_directions(problem.names, here.jacobian, spread, scale=scale)
     estimate = Estimate(
-        problem, at.x, spread * scale**2, scale, scores, _nominal_scores(problem, nuisance, first),
+        problem, at.x, spread, scale, scores, _nominal_scores(problem, nuisance, first),
         weak, check, method, iterations, optimality, (), at, nuisance,
     )  # fmt: skip
     return replace(estimate, warnings=_warnings(estimate))
@@ -266,8 +268,8 @@ def _warnings(estimate: Estimate) -> tuple[str, ...]:
         found.append(
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
             f"{problem.noise.typical * 1e3:.3f} mm (chi2 {scores.chi2:.0f} on {scores.dof} degrees "
-            f"of freedom): the model lacks something, and all sigmas are multiplied by "
-            f"{estimate.sigma_scale:.1f}"
+            f"of freedom): the model lacks something, and all sigmas take the readings for "
+            f"{estimate.sigma_scale:.1f} times as noisy"
         )
     found.extend(
         f"{name} ended on its bound: it is not identified; check the readings and the units"

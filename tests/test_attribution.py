@@ -1,0 +1,93 @@
+"""The truth table in short: effects that nobody declared are found in readings of the rig."""
+
+import math
+
+import pytest
+
+from benchmarks.attribution_asked import clear, fault_found, named, upper_bound
+from benchmarks.attribution_cases import PROTOCOLS, SHARES, Case, cases
+from benchmarks.attribution_run import Record, accepted, draw, run
+from benchmarks.attribution_table import tables
+
+SEED = 0
+
+
+def ended(case: Case) -> Record:
+    record = run(case, SEED)
+    assert record["word"] not in ("error", "crash"), record["message"]
+    return record
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
+    record = ended(Case("nothing", "", protocol, 0.0, 0))
+    assert 0 < record["background"] < 0.6
+    assert (record["word"], record["effects"], record["blunders"]) == ("adequate", [], [])
+
+
+@pytest.mark.parametrize(
+    ("family", "protocol"),
+    [("backlash", "sweep"), ("rail_bow", "sweep"), ("screw_error", "sweep"),
+     ("encoder_scale", "standard"), ("axis_tilt", "sweep"), ("bar_mismatch", "two-gauges")],
+)  # fmt: skip
+def test_undeclared_effect_is_named(family: str, protocol: str) -> None:
+    record = ended(Case("effect", family, protocol, 8.0, 0))
+    assert clear(record["truth"][0])
+    assert named(record)
+    assert len(record["effects"]) == 1
+    # Nearly as good as an identification that was told; always better than without it.
+    assert record["tcp"]["after"][0] <= max(1.3 * record["told"][0], 0.005)
+    assert record["tcp"]["after"][0] < record["tcp"]["before"][0]
+    assert record["tcp"]["inside"] >= 0.93
+
+
+def test_what_is_in_no_catalogue_is_not_explained() -> None:
+    record = ended(Case("outside", "wavy_rail", "sweep", 20.0, 0))
+    assert record["truth"][0]["rms"] > 10
+    assert record["word"] in ("partial", "unexplained")
+
+
+def test_spoilt_readings_are_found_and_not_explained_by_physics() -> None:
+    record = ended(Case("fault", "outlier", "sweep", 0.0, 0))
+    assert fault_found(record)
+    assert record["effects"] == []
+
+
+def test_cases_are_drawn_from_seed_and_key_alone() -> None:
+    case = Case("effect", "backlash", "standard", 8.0, 0)
+    one, again, other = draw(case, 1), draw(case, 1), draw(case, 2)
+    assert one.rows == again.rows
+    assert one.rows != other.rows
+    assert one.rig.errors == again.rig.errors
+
+
+def test_small_table_is_part_of_a_large_one() -> None:
+    small, full = ({c.key for c in cases(n)} for n in (60, sum(SHARES.values())))
+    assert small < full
+    assert len(full) == sum(SHARES.values()) >= 600
+    assert sum(key.startswith("nothing") for key in full) >= 200
+
+
+def test_upper_bound_is_that_of_clopper_and_pearson() -> None:
+    assert upper_bound(0, 200) == pytest.approx(1 - 0.05 ** (1 / 200))
+    # The bound is where so few hits have a probability of one in twenty.
+    p = upper_bound(4, 200)
+    tail = sum(math.comb(200, k) * p**k * (1 - p) ** (200 - k) for k in range(5))
+    assert tail == pytest.approx(0.05)
+
+
+def test_name_is_accepted_only_for_the_same_cause() -> None:
+    truth = {"name": "axis_tilt.y.z", "family": "axis_tilt", "same_family": ["axis_tilt.x.z"]}
+    whole = ["axis_tilt.y.z", "axis_tilt.x.z"]
+    assert accepted(truth, "axis_tilt.y.z", ["axis_tilt.y.z"])
+    assert accepted(truth, "axis_tilt.x.z", ["axis_tilt.x.z"])
+    assert accepted(truth, "axis_tilt", whole)
+    assert not accepted(truth, "axis_tilt.y.x", ["axis_tilt.y.x"])
+    assert not accepted(truth, "rail_tilt.y.z", ["rail_tilt.y.z"])
+
+
+def test_tables_count_what_the_records_say() -> None:
+    record = ended(Case("nothing", "", "standard", 0.0, 0))
+    alarm = {**record, "word": "unexplained"}
+    found = {row[0]: row[2] for row in tables([record, record, alarm])[0].rows}
+    assert found["false alarms"] == "33.3 % (1/3)"
