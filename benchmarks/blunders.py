@@ -41,7 +41,6 @@ from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
 
 PROTOCOLS = ("standard", "sweep", "two-gauges")
 SIZES = (1.0, 3.0, 8.0)  # of an effect, in tolerances of the machine file
-BACKGROUND = 0.02
 OUTSIDE: dict[str, Callable[[int, int, float], Rig]] = {
     "s_curve": lambda i, j, v: Rig(extra=(rc.s_curve(i, j, v),)),
     "wavy_rail": lambda i, j, v: Rig(extra=(rc.wavy_rail(i, j, v),)),
@@ -138,9 +137,19 @@ def _effect(family: str, tolerances: float, rng: np.random.Generator, names: lis
     return {name: tolerances * TOLERANCE[family] * float(rng.choice([-1, 1]))}
 
 
-def measure(case: Case, rng: np.random.Generator) -> list[rc.Row]:
+@dataclass(frozen=True)
+class World:
+    """What all campaigns of a run share: seed, repeats, noise and the background's size."""
+
+    seed: int = 0
+    repeats: int = 3
+    noise: float = 5e-6
+    background: float = 0.02
+
+
+def measure(case: Case, world: World, rng: np.random.Generator) -> list[rc.Row]:
     """Rows with readings, before any fault."""
-    plan = rc.protocol_rows(case.protocol)
+    plan = rc.protocol_rows(case.protocol, repeats=world.repeats)
     names = list(dict.fromkeys(r["setup"] for r in plan))
     rig = Rig()
     effect = {}
@@ -156,7 +165,9 @@ def measure(case: Case, rng: np.random.Generator) -> list[rc.Row]:
     base |= {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
     rig = rig.with_errors(base | effect)
     warm = (lambda t: 22 + 8 * np.sin(6.9 * t / t.max())) if "thermal" in str(effect) else None
-    return rc.simulate(rig, plan, rng, background=BACKGROUND, temperature=warm)
+    return rc.simulate(
+        rig, plan, rng, noise=world.noise, background=world.background, temperature=warm
+    )
 
 
 def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.Fault, str]:
@@ -181,11 +192,11 @@ def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.
     return rc.swapped_labels(rows, own, str(rng.choice(apart if case.size else same))), own
 
 
-def judge(job: tuple[Case, int]) -> Outcome:
+def judge(job: tuple[Case, World]) -> Outcome:
     """One campaign."""
-    case, seed = job
-    rng = np.random.default_rng([seed, hash_of(case), case.number])
-    rows = measure(case, rng)
+    case, world = job
+    rng = np.random.default_rng([world.seed, hash_of(case), case.number])
+    rows = measure(case, world, rng)
     spoilt, touched = rows, []
     if case.what == "fault":
         spoilt, touched = spoil(case, rows, rng)[0]
@@ -196,7 +207,7 @@ def judge(job: tuple[Case, int]) -> Outcome:
         campaign = Campaign.from_frame(columns, name="campaign", machine_file=chosen.spec)
         estimate = identify(campaign, chosen, method="nested")
         began = time.perf_counter()
-        found = find_blunders(estimate, np.random.default_rng(seed))
+        found = find_blunders(estimate, np.random.default_rng(world.seed))
         seconds = time.perf_counter() - began
     except OrthoglideError as error:
         return Outcome(case, visible, False, False, 0, True, 0.0, str(error)[:90])
@@ -230,9 +241,9 @@ def hash_of(case: Case) -> int:
     return crc32(f"{case.what}:{case.name}:{case.size:g}".encode())
 
 
-def run(campaigns: int, jobs: int, seed: int = 0, only: str = "") -> list[Outcome]:
+def run(campaigns: int, jobs: int, world: World, only: str = "") -> list[Outcome]:
     """All cases."""
-    work = [(case, seed) for case in cases(campaigns) if only in (case.what, "")]
+    work = [(case, world) for case in cases(campaigns) if only in (case.what, "")]
     if jobs == 1:
         return [judge(job) for job in work]
     with ProcessPoolExecutor(jobs) as pool:
@@ -302,8 +313,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="nothing, effect, outside or fault")
     parser.add_argument("--list", action="store_true", help="every campaign that went wrong")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--noise", type=float, default=0.005, help="of one reading, mm")
+    parser.add_argument("--background", type=float, default=0.02, help="in tolerances")
     options = parser.parse_args()
-    outcomes = run(options.campaigns, options.jobs, options.seed, options.only)
+    world = World(options.seed, options.repeats, options.noise * 1e-3, options.background)
+    outcomes = run(options.campaigns, options.jobs, world, options.only)
     if options.list:
         for o in outcomes:
             if o.false or (o.visible and not o.found):

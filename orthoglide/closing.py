@@ -181,7 +181,9 @@ class Verdict:
         weights, mean = self.known.weights, self.values
         variance = np.einsum("pe,ef,pf->p", weights, self.known.covariance, weights)
         variance += (weights @ self.known.shift) ** 2
-        for share, other in self.spread:
+        chosen = self.fit.problem.values(len(self.fit.problem.campaigns) - 1, self.fit.x)
+        rest = max(1.0 - sum(share for share, _ in self.spread), 0.0)
+        for share, other in (*self.spread, (rest, chosen)):
             apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in MACHINE_PARAMETERS]
             variance += share * np.square(apart)
         return dict(zip(MACHINE_PARAMETERS, np.sqrt(variance).tolist(), strict=True))

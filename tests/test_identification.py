@@ -488,7 +488,7 @@ def test_sigmas_are_scaled_where_lack_of_fit_remains() -> None:
     louder = identify(published(), noise=found.sigma_scale * found.problem.noise.typical)
     assert louder.sigma_scale == 1.0
     for name, sigma in found.sigmas.items():  # the tolerances are no wider for it
-        assert sigma == pytest.approx(louder.sigmas[name], rel=1e-3)
+        assert sigma == pytest.approx(louder.sigmas[name], rel=1e-2)
         assert sigma <= found.problem.machine.tolerance(name) * (1 + 1e-9)
     assert louder.coverage_factor == pytest.approx(1.96, abs=1e-3)
 

@@ -9,7 +9,16 @@ from __future__ import annotations
 import click
 
 from orthoglide import __version__
-from orthoglide.cli import identification, kinematics, sheets
+from orthoglide.cli import (
+    closing,
+    compare,
+    compensate,
+    design,
+    identification,
+    kinematics,
+    rerun,
+    sheets,
+)
 from orthoglide.cli.run import Commands, stop_cleanly
 
 __all__ = ["cli", "main"]
@@ -25,8 +34,19 @@ def cli() -> None:
     """
 
 
-for _command in (*identification.COMMANDS, *sheets.COMMANDS, *kinematics.COMMANDS):
-    cli.add_command(_command)
+_MODULES = (
+    closing,
+    identification,
+    rerun,
+    sheets,
+    design,
+    compensate,
+    compare,
+    kinematics,
+)
+for _module in _MODULES:
+    for _command in _module.COMMANDS:
+        cli.add_command(_command)
 
 
 def main() -> None:

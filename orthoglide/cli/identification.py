@@ -1,4 +1,4 @@
-"""``demo`` and ``identify``: from readings to a folder of results."""
+"""``identify``: from readings to a folder of results."""
 
 from __future__ import annotations
 
@@ -18,9 +18,6 @@ from orthoglide.errors import InputError
 if TYPE_CHECKING:
     from orthoglide.identification import Estimate
     from orthoglide.report import Run
-
-DEMO_FOLDER = "orthoglide-demo"
-DEMO_CAMPAIGN = "experiment2.csv"
 
 
 @dataclass(frozen=True)
@@ -106,27 +103,7 @@ def identify(
     run_identify(campaigns, out, asked, quiet=quiet, as_json=as_json)
 
 
-@click.command()
-@out_option(required=False, help=f"Folder for the results.  [default: {DEMO_FOLDER}]")
-@run_options
-def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
-    """Identify the published Orthoglide from its own readings (2008, Experiment 2)."""
-    from importlib.resources import as_file, files
-
-    folder = out or _next_free(DEMO_FOLDER)
-    with as_file(files("orthoglide") / "data" / DEMO_CAMPAIGN) as path:
-        run_identify(
-            (path,),
-            folder,
-            Asked(seed=seed),
-            command="demo",
-            again="orthoglide demo --out DIR",
-            quiet=quiet,
-            as_json=as_json,
-        )
-
-
-COMMANDS = (demo, identify)
+COMMANDS = (identify,)
 
 
 def run_identify(
@@ -194,12 +171,3 @@ def _identified(paths: Sequence[Path], asked: Asked, step: Any) -> Estimate:
         noise=None if asked.noise_mm is None else asked.noise_mm * 1e-3,
         method="reduction" if asked.reduced else "auto",
     )
-
-
-def _next_free(name: str) -> Path:
-    """The demo's folder, numbered where earlier ones stand."""
-    folder, number = Path(name), 1
-    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        number += 1
-        folder = Path(f"{name}-{number}")
-    return folder

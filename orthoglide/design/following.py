@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.accuracy import workspace
+from orthoglide.design.alike import groups, in_words
 from orthoglide.design.bench import Bench
 from orthoglide.design.choosing import choose, replayed
 from orthoglide.design.expected import scatter_of
@@ -21,7 +21,6 @@ from orthoglide.geometry import Array
 from orthoglide.identification import Estimate, WeakDirection
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.prediction import Conditions
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "none"]
@@ -32,7 +31,6 @@ ENOUGH = 6.0
 _NEVER = 2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
 _HINTS = 1.0  # sigmas: less is not worth taking readings for
 _DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
-_SAME = 0.02  # of the shift between two machines: less is no difference in shape
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
 _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
@@ -147,23 +145,18 @@ def _to_separate(
     pairs = np.array([(a, b) for a in range(len(several)) for b in range(len(several)) if a != b])
     most = np.sqrt([_by_everything(bench, spread, len(names), a, b) for a, b in pairs])
     most = np.minimum(most, most[[_place(pairs, b, a) for a, b in pairs]])
-    found = [
-        _hopeless(several[a], several[b], sigmas, bench, machine)
-        for (a, b), sigmas in zip(pairs, most, strict=True)
-        if a < b and sigmas < _NEVER
-    ]
+    together = {(int(a), int(b)): float(m) for (a, b), m in zip(pairs, most, strict=True)}
     rows, end, weak = _for_pairs(bench, spread, pairs[most >= _NEVER], count)
-    found += [
-        _hopeless(several[a], several[b], sigmas, bench, machine, count)
-        for (a, b), sigmas in weak.items()
-        if a < b
+    never = {pair: sigmas for pair, sigmas in together.items() if sigmas < _NEVER}
+    found = [
+        Suggestion(
+            in_words(machine, bench, [several[k] for k in group], sigmas), "none", sigmas, None
+        )
+        for group, sigmas in groups({**never, **weak})
     ]
     if end is None:
         return found
-    sigmas = {
-        (int(a), int(b)): float(np.sqrt(c)) for (a, b), c in zip(end.pairs, end.chi2, strict=True)
-    }
-    least = {(a, b): min(s, sigmas[b, a]) for (a, b), s in sigmas.items() if a < b}
+    least = {(a, b): s for (a, b), s in _least(end).items() if a < b}
     gain = min(least.values())
     text = "; ".join(
         f"{several[a].name} from {several[b].name} by {s:.1f} sigma"
@@ -182,21 +175,40 @@ def _for_pairs(
 ) -> tuple[tuple[int, ...], Separate | None, dict[tuple[int, int], float]]:
     """Readings for the pairs that so few of them can separate; the others with what they reach."""
     weak: dict[tuple[int, int], float] = {}
-    size = spread.shape[1]
     while len(pairs):
-        zero = np.zeros(len(pairs))
-        start = Separate(spread, pairs, np.zeros((len(pairs), size)), zero, ENOUGH**2)
-        rows, end = choose(bench, start, count, mounting=_MOUNTING)
-        sigmas = {
-            (int(a), int(b)): float(c) ** 0.5 for (a, b), c in zip(pairs, end.chi2, strict=True)
-        }
-        least = {(a, b): min(s, sigmas[b, a]) for (a, b), s in sigmas.items()}
-        out = {pair: s for pair, s in least.items() if s < _HINTS}
+        start, rows, end, least = _chosen(bench, spread, pairs, count)
+        low = [pair for pair, s in least.items() if s < _HINTS and pair[0] < pair[1]]
+        # A pair may have come off badly for the sake of others: it counts alone.
+        alone = {pair: _alone(bench, spread, pair, count) for pair in low}
+        out = {pair: sigmas for pair, sigmas in alone.items() if sigmas < _HINTS}
         if not out:
             return (*_twice(bench, start, rows, end, count), weak)
         weak |= out
-        pairs = np.array([p for p in pairs if tuple(p) not in out], dtype=np.int64).reshape(-1, 2)
+        pairs = pairs[[(min(p), max(p)) not in out for p in pairs.tolist()]]
     return (), None, weak
+
+
+def _chosen(
+    bench: Bench, spread: Array, pairs: Array, count: int
+) -> tuple[Separate, tuple[int, ...], Separate, dict[tuple[int, int], float]]:
+    """Start, rows and end of a choice for ordered pairs; sigmas by pair, the lesser way round."""
+    nothing = np.zeros((len(pairs), spread.shape[1]))
+    start = Separate(spread, pairs, nothing, np.zeros(len(pairs)), ENOUGH**2)
+    rows, end = choose(bench, start, count, mounting=_MOUNTING)
+    return start, rows, end, _least(end)
+
+
+def _alone(bench: Bench, spread: Array, pair: tuple[int, int], count: int) -> float:
+    """Sigmas between two rivals by the best readings for them alone."""
+    size = spread.shape[1]
+    columns = bench.columns[:, [*range(size), *(size + k for k in pair)]]
+    here = Bench(bench.pool, columns, bench.slope, bench.scatter)
+    return _chosen(here, spread[list(pair)], np.array([(0, 1), (1, 0)]), count)[3][0, 1]
+
+
+def _least(end: Separate) -> dict[tuple[int, int], float]:
+    sigmas = dict(zip(map(tuple, end.pairs.tolist()), np.sqrt(end.chi2).tolist(), strict=True))
+    return {(a, b): min(s, sigmas[b, a]) for (a, b), s in sigmas.items()}
 
 
 def _twice(
@@ -223,52 +235,6 @@ def _by_everything(bench: Bench, spread: Array, size: int, a: int, b: int) -> fl
     # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
     absorbed = spread[b] @ np.linalg.solve(np.eye(size) + W[:size, :size] @ spread[b], toward)
     return float(max(e @ W[size:, size:] @ e - toward @ absorbed, 0.0))
-
-
-def _hopeless(
-    one: Explanation,
-    other: Explanation,
-    sigmas: float,
-    bench: Bench,
-    machine: Machine,
-    few: int = 0,
-) -> Suggestion:
-    """Why no reading is proposed for two rivals, and whether it matters for the TCP."""
-    shift, rest = _tcp_apart(machine, one, other)
-    level = bench.scatter.reading
-    if max(shift, rest) < level:
-        tail = "to the TCP they are the same, too"
-    elif rest < max(_SAME * shift, level):
-        tail = f"the TCP is the same but for a shift of {shift * 1e3:.2g} mm"
-    else:
-        tail = (
-            f"the TCP differs by up to {rest * 1e3:.2g} mm after the best shift: measure the TCP, "
-            "or look at the part itself"
-        )
-    seen = (
-        f"too little for {few} readings of this dial (the best of them: {sigmas:.1f} sigma)"
-        if few
-        else f"nothing that this dial on a leg can see (all {len(bench.pool)} readings within "
-        f"reach: {sigmas:.1f} sigma)"
-    )
-    return Suggestion(
-        f"{one.name} and {other.name} differ by {seen}; {tail}",
-        "none",
-        sigmas,
-        None,
-    )
-
-
-def _tcp_apart(machine: Machine, one: Explanation, other: Explanation) -> tuple[float, float]:
-    """Between two explanations' TCP: length of the best shift, and the most it leaves, metres."""
-    conditions = Conditions.at(workspace(machine.geometry, 3))
-    p, q = (
-        machine.model.outputs({n: v for n, v in e.values.items() if not is_dial(n)}, conditions).p
-        for e in (one, other)
-    )
-    apart = p - q
-    shift = apart.mean(axis=0)
-    return float(np.linalg.norm(shift)), float(np.linalg.norm(apart - shift, axis=1).max())
 
 
 def _to_narrow(

@@ -75,9 +75,11 @@ class Accuracy:
             repeats: at least 1; infinite for the limit.
         """
         typical = self.level.typical
-        own = max(self.scatter.reading / np.sqrt(repeats), 1e-3 * typical)
+        # The mean of a station's visits; a tiny rest keeps the limit finite.
+        mean = max(self.scatter.reading**2 / repeats, (1e-3 * typical) ** 2)
+        own = np.sqrt(mean + self.scatter.common**2)
         visits = np.full(len(self.seen.problem.measured), own)
-        noise = Noise((visits,), typical, self.level.source, self.scatter.common)
+        noise = Noise((visits,), typical, self.level.source)
         covariance = self.seen.with_noise(noise).covariance
         variances = np.einsum("rp,pq,rq->r", self.slope, covariance, self.slope)
         return float(np.sqrt(np.mean(variances)))

@@ -72,7 +72,8 @@ class View:
     @cached_property
     def scoring(self) -> Scoring:
         """Candidates on station means."""
-        return Scoring.of(self.seen, self.seen.candidates, self.averaging)
+        means = replace(self.seen, columns=self.averaging.T @ self.seen.columns)
+        return Scoring.of(means, self.seen.candidates)
 
     @cached_property
     def rival(self) -> tuple[float, int]:

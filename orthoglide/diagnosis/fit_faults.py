@@ -30,10 +30,11 @@ _LACK = 1.5  # chi2 a degree of freedom below which nothing is worth looking for
 _HALVED = 0.6  # share of the rms of its own setups that a fault may leave
 _APART = 3.0  # log Bayes factor between the best fault and the next one of other setups
 _OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres
-_DIGITS = 10.0  # log Bayes factor that the digits may add at most
+_DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
 _RELABELLED = 2  # pairs of setups that are identified anew with their labels exchanged
-_MASSIVE = 30.0  # chi2 a degree of freedom that puts the linearisation itself in doubt
-_FACTOR = 0.2  # relative error of a sign's or unit's factor that the readings themselves may give
+_MASSIVE = 300.0  # chi2 a degree of freedom that puts the linearisation itself in doubt
+_FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
+_MENDS = 2.0  # chi2 a degree of freedom that an outlier or a knock may leave without repeats
 _SPOILT = 3.0  # resolutions that an outlier or a knock must reach
 
 
@@ -121,13 +122,14 @@ def _grain(problem: Problem, rows: Rows, factor: float) -> float:
     def on_grid(readings: Array) -> bool:
         return bool((np.abs(readings / step - np.round(readings / step)) < _OFF_GRID).all())
 
-    others = np.ones(len(problem.measured), dtype=bool)
+    readings, others = problem.measured[rows], np.ones(len(problem.measured), dtype=bool)
     others[rows] = False
-    readings = problem.measured[rows]
-    if not on_grid(problem.measured[others]) or not on_grid(readings * factor):
+    if not on_grid(problem.measured[others]):
         return 0.0
-    if on_grid(readings) and factor > 1:
-        return 0.0
+    decimal = abs(np.log10(factor) - round(float(np.log10(factor)))) < 1e-9
+    if not on_grid(readings * factor) or (on_grid(readings) and factor > 1):
+        # A point put elsewhere moves the grid along; a conversion may have been rounded again.
+        return -_DIGITS if decimal else 0.0
     values = len(np.unique(readings)) - 1
     chance = 2 * _OFF_GRID if factor > 1 else max(factor, 2 * _OFF_GRID)
     return min(-values * float(np.log(chance)), _DIGITS)
@@ -258,6 +260,8 @@ def _single(view: View, setups: list[int]) -> Iterator[Fault]:
     after = view.chi2 - along * size
     evidence = view.evidence(after, 1) - np.log(len(found))
     least = _SPOILT * problem.machine.spec.dial.resolution
-    for k in np.flatnonzero(seen & (np.abs(size) >= least) & (evidence >= EVIDENCE)):
+    # Without repeats a cause in no catalogue looks much the same: only what mends the fit counts.
+    sure = seen & (np.abs(size) >= least) & (after <= _MENDS * view.dof)
+    for k in np.flatnonzero(sure & (evidence >= EVIDENCE)):
         kind, rows, s = found[k]
         yield Fault(kind, rows, (s,), float(size[k]), float(evidence[k]))  # type: ignore[arg-type]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -242,36 +242,39 @@ def rivals(
         trial = attempt(base, others, scoring.candidates[k], without)
         if trial is not None:
             trials[k] = trial
-    # What was identified counts as such; the rest as linearised, relative to the chosen one.
-    shift = chosen.evidence - evidences[own]
-    final = np.array(
-        [trials[k].evidence if k in trials else evidences[k] + shift for k in range(len(names))]
-    )
     limit = chosen.chi2 + CLASS_WIDTH * scale**2
     found = {names[k]: t for k, t in trials.items() if k != own and t.chi2 <= limit}
+    # What was identified counts as such; the rest as linearised, relative to the chosen one.
+    shift = chosen.evidence - evidences[own]
+    logs = {name: float(evidences[k] + shift) for k, name in enumerate(names)}
+    logs |= {names[k]: trial.evidence for k, trial in trials.items()}
     for trial in _under_other_bars(base, others, chosen, limit, progress):
-        place = names.index(trial.candidate.name)
-        if place != own and trial.candidate.name not in found:
-            found[trial.candidate.name] = trial
-            final[place] = max(final[place], trial.evidence)
-    logs = (final - final.max()) / scale**2 + np.log(_prior(scoring.candidates))
-    weights = np.exp(logs - logs.max())
-    weights /= weights.sum()
-    members = [Rival(t, float(weights[names.index(n)])) for n, t in found.items()]
-    return float(weights[own]), tuple(sorted(members, key=lambda r: (-r.weight, _order(r.trial))))
+        name = trial.candidate.name
+        if name != chosen.candidate.name and name not in found:
+            found[name] = trial
+            logs[name] = max(logs.get(name, -np.inf), trial.evidence)
+    weights = _weights(logs, scale)
+    members = [Rival(t, weights[n]) for n, t in found.items()]
+    ordered = sorted(members, key=lambda r: (-r.weight, _order(r.trial)))
+    return weights[chosen.candidate.name], tuple(ordered)
+
+
+def _weights(logs: Mapping[str, float], scale: float) -> dict[str, float]:
+    """Probabilities of candidates from their log evidences.
+
+    Families are equally likely; within one, its candidates are. Where a fit still lacks something,
+    what it lacks makes the readings worse witnesses.
+    """
+    families = [family_of(name).name for name in logs]
+    shares = np.array([1.0 / families.count(f) for f in families])
+    values = np.array(list(logs.values()))
+    weights = np.exp((values - values.max()) / scale**2) * shares
+    return dict(zip(logs, (weights / weights.sum()).tolist(), strict=True))
 
 
 def lack_scale(estimate: Estimate) -> float:
     """sqrt(chi2 / dof) where a fit still lacks something, else 1."""
     return max(estimate.sigma_scale, 1.0)
-
-
-def _prior(found: Sequence[Candidate]) -> Array:
-    """Families are equally likely; within one, its candidates are."""
-    count: dict[str, int] = {}
-    for candidate in found:
-        count[candidate.family] = count.get(candidate.family, 0) + 1
-    return np.array([1.0 / count[c.family] for c in found])
 
 
 def _under_other_bars(

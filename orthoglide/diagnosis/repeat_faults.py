@@ -26,6 +26,7 @@ FEWEST = 3
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one
 _OUTLIER_STEPS, _KNOCK_STEPS = 3.0, 2.0  # of the dial, that a fault must at least reach
 _MOST = 6
+_NOISY = 6.0  # times the noise of all setups, that one may scatter about what was found in it
 _TREND_MARGIN = 12.0  # fall of chi2, over the noise, by which a step must beat a smooth drift
 
 
@@ -215,8 +216,9 @@ def _confirmed(
     problem: Problem, own: Within, found: list[tuple[str, int]], scale: float, count: int
 ) -> list[Fault]:
     """Faults that stand beside all others found, and no smooth trend in their place."""
-    outliers = [f for f in found if f[0] == "outlier"]
-    if len(outliers) > max(2, len(own.rows) // 6):
+    last = own.without(np.hstack([_columns(own, *f) for f in found])) if found else own
+    noisy = last.rest @ last.rest > _NOISY * scale * max(last.dof, 1)
+    if noisy or sum(f[0] == "outlier" for f in found) > max(2, len(own.rows) // 6):
         return []  # a setup that scatters as a whole is no handful of slips
     faults = []
     for kind, place in found:

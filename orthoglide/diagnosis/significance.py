@@ -24,6 +24,9 @@ from orthoglide.identification.noise import repeat_variance
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
 
+BACKGROUND = 0.02
+"""Share of its tolerance that every other effect has on a machine with nothing wrong."""
+
 _TIMELY = frozenset({"gauge_drift", "thermal_drift", "thermal_growth"})
 
 
@@ -43,10 +46,16 @@ class Detection:
 
 
 def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
-    """Whitened, projected residuals ``(m, draws)`` of a machine that the fit describes wholly."""
+    """Whitened, projected residuals ``(m, draws)`` of a machine that the fit describes.
+
+    Not to the last nanometre: every draw has a little of everything else, ``BACKGROUND`` of its
+    tolerance, so that readings precise enough to show it do not make it a cause.
+    """
     problem = signatures.estimate.problem
     readings = _noise(problem, signatures, rng, draws)
-    rows = signatures.whiten(readings)
+    little = rng.standard_normal((len(signatures.names), draws))
+    little *= BACKGROUND * signatures.tolerance[:, None]
+    rows = signatures.whiten(readings) + signatures.columns @ little
     if problem.noise.source == "repeats":
         variance = np.array([repeat_variance(_with_noise(problem, r))[0] for r in readings.T])
         floor = problem.machine.spec.dial.resolution**2 / 12

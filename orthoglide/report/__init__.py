@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orthoglide.report.run import InputFile, Run, read_input
 
 if TYPE_CHECKING:
+    from orthoglide.closing import Verdict
     from orthoglide.identification import Estimate
+    from orthoglide.report.verdict_view import View
 
-__all__ = ["InputFile", "Run", "identification_files", "read_input"]
+__all__ = [
+    "InputFile",
+    "Run",
+    "identification_files",
+    "read_input",
+    "result_text",
+    "verdict_files",
+    "write_verdict",
+]
 
 
-def identification_files(estimate: Estimate, run: Run) -> dict[str, str]:
+Files = dict[str, str]
+
+
+def identification_files(estimate: Estimate, run: Run) -> Files:
     """All files of an identification's folder, by name: text, in the order to write them.
 
     Nothing in them depends on when or where they are made.
@@ -39,3 +55,67 @@ def identification_files(estimate: Estimate, run: Run) -> dict[str, str]:
         "report.html": identification_page(estimate, run, drawings),
         "result.json": to_json(identification_result(estimate, run)),
     }
+
+
+def result_text(view: View, run: Run) -> str:
+    """The text of a closed loop's ``result.json``.
+
+    Args:
+        view: of the verdict.
+        run: what was asked, and of which files.
+    """
+    from orthoglide.report.result import to_json
+    from orthoglide.report.verdict_result import verdict_result
+
+    return to_json(verdict_result(view, run))
+
+
+def verdict_files(view: View, run: Run, step: Callable[[str], None] | None = None) -> Files:
+    """All files of a closed loop's folder, by name: text, in the order to write them.
+
+    Nothing in them depends on when or where they are made.
+
+    Args:
+        view: of the verdict.
+        run: what was asked, and of which files.
+        step: told what is being made.
+    """
+    from orthoglide.machine_file import machine_text
+    from orthoglide.report.verdict_figures import draw_verdict
+    from orthoglide.report.verdict_html import verdict_page
+    from orthoglide.report.verdict_result import calibrated_machine, next_table, residual_table
+
+    tell, verdict = step or (lambda _: None), view.verdict
+    tell("choosing what to measure next")
+    sheet = next_table(view)
+    result = result_text(view, run)
+    tell("drawing")
+    drawings = draw_verdict(view)
+    tell("writing the report")
+    return {
+        "calibrated.toml": machine_text(calibrated_machine(verdict, run), "calibrated.toml"),
+        "residuals.csv": residual_table(verdict),
+        **({"next_measurements.csv": sheet} if sheet else {}),
+        **{f"figures/{d.name}.svg": d.svg for d in drawings},
+        "report.html": verdict_page(view, run, drawings, sheet),
+        "result.json": result,
+    }
+
+
+def write_verdict(verdict: Verdict, folder: str | os.PathLike[str]) -> None:
+    """Write a verdict's report into a new folder, as the command line does.
+
+    Args:
+        verdict: what was found.
+        folder: new or empty.
+
+    Raises:
+        FileError: where the folder exists and is not empty, or cannot be written.
+    """
+    from orthoglide.report.folder import check_folder, write_folder
+    from orthoglide.report.verdict_run import run_of
+    from orthoglide.report.verdict_view import View
+
+    out = Path(folder)
+    check_folder(out)
+    write_folder(out, verdict_files(View(verdict), run_of(verdict)))

@@ -43,10 +43,7 @@ def identification_result(estimate: Estimate, run: Run) -> dict[str, Any]:
         "command": run.command,
         "arguments": dict(run.arguments),
         "seed": run.seed,
-        "inputs": [
-            {"file": i.file, "sha256": i.sha256, "rows": [dict(r) for r in i.rows]}
-            for i in run.inputs
-        ],
+        "inputs": [i.mapping() for i in run.inputs],
         "machine": machine_mapping(problem.machine),
         "summary": headline(estimate),
         "noise_mm": number(problem.noise.typical * 1e3),
@@ -150,12 +147,24 @@ def machine_mapping(machine: Machine) -> dict[str, Any]:
 
 def calibrated_machine(estimate: Estimate, run: Run) -> MachineFile:
     """The machine file to go on with: the last campaign's, with where its numbers come from."""
-    before, after = estimate.problem.machine.spec, estimate.machine.spec
+    return provenance_of(estimate.problem.machine, estimate.machine, run)
+
+
+def provenance_of(start: Machine, calibrated: Machine, run: Run) -> MachineFile:
+    """The file of a calibrated machine, with where its numbers come from.
+
+    Args:
+        start: the machine that was started from.
+        calibrated: what was found.
+        run: what was asked.
+    """
+    before, after = start.spec, calibrated.spec
     nominal = nominal_machine_file().name
+    used = [i for i in run.inputs if i.role == "campaign"]
     provenance: dict[str, Any] = {
         "version": run.version,
         "command": run.command,
-        "campaigns": [{"file": i.file, "sha256": i.sha256} for i in run.inputs],
+        "campaigns": [{"file": i.file, "sha256": i.sha256} for i in used],
     }
     if before.file:
         provenance["machine"] = {"file": Path(before.file).name, "sha256": before.sha256}

@@ -6,9 +6,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from orthoglide import __version__
+
+Role = Literal["campaign", "holdout", "tcp"]
 
 
 @dataclass(frozen=True)
@@ -19,11 +21,24 @@ class InputFile:
         file: its name, without its folder.
         sha256: digest of its content.
         rows: its cells by column, as text.
+        role: ``campaign``, ``holdout`` or ``tcp``.
+        lines: line of each row where they do not simply follow the header; empty where they do.
     """
 
     file: str
     sha256: str
     rows: tuple[Mapping[str, str], ...]
+    role: Role = "campaign"
+    lines: tuple[int, ...] = ()
+
+    def mapping(self) -> dict[str, Any]:
+        """As `result.json` keeps it."""
+        told: dict[str, Any] = {"file": self.file, "sha256": self.sha256}
+        if self.role != "campaign":
+            told["role"] = self.role
+        if self.lines:
+            told["lines"] = list(self.lines)
+        return {**told, "rows": [dict(row) for row in self.rows]}
 
 
 @dataclass(frozen=True)
@@ -47,8 +62,12 @@ class Run:
     version: str = __version__
 
 
-def read_input(path: str | os.PathLike[str]) -> InputFile:
+def read_input(path: str | os.PathLike[str], role: Role = "campaign") -> InputFile:
     """A CSV file's rows and digest.
+
+    Args:
+        path: the file.
+        role: what it is for.
 
     Raises:
         FileError: where it is no table.
@@ -57,4 +76,5 @@ def read_input(path: str | os.PathLike[str]) -> InputFile:
 
     table = read_table(path)
     rows = tuple(dict(zip(table.names, row, strict=True)) for row in table.rows)
-    return InputFile(Path(path).name, table.sha256, rows)
+    follow = table.lines == tuple(range(2, len(rows) + 2))
+    return InputFile(Path(path).name, table.sha256, rows, role, () if follow else table.lines)

@@ -1,0 +1,1 @@
+def verdict_page(*a): return "stub"

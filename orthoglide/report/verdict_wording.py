@@ -1,0 +1,132 @@
+"""A verdict in words: the sentence that its report begins with, and what follows from it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from orthoglide.effects import family_of
+from orthoglide.report.causes import short
+from orthoglide.report.numbers import compact, decimals_for
+from orthoglide.report.wording import explained_by, listed, sentence
+
+if TYPE_CHECKING:
+    from orthoglide.report.verdict_view import Explained, View
+
+_MOST_RIVALS = 2
+_SLIGHT = 0.9  # of what was left before: a fit that leaves more explains little
+
+
+def headline(view: View) -> str:
+    """The verdict in a few sentences, for somebody with a spanner in hand."""
+    verdict = view.verdict
+    begin = {
+        "adequate": _adequate,
+        "unexplained": _unexplained,
+        "partial": _partial,
+    }.get(verdict.word, _explained)
+    return begin(view) + _faults(view)
+
+
+def _faults(view: View) -> str:
+    """Faults of the data belong to the verdict: a reader of the first lines must know."""
+    count = len(view.verdict.blunders)
+    if not count:
+        return ""
+    return f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
+
+
+def _adequate(view: View) -> str:
+    base = view.verdict.base
+    return (
+        f"Nothing is wrong that these readings could show beyond the {explained_by(base)}: with "
+        f"these set right, {_fall(view, 'nominal')}, which is the noise of the dial."
+    )
+
+
+def _unexplained(view: View) -> str:
+    base = view.verdict.base
+    return (
+        f"Something is wrong that no cause known to this program explains: with the "
+        f"{explained_by(base)} set right the readings are still {_times(view)} off, "
+        f"{compact(_after(view), 2)} mm rms."
+    )
+
+
+def _explained(view: View) -> str:
+    return (
+        f"{_causes(view)} With this in the model, {_fall(view, 'before')}, "
+        f"which is the noise of the dial."
+    )
+
+
+def _partial(view: View) -> str:
+    return (
+        f"{_causes(view)} This is not all: with it in the model, {_fall(view, 'before')}, still "
+        f"{_times(view)}, and no cause known to this program explains the rest."
+    )
+
+
+def _causes(view: View) -> str:
+    said = [sentence(f"{e.words}{alternatives(e)}") for e in view.effects]
+    return " ".join([said[0], *(f"Besides, {s[:1].lower()}{s[1:]}" for s in said[1:])])
+
+
+def alternatives(explained: Explained) -> str:
+    """Rivals of a cause, in brackets; empty where there are none."""
+    rivals = explained.effect.rivals
+    if not rivals:
+        return ""
+    named = [short(r.trial.candidate.name) for r in rivals[:_MOST_RIVALS]]
+    rest = len(rivals) - len(named)
+    text = ", or ".join(named)
+    if rest:
+        text += f", or {rest} further cause{'s' if rest > 1 else ''} named below"
+    return f" (or {text}: these readings cannot tell)"
+
+
+def _fall(view: View, since: str) -> str:
+    base = view.verdict.base
+    first = (base.nominal if since == "nominal" else base.scores).deviation_rms * 1e3
+    after = _after(view)
+    places = decimals_for(after, 3)
+    verb = "hardly falls" if after > _SLIGHT * first else "falls"
+    return f"what prediction leaves of the readings {verb} from {first:.{places}f} to " + (
+        f"{after:.{places}f} mm rms"
+    )
+
+
+def _after(view: View) -> float:
+    return view.verdict.fit.scores.deviation_rms * 1e3
+
+
+def _times(view: View) -> str:
+    return f"{max(view.verdict.fit.sigma_scale, 1.0):.2g} times the noise"
+
+
+def look_at(view: View) -> list[tuple[str, str]]:
+    """What to look at on the machine: the causes of one family, and where to look."""
+    by_family: dict[str, list[str]] = {}
+    for explained in view.effects:
+        for name, _ in explained.fits:
+            family = by_family.setdefault(family_of(name).name, [])
+            if name not in family:
+                family.append(name)
+    return [
+        (sentence(listed([short(n) for n in names]).replace(" and the", " or the")),
+         sentence(family_of(family).look_at))
+        for family, names in by_family.items()
+    ]  # fmt: skip
+
+
+_TOLD = {
+    "adequate": "adequate: nothing significant is left, and nothing was added",
+    "explained": "explained: a cause was added, and nothing significant is left",
+    "ambiguous": "ambiguous: explained, but other causes fit these readings as well",
+    "partial": "partial: a cause was added, and something significant is left",
+    "unexplained": "unexplained: something significant is left, and no cause deserves its name",
+}
+
+
+def told(word: str) -> str:
+    """What the verdict's word means."""
+    return _TOLD[word]
