@@ -15,7 +15,7 @@ import numpy as np
 
 from orthoglide.diagnosis.fault_view import View, set_free, with_effect
 from orthoglide.diagnosis.faults import UNITS, Fault, Rows, in_order
-from orthoglide.diagnosis.repeat_faults import EVIDENCE, FEWEST
+from orthoglide.diagnosis.repeat_faults import EVIDENCE
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.significance import within_groups
 from orthoglide.errors import NumericsError
@@ -34,8 +34,8 @@ _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
 _RELABELLED = 2  # pairs of setups that are identified anew with their labels exchanged
 _MASSIVE = 300.0  # chi2 a degree of freedom that puts the linearisation itself in doubt
 _FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
-_MENDS = 2.0  # chi2 a degree of freedom that an outlier or a knock may leave without repeats
-_SPOILT = 3.0  # resolutions that an outlier or a knock must reach
+_MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
+_SPOILT = 3.0  # resolutions that it must reach
 
 
 def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
@@ -236,32 +236,26 @@ def _under_each_label(problem: Problem, x: Array) -> Array:
 
 
 def _single(view: View, setups: list[int]) -> Iterator[Fault]:
-    """Outliers and knocks where no repeat can show them."""
+    """Outliers where no repeat can show them.
+
+    A knock is not looked for there: a step in time is a step in posture as well.
+    """
     problem = view.seen.estimate.problem
     visits = np.bincount(problem.station)[problem.station]
-    found: list[tuple[str, Rows, int]] = []
-    for s in setups:
-        rows = in_order(problem, s)
-        found += [("outlier", rows[[k]], s) for k in range(len(rows)) if visits[rows[k]] == 1]
-        if (visits[rows] == 1).all():
-            cuts = range(FEWEST, len(rows) - FEWEST + 1)
-            found += [("knocked_stand", rows[k:], s) for k in cuts]
-    if not found:
+    rows = np.flatnonzero((visits == 1) & np.isin(problem.setup_of_row, setups))
+    if not len(rows):
         return
-    columns = np.zeros((len(problem.measured), len(found)))
-    for k, (_, rows, _) in enumerate(found):
-        columns[rows, k] = 1.0
-    shown = view.shown(columns)
+    shown = view.shown(np.eye(len(problem.measured))[:, rows])
     square = np.sum(shown**2, axis=0)
     along = shown.T @ view.residual
     # What the fit can imitate almost wholly is no fault that it could show.
-    seen = square > 0.2 * np.sum((columns.T * view.seen.weight) ** 2, axis=1) / columns.sum(axis=0)
+    seen = square > 0.2 * view.seen.weight[rows] ** 2
     size = along / np.maximum(square, 1e-300)
     after = view.chi2 - along * size
-    evidence = view.evidence(after, 1) - np.log(len(found))
+    evidence = view.evidence(after, 1) - np.log(len(rows))
     least = _SPOILT * problem.machine.spec.dial.resolution
-    # Without repeats a cause in no catalogue looks much the same: only what mends the fit counts.
+    # A cause in no catalogue looks much the same: only what mends the fit counts.
     sure = seen & (np.abs(size) >= least) & (after <= _MENDS * view.dof)
     for k in np.flatnonzero(sure & (evidence >= EVIDENCE)):
-        kind, rows, s = found[k]
-        yield Fault(kind, rows, (s,), float(size[k]), float(evidence[k]))  # type: ignore[arg-type]
+        own = int(problem.setup_of_row[rows[k]])
+        yield Fault("outlier", rows[[k]], (own,), float(size[k]), float(evidence[k]))

@@ -20,7 +20,7 @@ from orthoglide.identification import Estimate, Problem
 EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
 
-FEWEST = 3
+FEWEST = 2
 """Readings on either side of a knock: fewer are outliers."""
 
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one

@@ -86,7 +86,7 @@ class View:
     def effects(self) -> tuple[Explained, ...]:
         """The causes that were added, in their order."""
         from orthoglide.diagnosis import refit
-        from orthoglide.report.verdict_wording import cause
+        from orthoglide.report.causes import cause
 
         verdict, found = self.verdict, []
         for effect in verdict.effects:

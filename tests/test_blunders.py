@@ -1,0 +1,238 @@
+"""Faults of the data are found and named, and physics is not taken for one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orthoglide.diagnosis.blunders import Blunder, find_blunders, without
+from orthoglide.errors import InputError
+from orthoglide.identification import Estimate, identify, solve
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, read_campaign
+from tests import rig_campaigns as rc
+from tests.rig import Rig
+
+ROOT = Path(__file__).parents[1]
+RIG = ROOT / "tests" / "data" / "rig"
+PUBLISHED = ROOT / "orthoglide" / "data"
+BASE = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "joint_offset.z": 0.6e-3}
+BASE |= {"leg_length.x": 4e-5, "leg_length.z": -6e-5}
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return Machine.load(RIG / "machine.toml")
+
+
+@pytest.fixture(scope="module")
+def nominal() -> Machine:
+    return Machine.nominal()
+
+
+def rows_of(protocol: str = "sweep", seed: int = 0, rig: Rig | None = None, **errors: float):
+    rng = np.random.default_rng(seed)
+    own = (rig or Rig()).with_errors(BASE | errors)
+    return rc.simulate(own, protocol, rng, background=0.02)
+
+
+def campaign_of(rows: list[rc.Row], machine: Machine, name: str = "campaign") -> Campaign:
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    return Campaign.from_frame(columns, name=name, machine_file=machine.spec)
+
+
+def estimate_of(rows: list[rc.Row], machine: Machine) -> Estimate:
+    return identify(campaign_of(rows, machine), machine, method="nested")
+
+
+def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
+    return find_blunders(estimate_of(rows, machine), np.random.default_rng(0))
+
+
+# -- nothing where there is nothing ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", range(1, 9))
+def test_the_rig_campaigns_have_no_faults(k, machine):
+    campaign = read_campaign(RIG / f"rig-{k}.csv", machine.spec)
+    estimate = identify(campaign, machine, method="nested")
+    assert find_blunders(estimate, np.random.default_rng(0)) == ()
+
+
+@pytest.mark.parametrize("file", sorted(PUBLISHED.glob("experiment*.csv")), ids=lambda f: f.stem)
+def test_the_published_experiments_have_no_faults(file, nominal):
+    estimate = identify(read_campaign(file, nominal.spec), nominal, method="nested")
+    assert find_blunders(estimate, np.random.default_rng(0)) == ()
+
+
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+@pytest.mark.parametrize(
+    "errors",
+    [
+        {},
+        {"axis_tilt.y.z": 3e-3},
+        {"backlash.x": 1e-4},
+        {"gauge_drift.xy-0.5": 1e-7},
+        {"gauge_scale.yz-0.5": 0.05},
+        {"rail_bow.z.x": 1e-4},
+    ],
+    ids=lambda e: next(iter(e), "clean"),
+)
+def test_an_effect_is_no_fault(protocol, errors, machine, nominal):
+    rows = rows_of(protocol, seed=7, **errors)
+    assert found_in(rows, machine) == ()
+    assert found_in(rows, nominal) == ()
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [rc.wavy_rail(0, 1, 1e-4), rc.warming_drive(1, 1e-4), rc.s_curve(2, 0, 1e-4)],
+    ids=["wavy rail", "warming drive", "s-curve"],
+)
+def test_an_effect_in_no_catalogue_is_no_fault(extra, machine):
+    assert found_in(rows_of(seed=3, rig=Rig(extra=(extra,))), machine) == ()
+
+
+# -- each kind -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+@pytest.mark.parametrize("size", [0.1, -1.0])
+def test_outlier(protocol, size, errors, machine, nominal):
+    rows = rows_of(protocol, seed=1, **errors)
+    spoilt = rc.outlier(rows, 20, size).rows
+    for judge in (machine, nominal):
+        (blunder,) = found_in(spoilt, judge)
+        assert blunder.kind == "outlier"
+        assert blunder.rows == ((0, 20),)
+        assert blunder.setups == (rows[20]["setup"],)
+
+
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+@pytest.mark.parametrize("step", [0.1, -0.5])
+def test_knocked_stand(protocol, step, machine, nominal):
+    spoilt, touched = rc.knocked_stand(rows_of(protocol, seed=2), "yz-0.5", step)
+    for judge in (machine, nominal):
+        (blunder,) = found_in(spoilt, judge)
+        assert (blunder.kind, blunder.setups) == ("knocked_stand", ("yz-0.5",))
+        assert [row for _, row in blunder.rows] == touched
+
+
+def test_sign(machine):
+    (blunder,) = found_in(rc.swapped_sign(rows_of(), "yz-0.5").rows, machine)
+    assert (blunder.kind, blunder.setups) == ("sign", ("yz-0.5",))
+    assert "direction -z instead of z" in blunder.message
+
+
+@pytest.mark.parametrize("other", ["yx-0.5", "xz-0.5"], ids=["same leg", "another leg"])
+def test_exchanged_labels(other, machine):
+    (blunder,) = found_in(rc.swapped_labels(rows_of(), "yz-0.5", other).rows, machine)
+    assert blunder.kind == "exchanged_labels"
+    assert set(blunder.setups) == {"yz-0.5", other}
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [(1e-3, "in metres"), (1 / 25.4, "in inches"), (10.0, "decimal point")],
+)
+def test_unit(factor, said, machine):
+    (blunder,) = found_in(rc.wrong_unit(rows_of(), "yz-0.5", factor).rows, machine)
+    assert (blunder.kind, blunder.setups) == ("unit", ("yz-0.5",))
+    assert said in blunder.message
+
+
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+def test_stuck_dial(protocol, machine):
+    spoilt, touched = rc.stuck_dial(rows_of(protocol), "yz-0.5")
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.setups) == ("stuck", ("yz-0.5",))
+    assert len({row for _, row in blunder.rows} ^ set(touched)) <= 1
+
+
+def test_several_faults(machine):
+    rows = rc.outlier(rows_of(seed=5), 30, 0.3).rows
+    rows = rc.knocked_stand(rows, "zx-0.5", 0.2).rows
+    rows = rc.swapped_sign(rows, "yz-0.5").rows
+    found = {b.kind: b for b in found_in(rows, machine)}
+    assert set(found) == {"outlier", "knocked_stand", "sign"}
+    assert found["outlier"].rows == ((0, 30),)
+    assert found["sign"].setups == ("yz-0.5",)
+
+
+# -- what is told, and what is left ----------------------------------------------------------------
+
+
+def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
+    path = tmp_path / "monday.csv"
+    rc.write_csv(rc.outlier(rows_of("standard"), 20, 0.5).rows, path)
+    campaign = read_campaign(path, machine.spec)
+    estimate = identify(campaign, machine, method="nested")
+    (blunder,) = find_blunders(estimate, np.random.default_rng(0))
+    assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5': ")
+    assert "measure this posture again" in blunder.message
+    assert blunder.lines([campaign]) == {str(path): (22,)}
+
+
+def test_scores_with_and_without(nominal):
+    estimate = estimate_of(rc.outlier(rows_of("standard"), 20, 0.5).rows, nominal)
+    blunders = find_blunders(estimate, np.random.default_rng(0))
+    again = solve(without(estimate.problem, blunders), method="nested")
+    (blunder,) = blunders
+    assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
+    assert blunder.rms_without < 0.3 * blunder.rms_with
+    assert len(again.residuals) == len(estimate.residuals) - 1
+    # The noise was that of the repeats, the slip among them.
+    assert again.problem.noise.typical < 0.3 * estimate.problem.noise.typical
+
+
+def test_a_knocked_setup_becomes_two(machine):
+    rows, touched = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5)
+    estimate = estimate_of(rows, machine)
+    clean = without(estimate.problem, find_blunders(estimate, np.random.default_rng(0)))
+    (campaign,) = clean.campaigns
+    assert len(campaign) == len(rows)
+    assert len(campaign.setups) == 7
+    second = [k for k, s in enumerate(campaign.setup) if s == 6]
+    assert second == touched
+    assert campaign.setups[6].leg == campaign.setups[campaign.setup[touched[0] - 2]].leg
+    again = solve(clean, method="nested")
+    untouched = estimate_of(rows_of(seed=2), machine)
+    assert again.scores.rms < 1.1 * untouched.scores.rms
+    np.testing.assert_allclose(again.x, untouched.x, atol=3 * np.sqrt(untouched.covariance[0, 0]))
+
+
+def test_two_knocks_of_one_setup_make_three(machine):
+    rows = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5, after=0.3).rows
+    rows = rc.knocked_stand(rows, "yz-0.5", -0.3, after=0.7).rows
+    estimate = estimate_of(rows, machine)
+    blunders = find_blunders(estimate, np.random.default_rng(0))
+    assert [b.kind for b in blunders] == ["knocked_stand", "knocked_stand"]
+    for order in (blunders, blunders[::-1]):
+        (campaign,) = without(estimate.problem, order).campaigns
+        sizes = np.bincount(campaign.setup)
+        assert sorted(sizes.tolist())[:3] == [13, 13, 16]
+
+
+def test_rows_are_counted_within_their_campaign(machine):
+    first = campaign_of(rows_of("standard", seed=1), machine, "first")
+    second = campaign_of(rc.outlier(rows_of("standard", seed=2), 11, 0.5).rows, machine, "second")
+    estimate = identify([first, second], machine, method="nested")
+    (blunder,) = find_blunders(estimate, np.random.default_rng(0))
+    assert blunder.rows == ((1, 11),)
+    assert blunder.message.startswith("second, line 13,")
+    clean = without(estimate.problem, [blunder])
+    assert [len(c) for c in clean.campaigns] == [54, 53]
+
+
+def test_a_campaign_of_faults_alone_is_refused(machine):
+    estimate = estimate_of(rows_of("standard"), machine)
+    names = tuple(s.name for s in estimate.problem.campaigns[0].setups)
+    every = Blunder("unit", tuple((0, k) for k in range(54)), names, "", 0.0, 0.0, 0.0)
+    with pytest.raises(InputError, match="nothing is left of campaign"):
+        without(estimate.problem, [every])
+
+
+def test_the_same_readings_give_the_same_answer(machine):
+    rows = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.1).rows
+    assert found_in(rows, machine) == found_in(rows, machine)
