@@ -231,10 +231,10 @@ def _said(verdict: Verdict) -> Record:
 
 
 def _compared(drawn: Drawn, verdict: Verdict) -> Record:
-    base = verdict.base
-    faults = bool(drawn.touched) or bool(verdict.blunders)
+    # The truth's size is that in all readings, whether or not the tool set some aside.
+    base = verdict.faulty or verdict.base
     found: Record = {"touched": list(drawn.touched), "truth": []}
-    if not faults:
+    if not drawn.touched:
         seen = signatures(base)
         truth = [c for c, _ in drawn.causes]
         found["truth"] = _truth(drawn, seen)
@@ -260,7 +260,8 @@ def _freed(cause: Cause, seen: Signatures) -> tuple[str, ...]:
 
 def _told(drawn: Drawn, verdict: Verdict, names: Sequence[str]) -> list[float]:
     """Mean and largest TCP error of an identification told the effect, millimetres."""
-    fit = refit(verdict.base.problem, names, verdict.base)
+    base = verdict.faulty or verdict.base
+    fit = refit(base.problem, names, base)
     values = fit.problem.values(0, fit.x)
     errors = tcp_errors(machine(), drawn.points, verdict.before, values)["translation"]
     return [1e3 * errors.after[0], 1e3 * errors.after[1]]

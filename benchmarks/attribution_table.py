@@ -115,6 +115,8 @@ def requirements(records: Sequence[Record]) -> Table:
         ("data faults: explained by a wrong name", "<= 5 %",
          share(kinds["fault"], lambda r: wrongly_explained(r) and not r["blunders"])),
         ("  found", "", share(kinds["fault"], fault_found)),
+        ("data faults reported where there are none", "",
+         share([r for r in done if r["kind"] != "fault"], lambda r: bool(r["blunders"]))),
         ("parameters seen: inside their 95 % interval", ">= 93 %", _covered(done)),
         ("TCP coordinates inside their 95 % interval", ">= 93 %", _inside(done)),
         ("TCP error over that of an identification told the effect, median", "",

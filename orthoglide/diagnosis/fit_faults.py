@@ -86,7 +86,8 @@ def _hypotheses(view: View, known: Sequence[Fault]) -> Iterator[Fault]:
 def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
     """A sign, a unit, or two columns exchanged: readings that fit once they are changed back."""
     problem = view.seen.estimate.problem
-    measured, found = problem.measured, []
+    measured = problem.measured
+    found: list[tuple[str, tuple[int, ...], Rows, Array, float]] = []
     for s in setups:
         rows = in_order(problem, s)
         found.append(("sign", (s,), rows, -measured[rows], -1.0))
@@ -101,8 +102,8 @@ def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
     if not found:
         return
     change = np.zeros((len(measured), len(found)))
-    for k, (_, _, rows, values, _) in enumerate(found):
-        change[rows, k] = values - measured[rows]
+    for column, (_, _, rows, values, _) in zip(change.T, found, strict=True):
+        column[rows] = values - measured[rows]
     after = np.sum((view.residual[:, None] + view.shown(change)) ** 2, axis=0)
     evidence = view.evidence(after) - np.log(len(found))
     evidence += [_grain(problem, f[2], f[4]) if f[0] == "unit" else 0.0 for f in found]
@@ -140,8 +141,10 @@ def _meant(view: View, rows: Rows, factor: float) -> bool:
     readings = np.zeros(view.seen.count)
     readings[rows] = view.seen.estimate.problem.measured[rows]
     shown = view.shown(readings)
-    best = 1 - float(shown @ view.residual) / max(float(shown @ shown), 1e-300)
-    return abs(best - factor) <= _FACTOR * abs(factor)
+    square = max(float(shown @ shown), 1e-300)
+    best, sigma = 1 - float(shown @ view.residual) / square, 1 / np.sqrt(square)
+    allowed = _FACTOR * abs(factor)
+    return bool(abs(best - factor) <= max(allowed, 3 * min(sigma, allowed)))
 
 
 def _mended(view: View, setups: tuple[int, ...], change: Array) -> bool:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from orthoglide.diagnosis.faults import Fault, Rows, in_order
 from orthoglide.geometry import Array
@@ -26,7 +27,7 @@ FEWEST = 2
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one
 _OUTLIER_STEPS, _KNOCK_STEPS = 3.0, 2.0  # of the dial, that a fault must at least reach
 _MOST = 6
-_NOISY = 6.0  # times the noise of all setups, that one may scatter about what was found in it
+_NOISY = 4.0  # times the noise of all setups, that one may scatter about what was found in it
 _TREND_MARGIN = 12.0  # fall of chi2, over the noise, by which a step must beat a smooth drift
 
 
@@ -98,15 +99,16 @@ class Within:
         rest, trend = _past(free, self.rest), _past(free, self.trend)
         return replace(self, free=free, rest=rest, trend=trend)
 
-    def evidence(self, gain: Array, size: int, scale: float) -> Array:
+    def evidence(self, gain: ArrayLike, size: int, scale: float) -> Array:
         """Log Bayes factor of a fall of chi2, the noise known no better than it is.
 
         Student's form: ``(dof + d) / 2 log(1 + gain / (rest + d scale))`` with d degrees of
         freedom's worth of what all setups say of the noise.
         """
-        left = self.rest @ self.rest - gain
+        fall = np.asarray(gain, dtype=float)
+        left = self.rest @ self.rest - fall
         dof = max(self.dof - size, 0) + _PRIOR_DOF
-        return np.asarray(dof / 2 * np.log1p(gain / (np.maximum(left, 0) + _PRIOR_DOF * scale)))
+        return np.asarray(dof / 2 * np.log1p(fall / (np.maximum(left, 0) + _PRIOR_DOF * scale)))
 
 
 def span(columns: Array) -> Array:
@@ -194,9 +196,8 @@ def _choices(
         choices.append((kind, place, float(evidence[place])))
     for power in (1, 3):
         basis = span(own.trend[:, :power])
-        gain = np.sum((basis.T @ own.rest) ** 2)
-        evidence = float(own.evidence(gain, power, scale)) - 2 * power
-        choices.append(("trend", power, evidence))
+        fall = np.sum((basis.T @ own.rest) ** 2)
+        choices.append(("trend", power, float(own.evidence(fall, power, scale)) - 2 * power))
     return choices
 
 
@@ -217,7 +218,7 @@ def _confirmed(
 ) -> list[Fault]:
     """Faults that stand beside all others found, and no smooth trend in their place."""
     last = own.without(np.hstack([_columns(own, *f) for f in found])) if found else own
-    noisy = last.rest @ last.rest > _NOISY * scale * max(last.dof, 1)
+    noisy = last.rest @ last.rest > _NOISY * scale * max(last.dof, 1) or 2 * last.dof < own.dof
     if noisy or sum(f[0] == "outlier" for f in found) > max(2, len(own.rows) // 6):
         return []  # a setup that scatters as a whole is no handful of slips
     faults = []

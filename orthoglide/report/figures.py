@@ -35,15 +35,16 @@ PALETTE = {
     "before": "#939ca3",
     "band": "#56b4e9",
     "minus": "#cc79a7",
+    "third": "#009e73",
 }
 INK, MUTED, GRID = PALETTE["ink"], PALETTE["muted"], PALETTE["grid"]
 DATA, FIT, BEFORE, BAND = (PALETTE[name] for name in ("data", "fit", "before", "band"))
 
 POINTS = 72.0  # SVG units an inch
-_SINGLE = 3.9  # inches: width of a figure that fits a phone
-_PANEL = (3.0, 2.75)  # inches: one of the small multiples
+SINGLE = 3.9  # inches: width of a figure that fits a phone
+PANEL = (3.0, 2.75)  # inches: one of the small multiples
 _ACROSS = 3
-_LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
+LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
 _MOST_CELLS = 8  # unknowns up to which correlations are printed as numbers
 
 
@@ -69,17 +70,18 @@ class Drawing:
 
 def draw(estimate: Estimate) -> list[Drawing]:
     """All figures of an identification."""
-    with _style():
+    with style():
         return [
-            _readings(estimate),
-            _residuals(estimate),
+            draw_readings(estimate),
+            draw_residuals(estimate),
             _parameters(estimate),
             _correlations(estimate),
         ]
 
 
 @contextmanager
-def _style() -> Iterator[None]:
+def style() -> Iterator[None]:
+    """The look of all figures, for a while."""
     import matplotlib
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is nobody's concern
@@ -121,25 +123,28 @@ def _style() -> Iterator[None]:
         yield
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height))
 
 
-def _axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
+def place_axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
     """Axes at a place in inches from the top left corner."""
     w, h = figure.get_size_inches()
     return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
 
 
-def _svg(figure: Figure) -> str:
+def svg_text(figure: Figure) -> str:
+    """The text of a figure's file: the same bytes for the same figure."""
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
-def _few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
+def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
+    """Round numbers, and few of them."""
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(across, steps=[1, 2, 2.5, 5, 10]))
@@ -162,10 +167,11 @@ class _Panel:
     sigma: Array
 
 
-def _setups(estimate: Estimate) -> list[_Panel]:
+def _setups(estimate: Estimate, earlier: Array | None = None) -> list[_Panel]:
     problem, found = estimate.problem, []
+    earlier = estimate.predicted_before if earlier is None else earlier
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
-        fit, before = estimate.predicted[part], estimate.predicted_before[part]
+        fit, before = estimate.predicted[part], earlier[part]
         for k, setup in enumerate(campaign.setups):
             own = campaign.setup == k
             travel = campaign.command[own, setup.leg] - problem.machine.geometry.L
@@ -186,12 +192,18 @@ def _setups(estimate: Estimate) -> list[_Panel]:
     return found
 
 
-def _readings(estimate: Estimate) -> Drawing:
-    setups = _setups(estimate)
+def draw_readings(estimate: Estimate, earlier: Array | None = None) -> Drawing:
+    """Readings and fit by setup, with what the fit leaves of them.
+
+    Args:
+        estimate: the fit.
+        earlier: readings ``(n,)`` predicted before it, metres; the nominal machine's where absent.
+    """
+    setups = _setups(estimate, earlier)
     across = min(_ACROSS, len(setups))
-    width, height, strip = *_PANEL, 0.3
+    width, height, strip = *PANEL, 0.3
     rows = -(-len(setups) // across)
-    figure = _figure(across * width, rows * height + strip)
+    figure = new_figure(across * width, rows * height + strip)
     reach = 1.12 * max(
         float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups
     )
@@ -200,22 +212,22 @@ def _readings(estimate: Estimate) -> Drawing:
     places = []
     for k, setup in enumerate(setups):
         left, top = (k % across) * width, (k // across) * height + strip
-        axes = _axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
+        axes = place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
         handles = _draw_setup(axes, setup)
         axes.set_ylim(-reach, reach)
-        _few_ticks(axes)
+        few_ticks(axes)
         axes.tick_params(labelbottom=False, bottom=False)
-        below = _axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
+        below = place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
         _draw_left(below, setup)
         below.set_ylim(-left_over, left_over)
         below.set_xlim(axes.get_xlim())
-        _few_ticks(below, up=2)
+        few_ticks(below, up=2)
         places.append((left * POINTS, top * POINTS, width * POINTS, height * POINTS))
     figure.legend(
         handles, ("reading", "fit", "noise, ± 2 sigma", "before"), loc="upper left", ncols=4,
         bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, handlelength=1.6,
     )  # fmt: skip
-    return Drawing("readings", "Readings and fit by setup", _svg(figure), tuple(places), 2)
+    return Drawing("readings", "Readings and fit by setup", svg_text(figure), tuple(places), 2)
 
 
 def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
@@ -237,7 +249,7 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
                         markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
     axes.set_title(setup.title)
     axes.set_ylabel("mm")
-    axes.yaxis.set_label_coords(_LABEL, 0.5)
+    axes.yaxis.set_label_coords(LABEL, 0.5)
     axes.margins(x=0.05)
     return [dots, line, band, was]
 
@@ -252,19 +264,20 @@ def _draw_left(axes: Axes, setup: _Panel) -> None:
               markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
     axes.set_xlabel(setup.label, labelpad=2)
     axes.set_ylabel("left, mm")
-    axes.yaxis.set_label_coords(_LABEL, 0.5)
+    axes.yaxis.set_label_coords(LABEL, 0.5)
 
 
 # --- Residuals ------------------------------------------------------------------------------
 
 
-def _residuals(estimate: Estimate) -> Drawing:
-    setups = _setups(estimate)
+def draw_residuals(estimate: Estimate, earlier: Array | None = None) -> Drawing:
+    """Residuals by setup, before and after; arguments as for :func:`draw_readings`."""
+    setups = _setups(estimate, earlier)
     names = [s.title.partition(":")[0] for s in setups]
     height = 0.8 + 0.3 * len(setups)
-    figure = _figure(_SINGLE, height)
+    figure = new_figure(SINGLE, height)
     margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
-    axes = _axes(figure, margin, 0.32, _SINGLE - margin - 0.12, height - 0.78)
+    axes = place_axes(figure, margin, 0.32, SINGLE - margin - 0.12, height - 0.78)
     noise = 2 * estimate.problem.noise.typical * 1e3
     axes.axvspan(-noise, noise, color=BAND, alpha=0.35, linewidth=0, label="noise, ± 2 sigma")
     axes.axvline(0, color=MUTED, linewidth=0.6)
@@ -281,12 +294,12 @@ def _residuals(estimate: Estimate) -> Drawing:
     reach = max(reach, after, noise * 1.2)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(setups) - 0.4, -0.6)
-    _few_ticks(axes, across=6)
+    few_ticks(axes, across=6)
     axes.set_yticks(range(len(setups)), names, color=INK)
     axes.set_xlabel("reading less prediction, mm", labelpad=2)
     figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
-                  bbox_to_anchor=(margin / _SINGLE - 0.02, 1.0))  # fmt: skip
-    return Drawing("residuals", "Residuals by setup, before and after", _svg(figure))
+                  bbox_to_anchor=(margin / SINGLE - 0.02, 1.0))  # fmt: skip
+    return Drawing("residuals", "Residuals by setup, before and after", svg_text(figure))
 
 
 # --- Parameters and their correlations ------------------------------------------------------
@@ -298,20 +311,20 @@ def _parameters(estimate: Estimate) -> Drawing:
     for k, name in enumerate(estimate.names):
         families.setdefault(family_of(name).name, []).append(k)
     heights = [0.72 + 0.24 * len(members) for members in families.values()]
-    figure = _figure(_SINGLE, sum(heights) + 0.3)
+    figure = new_figure(SINGLE, sum(heights) + 0.3)
     short = [name.partition(".")[2] for name in estimate.names]
     margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
     top = 0.3
     for (family, members), height in zip(families.items(), heights, strict=True):
-        axes = _axes(figure, margin, top + 0.2, _SINGLE - margin - 0.12, height - 0.58)
+        axes = place_axes(figure, margin, top + 0.2, SINGLE - margin - 0.12, height - 0.58)
         handles = _draw_family(axes, estimate, family, members)
         axes.set_yticks(range(len(members)), [short[k] for k in members], color=INK)
         top += height
     figure.legend(
         handles, ("value, 95 % interval", "tolerance, ± 1 sigma"), loc="upper left", ncols=2,
-        bbox_to_anchor=(margin / _SINGLE - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
+        bbox_to_anchor=(margin / SINGLE - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
     )  # fmt: skip
-    return Drawing("parameters", "Identified values against their tolerances", _svg(figure))
+    return Drawing("parameters", "Identified values against their tolerances", svg_text(figure))
 
 
 def _draw_family(axes: Axes, estimate: Estimate, family: str, members: list[int]) -> list[Any]:
@@ -328,7 +341,7 @@ def _draw_family(axes: Axes, estimate: Estimate, family: str, members: list[int]
     reach = 1.1 * max(float(np.max(np.abs(value) + half)), 1.1 * tolerance)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(members) - 0.5, -0.5)
-    _few_ticks(axes, across=5)
+    few_ticks(axes, across=5)
     axes.set_title(f"{family.replace('_', ' ')}, {unit.name}", pad=3)
     return [dots, band]
 
@@ -340,10 +353,10 @@ def _correlations(estimate: Estimate) -> Drawing:
     matrix, count = estimate.correlation, len(estimate.names)
     labels = list(estimate.names)
     margin = 0.12 + 0.056 * max(map(len, labels))
-    cell = max((_SINGLE - margin - 0.1) / count, 0.14)
+    cell = max((SINGLE - margin - 0.1) / count, 0.14)
     width, height = margin + 0.1 + cell * count, margin + 0.1 + cell * count
-    figure = _figure(width, height)
-    axes = _axes(figure, margin, 0.05, cell * count, cell * count)
+    figure = new_figure(width, height)
+    axes = place_axes(figure, margin, 0.05, cell * count, cell * count)
     row, column = np.divmod(np.arange(count**2), count)
     corners = np.array([[0.04, 0.04], [0.96, 0.04], [0.96, 0.96], [0.04, 0.96]])
     squares = np.stack([column, row], axis=1)[:, None, :] + corners
@@ -362,4 +375,4 @@ def _correlations(estimate: Estimate) -> Drawing:
     axes.tick_params(length=0)
     axes.set_xticks(np.arange(count) + 0.5, labels, rotation=90, color=INK)
     axes.set_yticks(np.arange(count) + 0.5, labels, color=INK)
-    return Drawing("correlations", "Correlations of the identified values", _svg(figure))
+    return Drawing("correlations", "Correlations of the identified values", svg_text(figure))
