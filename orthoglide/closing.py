@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -10,16 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
-from orthoglide.diagnosis.ranking import (
-    Rival,
-    Round,
-    Trial,
-    budget,
-    look,
-    refit,
-    rivals,
-    try_out,
-)
+from orthoglide.diagnosis.ranking import Round
 from orthoglide.effects import BASE_FAMILIES, is_dial
 from orthoglide.effects.catalogue import MACHINE_PARAMETERS
 from orthoglide.identification import Estimate, Problem, noise_of, solve
@@ -27,79 +18,13 @@ from orthoglide.identification.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.searching import DETECTION, NAMING, Effect, Progress, Search, Tried
+
+__all__ = ["DETECTION", "LACK", "NAMING", "Effect", "Tried", "Verdict", "close_loop", "judge"]
 
 Word = Literal["adequate", "explained", "ambiguous", "partial", "unexplained"]
-Progress = Callable[[str], None]
-
-DETECTION = 0.01
-"""Family-wise probability of finding a cause where there is none, in one round."""
-
 LACK = 0.003
 """Probability of calling what is left significant, whatever its shape, where nothing is."""
-
-NAMING = 0.05
-"""Probability of naming a cause for a structureless residual of the same size."""
-
-_MOST_EFFECTS = 6
-
-
-@dataclass(frozen=True)
-class Effect:
-    """A cause that was added to the model.
-
-    Attributes:
-        trial: the model with it.
-        probability: among all candidates, the rest of the model given.
-        rivals: causes that these readings cannot tell from it.
-        detection_p: of the residual that it was found in.
-        naming_p: of its name.
-        cv_rms: of stations left out, before and after it was added, metres.
-    """
-
-    trial: Trial
-    probability: float
-    rivals: tuple[Rival, ...]
-    detection_p: float
-    naming_p: float
-    cv_rms: tuple[float, float]
-
-    @property
-    def name(self) -> str:
-        """Of the candidate."""
-        return self.trial.candidate.name
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """What was freed for it."""
-        return self.trial.candidate.parameters
-
-    @property
-    def indistinguishable_from(self) -> tuple[str, ...]:
-        """Names of its rivals."""
-        return tuple(r.trial.candidate.name for r in self.rivals)
-
-
-@dataclass(frozen=True)
-class Tried:
-    """A candidate that was identified, whether it was added or not.
-
-    Attributes:
-        name: of the candidate.
-        parameters: what was freed for it.
-        p_value: of its fall of chi2, the search not counted.
-        evidence: log Bayes factor against no effect, linearised.
-        cv_rms: of stations left out, metres.
-        plausible: whether it stays within four tolerances.
-        round: of the search, from 1; those added before are in.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    p_value: float
-    evidence: float
-    cv_rms: float
-    plausible: bool
-    round: int = 1
 
 
 @dataclass(frozen=True)
@@ -273,120 +198,24 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
     return replace(verdict, hold_out=scored, tcp=errors, judges=(holdout, tcp))
 
 
-@dataclass
-class _Search:
-    """State of the loop; its seed is advanced by every draw, so that answers are repeatable."""
-
-    problem: Problem
-    tell: Progress
-    rng: np.random.Generator
-    effects: list[Effect]
-    tried: list[Tried]
-    limit: int = 0
-
-    def added(self, but: Effect | None = None) -> list[str]:
-        return [p for e in self.effects if e is not but for p in e.parameters]
-
-
 def _search(
     problem: Problem, base: Estimate, seed: int, tell: Progress, own: tuple[str, ...]
 ) -> Verdict:
-    state = _Search(problem, tell, np.random.default_rng([seed, 1]), [], [])
-    tell("testing what is left")
-    found = look(base, 0, state.rng)
-    state.limit = budget(found.signatures)
-    fit, found, stopped = _grow(state, base)
-    _settle(state)
-    fit = refit(problem, state.added(), fit) if state.effects else base
-    found = look(fit, max(state.limit - len(state.added()), 1), state.rng)
+    search = Search(problem, tell, np.random.default_rng([seed, 1]))
+    fit, left, stopped = search.run(base)
     tell("allowing for everything else")
+    effects = tuple(search.effects)
     return Verdict(
-        _word(state.effects, found),
+        _word(effects, left),
         base,
         fit,
-        tuple(state.effects),
-        tuple(state.tried),
-        found,
+        effects,
+        tuple(search.tried),
+        left,
         stopped,
         knowledge(fit),
         own,
     )
-
-
-def _grow(state: _Search, base: Estimate) -> tuple[Estimate, Round, str]:
-    """Add effects one by one while detection, naming and stations left out all agree."""
-    fit = base
-    while True:
-        room = state.limit - len(state.added())
-        found = look(fit, max(room, 1), state.rng)
-        if found.detection.p_value >= DETECTION:
-            return fit, found, "nothing in the catalogue explains more of the residual than chance"
-        if room < 1 or len(state.effects) >= _MOST_EFFECTS:
-            return fit, found, "these readings are too few to tell a further cause"
-        trials = try_out(state.problem, state.added(), found, state.tell, least=3)
-        if not trials:
-            return fit, found, "no further cause could be identified"
-        best = trials[0]
-        naming = found.naming(best.candidate, state.rng)
-        _note(state, trials, found)
-        if naming >= NAMING:
-            return (
-                fit,
-                found,
-                (
-                    f"{best.candidate.name} explains no more of the residual than the best of the "
-                    f"catalogue would explain of a structureless one (p = {naming:.2f})"
-                ),
-            )
-        if not best.estimate.scores.cv_rms < fit.scores.cv_rms:
-            return fit, found, f"{best.candidate.name} does not predict stations left out better"
-        scores = (fit.scores.cv_rms, best.estimate.scores.cv_rms)
-        state.effects.append(Effect(best, 1.0, (), found.detection.p_value, naming, scores))
-        fit = best.estimate
-
-
-def _note(state: _Search, trials: list[Trial], found: Round) -> None:
-    names = [c.name for c in found.scoring.candidates]
-    for trial in trials:
-        place = names.index(trial.candidate.name)
-        # Wilks: the fall of chi2 of a candidate alone, not corrected for the search.
-        from scipy.special import chdtrc
-
-        state.tried.append(
-            Tried(
-                trial.candidate.name,
-                trial.candidate.parameters,
-                float(chdtrc(trial.candidate.size, max(float(found.gains[place]), 0.0))),
-                float(found.evidences[place]),
-                trial.estimate.scores.cv_rms,
-                trial.plausible,
-                1 + len(state.effects),
-            )
-        )
-
-
-def _settle(state: _Search) -> None:
-    """Weigh every effect against what could stand in its place, and exchange it if it loses."""
-    for _ in range(3):
-        changed = False
-        for k, effect in enumerate(list(state.effects)):
-            others = state.added(but=effect)
-            fit = refit(state.problem, [*others, *effect.parameters], effect.trial.estimate)
-            from orthoglide.diagnosis.ranking import log_evidence
-
-            trial = Trial(effect.trial.candidate, fit, log_evidence(fit))
-            probability, near = rivals(state.problem, others, trial, state.rng, state.tell)
-            better = [r for r in near if r.trial.evidence > trial.evidence + 0.5]
-            if better:
-                winner = max(better, key=lambda r: r.trial.evidence)
-                state.effects[k] = replace(effect, trial=winner.trial)
-                changed = True
-            else:
-                state.effects[k] = replace(
-                    effect, trial=trial, probability=probability, rivals=near
-                )
-        if not changed:
-            return
 
 
 def _word(effects: Sequence[Effect], found: Round) -> Word:

@@ -75,7 +75,7 @@ def find_blunders(
     """
     seen = signatures(estimate)
     found = stuck_faults(seen)
-    found += _of_readings(seen, found)
+    found += repeat_faults(estimate, found)
     now = seen
     for again in range(_REFITS):
         if found and (again or len(found) < most):
@@ -88,18 +88,6 @@ def find_blunders(
             break
         found.append(fault)
     return _reported(seen, found[:most])
-
-
-def _of_readings(seen: Signatures, known: Sequence[Fault]) -> list[Fault]:
-    """Faults that repeats show; a unit that makes a setup's readings large makes them noisy too."""
-    found = repeat_faults(seen.estimate, known)
-    if not found:
-        return found
-    first = fit_fault(seen, known)
-    noisy = {s for f in found for s in f.setups}
-    if first is None or first.kind != "unit" or first.size > 1 or not noisy & set(first.setups):
-        return found
-    return [first, *repeat_faults(seen.estimate, [*known, first])]
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:

@@ -15,7 +15,7 @@ import numpy as np
 
 from orthoglide.diagnosis.fault_view import View, set_free, with_effect
 from orthoglide.diagnosis.faults import UNITS, Fault, Rows, in_order
-from orthoglide.diagnosis.repeat_faults import EVIDENCE
+from orthoglide.diagnosis.repeat_faults import EVIDENCE, Within, scatter
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.significance import within_groups
 from orthoglide.errors import NumericsError
@@ -33,6 +33,7 @@ _OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
 _RELABELLED = 2  # pairs of setups that are identified anew with their labels exchanged
 _MASSIVE = 300.0  # chi2 a degree of freedom that puts the linearisation itself in doubt
+_REPEATS = 4  # degrees of freedom from which the scatter of a setup says something of its unit
 _FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
 _MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _SPOILT = 3.0  # resolutions that it must reach
@@ -110,6 +111,8 @@ def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
     for k in np.flatnonzero(evidence >= EVIDENCE):
         kind, own, rows, _, size = found[k]
         meant = kind == "exchanged_labels" or _meant(view, rows, size)
+        if kind == "unit" and not _scatters(view, own[0], size):
+            continue
         if meant and _mended(view, own, change[:, k]):
             yield Fault(kind, rows, own, size, float(evidence[k]))  # type: ignore[arg-type]
 
@@ -134,6 +137,17 @@ def _grain(problem: Problem, rows: Rows, factor: float) -> float:
     values = len(np.unique(readings)) - 1
     chance = 2 * _OFF_GRID if factor > 1 else max(factor, 2 * _OFF_GRID)
     return min(-values * float(np.log(chance)), _DIGITS)
+
+
+def _scatters(view: View, setup: int, factor: float) -> bool:
+    """Whether the setup's repeats scatter as its unit says, where it has repeats."""
+    problem = view.seen.estimate.problem
+    every = [Within.of(view.seen.estimate, s, ()) for s in range(problem.setup_count)]
+    own = every[setup]
+    if own.dof < _REPEATS:
+        return True
+    ratio = float(own.rest @ own.rest) / own.dof / scatter(problem, every)
+    return ratio <= 0.5 if factor > 1 else ratio >= 0.1 / factor**2
 
 
 def _meant(view: View, rows: Rows, factor: float) -> bool:

@@ -212,7 +212,6 @@ def rivals(
     base: Problem,
     others: Sequence[str],
     chosen: Trial,
-    rng: np.random.Generator,
     progress: Callable[[str], None],
 ) -> tuple[float, tuple[Rival, ...]]:
     """Which candidates could stand in the place of an added one, and how probable each is.
@@ -221,7 +220,6 @@ def rivals(
         base: without effects.
         others: what is added besides the one in question.
         chosen: the model with it.
-        rng: unused draws keep the sequence of the caller.
         progress: told what is being tried.
 
     Returns:

@@ -1,0 +1,237 @@
+"""The search for causes: add one at a time while detection, naming and stations left out agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orthoglide.diagnosis.ranking import (
+    Rival,
+    Round,
+    Trial,
+    attempt,
+    budget,
+    log_evidence,
+    look,
+    refit,
+    rivals,
+    try_out,
+)
+from orthoglide.identification import Estimate, Problem
+
+Progress = Callable[[str], None]
+
+DETECTION = 0.01
+"""Family-wise probability of finding a cause where there is none, in one round."""
+
+NAMING = 0.05
+"""Probability of naming a cause for a structureless residual of the same size."""
+
+_MOST_EFFECTS = 6
+_BETTER = 0.5  # log evidence by which another cause must win to take an effect's place
+_BLOCK = 3  # parameters from which a cause could be two others in disguise
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A cause that was added to the model.
+
+    Attributes:
+        trial: the model with it.
+        probability: among all candidates, the rest of the model given.
+        rivals: causes that these readings cannot tell from it.
+        detection_p: of the residual that it was found in.
+        naming_p: of its name.
+        cv_rms: of stations left out, before and after it was added, metres.
+    """
+
+    trial: Trial
+    probability: float
+    rivals: tuple[Rival, ...]
+    detection_p: float
+    naming_p: float
+    cv_rms: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """Of the candidate."""
+        return self.trial.candidate.name
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """What was freed for it."""
+        return self.trial.candidate.parameters
+
+    @property
+    def indistinguishable_from(self) -> tuple[str, ...]:
+        """Names of its rivals."""
+        return tuple(r.trial.candidate.name for r in self.rivals)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate that was identified, whether it was added or not.
+
+    Attributes:
+        name: of the candidate.
+        parameters: what was freed for it.
+        p_value: of its fall of chi2, the search not counted.
+        evidence: log Bayes factor against no effect, linearised.
+        cv_rms: of stations left out, metres.
+        plausible: whether it stays within four tolerances.
+        round: of the search, from 1; those added before are in.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    p_value: float
+    evidence: float
+    cv_rms: float
+    plausible: bool
+    round: int = 1
+
+
+@dataclass
+class Search:
+    """The loop. Its random draws are in sequence, so that answers are repeatable.
+
+    Attributes:
+        problem: without any effect.
+        tell: told what is being tried.
+        rng: of all draws.
+        effects: added so far.
+        tried: all that were identified.
+        limit: parameters that may be added in all.
+    """
+
+    problem: Problem
+    tell: Progress
+    rng: np.random.Generator
+    effects: list[Effect] = field(default_factory=list)
+    tried: list[Tried] = field(default_factory=list)
+    limit: int = 0
+
+    def added(self, but: Effect | None = None) -> list[str]:
+        """What is freed for the effects, one of them left out where asked."""
+        return [p for e in self.effects if e is not but for p in e.parameters]
+
+    def run(self, base: Estimate) -> tuple[Estimate, Round, str]:
+        """Search from the base fit.
+
+        Returns:
+            The last fit, what it leaves, and why the search ended, in a sentence.
+        """
+        self.tell("testing what is left")
+        self.limit = budget(look(base, 0, self.rng).signatures)
+        fit, stopped = base, ""
+        while not stopped:
+            fit, stopped = self._step(fit)
+        self._settle()
+        fit = refit(self.problem, self.added(), fit) if self.effects else base
+        return fit, look(fit, max(self.limit - len(self.added()), 1), self.rng), stopped
+
+    def _step(self, fit: Estimate) -> tuple[Estimate, str]:
+        """Add one more cause, or say why not."""
+        room = self.limit - len(self.added())
+        found = look(fit, max(room, 1), self.rng)
+        if found.detection.p_value >= DETECTION:
+            return fit, "nothing in the catalogue explains more of the residual than chance"
+        if room < 1 or len(self.effects) >= _MOST_EFFECTS:
+            return fit, "these readings are too few to tell a further cause"
+        trials = try_out(self.problem, self.added(), found, self.tell, least=3)
+        if not trials:
+            return fit, "no further cause could be identified"
+        best = self._unmasked(trials, found, room)
+        self._note(trials, found)
+        naming = found.naming(best.candidate, self.rng)
+        name = best.candidate.name
+        if naming >= NAMING:
+            return fit, (
+                f"{name} explains no more of the residual than the best of the catalogue would "
+                f"explain of a structureless one (p = {naming:.2f})"
+            )
+        if not best.estimate.scores.cv_rms < fit.scores.cv_rms:
+            return fit, f"{name} does not predict stations left out better"
+        scores = (fit.scores.cv_rms, best.estimate.scores.cv_rms)
+        self.effects.append(Effect(best, 1.0, (), found.detection.p_value, naming, scores))
+        return best.estimate, ""
+
+    def _unmasked(self, trials: list[Trial], found: Round, room: int) -> Trial:
+        """The best cause; but a family whole, only if no two small causes do better.
+
+        One step at a time, a family of many parameters beats each of two causes that act together.
+        """
+        best = trials[0]
+        if best.candidate.size < _BLOCK:
+            return best
+        small = [
+            k
+            for k in np.argsort(-found.evidences, kind="stable")
+            if found.scoring.candidates[k].size < _BLOCK
+        ]
+        for k in small[:2]:
+            candidate = found.scoring.candidates[k]
+            first = attempt(self.problem, self.added(), candidate, found.estimate)
+            if first is None or candidate.size >= room:
+                continue
+            second = self._second(first, room - candidate.size)
+            if second is not None and second.evidence > best.evidence:
+                trials.insert(0, first)
+                return first
+        return best
+
+    def _second(self, first: Trial, room: int) -> Trial | None:
+        added = [*self.added(), *first.candidate.parameters]
+        self.tell(f"trying {first.candidate.name} with a second cause")
+        found = look(first.estimate, min(room, _BLOCK - 1), self.rng)
+        trials = try_out(self.problem, added, found, self.tell)
+        return trials[0] if trials else None
+
+    def _note(self, trials: list[Trial], found: Round) -> None:
+        from scipy.special import chdtrc
+
+        names = [c.name for c in found.scoring.candidates]
+        for trial in trials:
+            place = names.index(trial.candidate.name)
+            # Wilks: the fall of chi2 of a candidate alone, not corrected for the search.
+            p_value = chdtrc(trial.candidate.size, max(float(found.gains[place]), 0.0))
+            self.tried.append(
+                Tried(
+                    trial.candidate.name,
+                    trial.candidate.parameters,
+                    float(p_value),
+                    float(found.evidences[place]),
+                    trial.estimate.scores.cv_rms,
+                    trial.plausible,
+                    1 + len(self.effects),
+                )
+            )
+
+    def _settle(self) -> None:
+        """Weigh every effect against what could stand in its place; exchange it if it loses."""
+        for _ in range(3):
+            changed = [self._weigh(k) for k in range(len(self.effects))]
+            if not any(changed):
+                return
+
+    def _weigh(self, k: int) -> bool:
+        effect = self.effects[k]
+        others = self.added(but=effect)
+        fit = refit(self.problem, [*others, *effect.parameters], effect.trial.estimate)
+        trial = Trial(effect.trial.candidate, fit, log_evidence(fit))
+        probability, near = rivals(self.problem, others, trial, self.tell)
+        # A rival that needs another bar than the one taken for touched is none to exchange for.
+        better = [
+            r.trial
+            for r in near
+            if r.trial.evidence > trial.evidence + _BETTER
+            and r.trial.estimate.problem.campaigns == self.problem.campaigns
+        ]
+        if better:
+            winner = max(better, key=lambda t: t.evidence)
+            self.effects[k] = replace(effect, trial=winner)
+            return True
+        self.effects[k] = replace(effect, trial=trial, probability=probability, rivals=near)
+        return False
