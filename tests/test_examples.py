@@ -24,8 +24,8 @@ EXAMPLES = ROOT / "examples"
 def examples_on_the_path(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     yield
-    for name in ("kinematics", "published_tables", "identify_your_csv", "misprints"):
-        sys.modules.pop(name, None)
+    for path in EXAMPLES.glob("*.py"):
+        sys.modules.pop(path.stem, None)
 
 
 def load(name: str) -> ModuleType:
@@ -151,3 +151,15 @@ def test_your_own_csv_with_a_fault_is_one_sentence(tmp_path: Path) -> None:
     done = run("identify_your_csv.py", tmp_path, "absent.csv")
     assert done.returncode == 1
     assert done.stderr.strip() == "absent.csv: there is no such file: check the name"
+
+
+def test_the_page_of_the_published_experiments_is_not_stale() -> None:
+    import re
+
+    number = re.compile(r"[+-]?\d+\.\d+(?:e[+-]?\d+)?")
+    page = (ROOT / "docs" / "published-experiments.md").read_text(encoding="utf-8")
+    printed = "\n".join(load("published_experiments").markdown()) + "\n"
+    assert number.sub("#", printed) == number.sub("#", page)
+    # Last digits may differ with the linear algebra of the platform.
+    fresh, kept = (np.array(number.findall(text), dtype=float) for text in (printed, page))
+    np.testing.assert_allclose(fresh, kept, rtol=0.02, atol=0.006)

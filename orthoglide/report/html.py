@@ -14,7 +14,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures import Drawing
 from orthoglide.report.numbers import compact, plain
-from orthoglide.report.rows import controller_rows, parameter_rows, score_rows
+from orthoglide.report.rows import Calibrated, controller_rows, parameter_rows, score_rows
 from orthoglide.report.run import Run
 from orthoglide.report.wording import explained_by, headline, listed, sentence, weak_sentences
 
@@ -76,12 +76,12 @@ def identification_page(estimate: Estimate, run: Run, drawings: Sequence[Drawing
     figures = {d.name: d for d in drawings}
     sections = [
         Section("verdict", "", _verdict(estimate)),
-        Section("controller", "Numbers for the controller", _controller(estimate)),
+        Section("controller", "Numbers for the controller", controller_data(estimate)),
         Section("parameters", "What was identified", _parameters(estimate, figures)),
         Section("fit", "Before and after", _fit(estimate, figures)),
-        Section("readings", "Readings and fit, setup by setup", _readings(figures)),
+        Section("readings", "Readings and fit, setup by setup", readings_data(figures)),
         Section("weak", "What these readings cannot tell", _weak(estimate, figures)),
-        Section("method", "How this was computed", _method(estimate, run)),
+        Section("method", "How this was computed", method_data(estimate, run)),
     ]
     kept = [s for s in sections if s.template != "controller" or s.data["rows"]]
     campaigns = estimate.problem.campaigns
@@ -111,7 +111,8 @@ def _verdict(estimate: Estimate) -> Data:
     }
 
 
-def _controller(estimate: Estimate) -> Data:
+def controller_data(estimate: Calibrated) -> Data:
+    """Numbers for the controller, for their section."""
     spec = estimate.machine.spec
     rows = controller_rows(estimate)
     others = any(v for n, v in estimate.machine.values.items() if "joint_offset." not in n)
@@ -123,7 +124,7 @@ def _controller(estimate: Estimate) -> Data:
     }
 
 
-def _effect_of_others(estimate: Estimate) -> str:
+def _effect_of_others(estimate: Calibrated) -> str:
     """How far the TCP is off, at Zero and the ends, where only the offsets are told: in mm."""
     import numpy as np
 
@@ -154,7 +155,8 @@ def _fit(estimate: Estimate, figures: Mapping[str, Drawing]) -> Data:
     return {"rows": score_rows(estimate), "figure": whole(figures["residuals"])}
 
 
-def _readings(figures: Mapping[str, Drawing]) -> Data:
+def readings_data(figures: Mapping[str, Drawing]) -> Data:
+    """Readings and fit, for their section."""
     return {"panels": panels(figures["readings"])}
 
 
@@ -178,7 +180,8 @@ _SOURCES = {
 }
 
 
-def _method(estimate: Estimate, run: Run) -> Data:
+def method_data(estimate: Estimate, run: Run) -> Data:
+    """How a fit was computed, for its section."""
     check, problem = estimate.check, estimate.problem
     return {
         "run": run,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS
@@ -11,6 +11,7 @@ from orthoglide.report.numbers import compact, decimals_for, plain, probability,
 
 if TYPE_CHECKING:
     from orthoglide.identification import Estimate
+    from orthoglide.machine import Machine
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,15 @@ class ControllerRow:
     example_command: str
 
 
-def controller_rows(estimate: Estimate) -> list[ControllerRow]:
+class Calibrated(Protocol):
+    """Anything with a calibrated machine: an estimate, a verdict."""
+
+    @property
+    def machine(self) -> Machine:
+        """The machine as it was found."""
+
+
+def controller_rows(estimate: Calibrated) -> list[ControllerRow]:
     """Numbers for the controller, from rho = L + sign (travel - zero) and rho true = rho + offset.
 
     So the carriage stands right if ``sign x offset`` is added to what the controller shows, or is

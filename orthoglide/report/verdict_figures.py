@@ -33,6 +33,7 @@ from orthoglide.report.numbers import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
 
     from orthoglide.report.verdict_view import Explained, View
 
@@ -178,11 +179,10 @@ def _signatures(explained: Explained, place: int) -> Drawing:
     for k, pattern in enumerate(patterns):
         left, top = (k % across) * width, (k // across) * height + strip
         axes = place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
-        _draw_pattern(axes, pattern)
+        handles = _draw_pattern(axes, pattern)
         axes.set_ylim(-reach, reach)
         few_ticks(axes)
         places.append((left * POINTS, top * POINTS, width * POINTS, height * POINTS))
-    handles = axes.get_lines()[: len(explained.fits[:_MOST_CURVES])]
     names = [name for name, _ in explained.fits[:_MOST_CURVES]]
     figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
                   borderaxespad=0.2, handlelength=2.2)  # fmt: skip
@@ -190,17 +190,17 @@ def _signatures(explained: Explained, place: int) -> Drawing:
     return Drawing(f"signatures-{place}", title, svg_text(figure), tuple(places))
 
 
-def _draw_pattern(axes: Axes, pattern: _Pattern) -> None:
+def _draw_pattern(axes: Axes, pattern: _Pattern) -> list[Line2D]:
+    """One panel; returns a handle for each cause."""
     sides = [s for s in (1.0, -1.0) if np.any(pattern.side == s)]
+    handles = []
     for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
-        for k, side in enumerate(sides or [0.0]):
+        for side in sides or [0.0]:
             own = np.flatnonzero(pattern.side == side) if sides else np.arange(len(pattern.x))
             order = own[np.lexsort([curve[own], pattern.x[own]])]
             (line,) = axes.plot(pattern.x[order], curve[order], color=colour, linestyle=dash,
                                 linewidth=width, alpha=alpha)  # fmt: skip
-            if k:  # one handle a cause, first in the list
-                line.remove()
-                axes.add_line(line)
+        handles.append(line)
     marks = {1.0: "^", -1.0: "v"} if len(sides) > 1 else {}
     axes.vlines(pattern.x, pattern.left - pattern.noise, pattern.left + pattern.noise,
                 color=DATA, linewidth=0.8)  # fmt: skip
@@ -214,6 +214,7 @@ def _draw_pattern(axes: Axes, pattern: _Pattern) -> None:
     axes.set_ylabel("mm")
     axes.yaxis.set_label_coords(LABEL, 0.5)
     axes.margins(x=0.05)
+    return handles
 
 
 # --- The TCP over the workspace -------------------------------------------------------------

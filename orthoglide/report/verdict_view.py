@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from orthoglide.design import Suggestion
     from orthoglide.identification import Estimate
 
+_FEEDS = 3
 _PROPOSED = 12
 """Readings that are proposed for each purpose."""
 
@@ -173,3 +174,37 @@ class View:
         """Of the fits, each once."""
         both = (*self.verdict.base.warnings, *self.verdict.fit.warnings)
         return tuple(dict.fromkeys(w for w in both if not w.startswith("the residuals are")))
+
+    @property
+    def unexcited(self) -> tuple[str, ...]:
+        """Families whose conditions the campaigns do not vary at all."""
+        from orthoglide.diagnosis.candidates import excited_families
+        from orthoglide.effects import BASE_FAMILIES, CATALOGUE
+
+        excited = excited_families(self.verdict.fit.problem)
+        return tuple(f for f in CATALOGUE if f not in excited and f not in BASE_FAMILIES)
+
+    @cached_property
+    def uncertain_families(self) -> tuple[tuple[str, float], ...]:
+        """Families that make most of the variance of the TCP, each with its share of their sum."""
+        from orthoglide.effects import family_of, is_dial
+        from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+        from orthoglide.prediction import Conditions
+
+        known, where = self.verdict.known, self.verdict.map.commands
+        model = self.verdict.fit.problem.machine.model
+        _, by_theta = model.sensitivities(
+            self.verdict.values, Conditions.at(where), MACHINE_PARAMETERS
+        )
+        slope = by_theta[:, :3] @ known.weights
+        slope = slope - slope.mean(axis=0)
+        shares: dict[str, float] = {}
+        families = [family_of(n).name for n in known.names]
+        for family in dict.fromkeys(f for f in families if not is_dial(f)):
+            own = np.array([f == family for f in families])
+            part = slope[:, :, own]
+            block = known.covariance[np.ix_(own, own)]
+            shares[family] = float(np.einsum("gie,ef,gif->", part, block, part))
+        total = sum(shares.values())
+        ranked = sorted(shares.items(), key=lambda item: -item[1])[:_FEEDS]
+        return tuple((f, s / total) for f, s in ranked if total > 0)
