@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.options import Names, fit_options, load_machine, out_option, run_options
+from orthoglide.cli.from_tcp import FRAMES, run_fit_tcp
+from orthoglide.cli.options import PATH, Names, fit_options, load_machine, out_option, run_options
 from orthoglide.cli.progress import progress
 from orthoglide.cli.run import stop_if_asked
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
     from orthoglide.identification import Estimate
+    from orthoglide.identification.from_tcp import Frame
     from orthoglide.report import Run
 
 
@@ -72,7 +74,7 @@ class Asked:
 
 
 @click.command()
-@click.argument("campaigns", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("campaigns", nargs=-1, type=click.Path(path_type=Path))
 @out_option()
 @click.option(
     "--free",
@@ -84,6 +86,14 @@ class Asked:
 @click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
 @fit_options
 @click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
+@click.option("--fit-tcp", type=PATH, metavar="FILE", help="Identify from TCP points instead.")
+@click.option(
+    "--frame",
+    type=click.Choice(FRAMES),
+    default=FRAMES[0],
+    show_default=True,
+    help="How the instrument of --fit-tcp may stand to the machine.",
+)
 @run_options
 def identify(
     campaigns: tuple[Path, ...],
@@ -94,11 +104,30 @@ def identify(
     machine_path: Path | None,
     noise_mm: float | None,
     reduced: bool,
+    fit_tcp: Path | None,
+    frame: Frame,
     seed: int,
     quiet: bool,
     as_json: bool,
 ) -> None:
     """Identify joint offsets and leg lengths (or more) from campaigns of dial readings."""
+    if fit_tcp is not None:
+        if campaigns or own or reduced:
+            raise click.UsageError("--fit-tcp takes no campaigns, no --own and no --reduced")
+        run_fit_tcp(
+            fit_tcp,
+            out,
+            free,
+            machine_path,
+            frame=frame,
+            priors=not no_priors,
+            noise_mm=noise_mm,
+            quiet=quiet,
+            as_json=as_json,
+        )
+        return
+    if not campaigns:
+        raise click.UsageError("name at least one campaign, or TCP points with --fit-tcp")
     asked = Asked(free, not no_priors, own, machine_path, reduced, noise_mm, seed)
     run_identify(campaigns, out, asked, quiet=quiet, as_json=as_json)
 

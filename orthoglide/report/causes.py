@@ -40,6 +40,11 @@ def mrad(value: float) -> str:
     return f"{compact(abs(value) * 1e3, 2)} mrad"
 
 
+def slope(value: float) -> str:
+    """A slope, SI, as a mechanic measures it: ``2.5 mrad (0.25 mm over 100 mm)``."""
+    return f"{mrad(value)} ({compact(abs(value) * 100, 2)} mm over 100 mm)"
+
+
 def percent(value: float) -> str:
     """A ratio as ``0.3 %``."""
     return f"{compact(abs(value) * 100, 2)} %"
@@ -78,19 +83,19 @@ FAMILIES: Mapping[str, Words] = {
     ),
     "axis_tilt": Words(
         lambda leg, j, v: (
-            f"the path of the {leg} carriage is out of square toward {_toward(j, v)} by {mrad(v)}"
+            f"the path of the {leg} carriage is out of square toward {_toward(j, v)} by {slope(v)}"
         ),
         lambda leg, j: f"the path of the {leg} carriage is out of square toward {j}",
         "the paths of the carriages are out of square",
-        mrad,
+        slope,
     ),
     "rail_tilt": Words(
         lambda leg, j, v: (
-            f"the {leg} rail leans toward {_toward(j, v)} by {mrad(v)} and its carriage with it"
+            f"the {leg} rail leans toward {_toward(j, v)} by {slope(v)} and its carriage with it"
         ),
         lambda leg, j: f"the {leg} rail leans toward {j} and its carriage with it",
         "the rails lean and their carriages with them",
-        mrad,
+        slope,
     ),
     "rail_bow": Words(
         lambda leg, j, v: (

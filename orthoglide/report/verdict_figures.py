@@ -80,10 +80,10 @@ def _causes(view: View) -> Drawing:
             rows.append((place, name, p, colour))
             place += 1
         place += 0.6
-    height = 0.5 + 0.24 * place
+    height = 0.34 + 0.24 * place
     figure = new_figure(SINGLE, height)
     margin = min(0.2 + 0.062 * max(len(r[1]) for r in rows), 1.9)
-    axes = place_axes(figure, margin, 0.06, SINGLE - margin - 0.45, height - 0.42)
+    axes = place_axes(figure, margin, 0.06, SINGLE - margin - 0.45, height - 0.3)
     axes.barh([r[0] for r in rows], [r[2] for r in rows], height=0.62, color=[r[3] for r in rows])
     for at, _, p, _ in rows:
         axes.text(p + 0.015, at, f"{p:.2f}", va="center", fontsize=7.5, color=INK)
@@ -92,9 +92,6 @@ def _causes(view: View) -> Drawing:
     axes.set_yticks([r[0] for r in rows], [r[1] for r in rows], color=INK)
     axes.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "0.25", "0.5", "0.75", "1"])
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("probability among all causes known, the rest of the model given", labelpad=2)
-    axes.xaxis.label.set_size(7)
-    axes.xaxis.set_label_coords(0.5 - margin / 2 / SINGLE, -0.28 / (height - 0.42))
     return Drawing("causes", "Causes by probability", svg_text(figure))
 
 
@@ -122,6 +119,14 @@ class _Pattern:
     left: Array
     noise: Array
     curves: tuple[Array, ...]
+
+    @property
+    def sides(self) -> list[float]:
+        """Sides that must be told apart: those from which a place is reached, if from both."""
+        places = [
+            set(np.round(self.x[self.side == side], 3).tolist()) for side in (1.0, -1.0)
+        ]
+        return [1.0, -1.0] if places[0] & places[1] else []
 
 
 def _patterns(explained: Explained) -> list[_Pattern]:
@@ -192,7 +197,7 @@ def _signatures(explained: Explained, place: int) -> Drawing:
 
 def _draw_pattern(axes: Axes, pattern: _Pattern) -> list[Line2D]:
     """One panel; returns a handle for each cause."""
-    sides = [s for s in (1.0, -1.0) if np.any(pattern.side == s)]
+    sides = pattern.sides
     handles = []
     for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
         for side in sides or [0.0]:
@@ -231,7 +236,7 @@ def _workspace(view: View) -> Drawing:
         ("with offsets and lengths set", space.before, DATA),
         ("95 % radius afterwards", space.sure, FIT),
     )
-    top_of_scale = max(float(values.max()) for _, values, _ in rows)
+    scale = {c: max(float(v.max()) for _, v, own in rows if own == c) for c in (DATA, FIT)}
     width, height = PANEL[0], 2.5
     figure = new_figure(3 * width, 3 * height)
     places = []
@@ -241,7 +246,7 @@ def _workspace(view: View) -> Drawing:
             axes = place_axes(
                 figure, j * width + 0.5, i * height + 0.32, width - 0.6, height - 0.78
             )
-            _draw_cells(axes, travel[own], values[own] * 1e3, colour, top_of_scale * 1e3)
+            _draw_cells(axes, travel[own], values[own] * 1e3, colour, scale[colour] * 1e3)
             axes.set_title(f"{what}, z {signed(level, 0)} mm")
             places.append(
                 (j * width * POINTS, i * height * POINTS, width * POINTS, height * POINTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -264,6 +265,8 @@ def _causes(view: View, figures: Mapping[str, Drawing]) -> Data:
 
 
 def _apart(view: View, figures: Mapping[str, Drawing]) -> Data:
+    from orthoglide.diagnosis.ranking import CLASS_WIDTH, lack_scale
+
     bars = any(s.bar for c in view.verdict.fit.problem.campaigns for s in c.setups)
     effects = [
         {
@@ -272,6 +275,8 @@ def _apart(view: View, figures: Mapping[str, Drawing]) -> Data:
             "key": [name for name, _ in e.fits[:4]],
             "more": max(len(e.fits) - 4, 0),
             "rivals": [_rival(e, r) for r in e.effect.rivals],
+            "limit": compact(CLASS_WIDTH * lack_scale(e.effect.trial.estimate) ** 2, 2),
+            "scaled": lack_scale(e.effect.trial.estimate) > 1,
         }
         for k, e in enumerate(view.effects, start=1)
     ]
@@ -299,13 +304,20 @@ def _left(view: View) -> Data:
 # --- What to measure next -------------------------------------------------------------------
 
 
+_AIMS = {
+    "separate": "To tell the causes apart",
+    "narrow": "To narrow what is hardly seen",
+    "none": "Where no reading helps",
+}
+_MINUS = re.compile(r"(?<=\s)-(?=\d)")
 _COLUMNS = ("setup", "leg", "direction", "posture", "gauge_mm", "bar")
 
 
 def _next(view: View, sheet: str) -> Data:
     suggestions = [
         {
-            "reason": sentence(s.reason),
+            "aim": _AIMS[s.aim],
+            "reason": sentence(_MINUS.sub("−", s.reason)),
             "rows": [_station(row) for row in _once(s.rows)],
             "bar": any(row.get("bar") for row in s.rows),
             "approach": any("approach_x" in row for row in s.rows),

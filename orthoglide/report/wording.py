@@ -167,7 +167,7 @@ def sentence(text: str) -> str:
     """With a capital and a full stop; a parameter's name keeps its small letter."""
     first = text.partition(" ")[0]
     capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
-    return f"{capital}."
+    return capital if capital.endswith("?") else f"{capital}."
 
 
 def listed(parts: Iterable[str]) -> str:
