@@ -26,6 +26,9 @@ Word = Literal["adequate", "explained", "ambiguous", "partial", "unexplained"]
 LACK = 0.003
 """Probability of calling what is left significant, whatever its shape, where nothing is."""
 
+LACK_AFTER = 0.01
+"""The same once a cause is named, against noise alone."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -219,9 +222,12 @@ def _search(
 
 
 def _word(effects: Sequence[Effect], found: Round) -> Word:
-    left = found.detection.p_value < DETECTION or found.detection.lack_of_fit_p < LACK
+    test = found.detection
     if not effects:
+        left = test.p_value < DETECTION or test.lack_of_fit_p < LACK
         return "unexplained" if left else "adequate"
-    if left:
+    # To call a machine explained takes more than to leave one alone: what the named cause does not
+    # explain counts against noise alone.
+    if test.p_value < DETECTION or test.bare_lack_of_fit_p < LACK_AFTER:
         return "partial"
     return "ambiguous" if any(e.rivals for e in effects) else "explained"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from orthoglide.diagnosis.evidence import best_pair
 from orthoglide.diagnosis.ranking import (
     Rival,
     Round,
@@ -31,7 +32,7 @@ NAMING = 0.05
 
 _MOST_EFFECTS = 6
 _BETTER = 0.5  # log evidence by which another cause must win to take an effect's place
-_BLOCK = 3  # parameters from which a cause could be two others in disguise
+_PAIRS = 6.0  # log evidence by which two causes must win over one: there are many pairs
 
 
 @dataclass(frozen=True)
@@ -159,35 +160,28 @@ class Search:
         return best.estimate, ""
 
     def _unmasked(self, trials: list[Trial], found: Round, room: int) -> Trial:
-        """The best cause; but a family whole, only if no two small causes do better.
+        """The best cause, unless two small ones together do better without it.
 
-        One step at a time, a family of many parameters beats each of two causes that act together.
+        Taken one at a time, a cause between two that act together, or a family whole, beats each.
         """
         best = trials[0]
-        if best.candidate.size < _BLOCK:
+        names = [c.name for c in found.scoring.candidates]
+        pair = best_pair(found.scoring, found.signatures) if room > 1 else None
+        if pair is None or best.candidate.name in (names[k] for k in pair.members):
             return best
-        small = [
-            k
-            for k in np.argsort(-found.evidences, kind="stable")
-            if found.scoring.candidates[k].size < _BLOCK
-        ]
-        for k in small[:2]:
-            candidate = found.scoring.candidates[k]
-            first = attempt(self.problem, self.added(), candidate, found.estimate)
-            if first is None or candidate.size >= room:
-                continue
-            second = self._second(first, room - candidate.size)
-            if second is not None and second.evidence > best.evidence:
-                trials.insert(0, first)
-                return first
-        return best
-
-    def _second(self, first: Trial, room: int) -> Trial | None:
-        added = [*self.added(), *first.candidate.parameters]
-        self.tell(f"trying {first.candidate.name} with a second cause")
-        found = look(first.estimate, min(room, _BLOCK - 1), self.rng)
-        trials = try_out(self.problem, added, found, self.tell)
-        return trials[0] if trials else None
+        if pair.evidence < found.evidences[names.index(best.candidate.name)] + _PAIRS:
+            return best
+        self.tell("trying two causes at once")
+        first, second = sorted(pair.members, key=lambda k: -found.evidences[k])
+        one, other = (found.scoring.candidates[k] for k in (first, second))
+        trial = attempt(self.problem, self.added(), one, found.estimate)
+        if trial is None:
+            return best
+        both = attempt(self.problem, [*self.added(), *one.parameters], other, trial.estimate)
+        if both is None or both.evidence < best.evidence + _PAIRS:
+            return best
+        trials.insert(0, trial)
+        return trial
 
     def _note(self, trials: list[Trial], found: Round) -> None:
         from scipy.special import chdtrc

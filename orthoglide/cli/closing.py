@@ -181,9 +181,8 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     with ExitStack() as stack:
         paths = [stack.enter_context(as_file(data / n)) for n in (DEMO_CAMPAIGN, DEMO_HELD_OUT)]
         asked = Asked((paths[0],), holdout=paths[1], own=("joint_offset",), seed=seed)
-        again = "orthoglide demo --out DIR" + (f" --seed {seed}" if seed else "")
         folder = out or _next_free(DEMO_FOLDER)
-        run_close_loop(asked, folder, command="demo", again=again, quiet=quiet, as_json=as_json)
+        run_close_loop(asked, folder, command="demo", again=demo_line(seed), quiet=quiet, as_json=as_json)
 
 
 COMMANDS = (demo, close_loop, diagnose)
@@ -238,6 +237,11 @@ def run_close_loop(
         click.echo(verdict_summary(view, ranked))
         if out is not None:
             click.echo(f"\nReport: {click.format_filename(out / 'report.html')}")
+
+
+def demo_line(seed: int) -> str:
+    """How to run the demo again."""
+    return "orthoglide demo --out DIR" + (f" --seed {seed}" if seed else "")
 
 
 def _next_free(name: str) -> Path:

@@ -66,3 +66,47 @@ def _decomposed(signature: Array) -> tuple[Array, Array, float]:
     kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
     square = singular[kept] ** 2
     return left[:, kept], square / (square + 1), float(np.sum(np.log1p(square)))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two causes that act together.
+
+    Attributes:
+        members: places of the candidates.
+        evidence: log Bayes factor of both against none, linearised.
+    """
+
+    members: tuple[int, int]
+    evidence: float
+
+
+def best_pair(scoring: Scoring, signatures: Signatures) -> Pair | None:
+    """The two candidates of one parameter each that explain a residual best together.
+
+    Args:
+        scoring: of the candidates in the running.
+        signatures: of these, with the residual.
+
+    Returns:
+        The pair, or ``None`` where there are fewer than two such candidates.
+    """
+    single = [k for k, c in enumerate(scoring.candidates) if c.size == 1]
+    if len(single) < 2:
+        return None
+    columns = np.hstack([signatures.of(scoring.candidates[k]) for k in single])
+    gram = columns.T @ columns
+    along = columns.T @ signatures.residual
+    own = np.diag(gram) + 1
+    # (S^T S + 1)^-1 of two columns, written out for all pairs at once.
+    first, second = np.triu_indices(len(single), 1)
+    cross = gram[first, second]
+    determinant = own[first] * own[second] - cross**2
+    gain = (
+        own[second] * along[first] ** 2
+        - 2 * cross * along[first] * along[second]
+        + own[first] * along[second] ** 2
+    ) / determinant
+    evidence = (gain - np.log(determinant)) / 2
+    best = int(np.argmax(evidence))
+    return Pair((single[first[best]], single[second[best]]), float(evidence[best]))

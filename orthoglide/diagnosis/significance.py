@@ -36,31 +36,56 @@ class Detection:
 
     Attributes:
         p_value: of the best evidence in the catalogue, family-wise.
-        lack_of_fit_p: of the residual's chi2 against the same noise, whatever its shape.
+        lack_of_fit_p: of what is left, whatever its shape: the smaller of two tests, doubled; of
+            all readings, and of the station means, which see a systematic error better.
+        bare_lack_of_fit_p: the same against noise alone, without a little of everything.
         threshold: evidence that noise alone exceeds once in twenty.
     """
 
     p_value: float
     lack_of_fit_p: float
+    bare_lack_of_fit_p: float
     threshold: float
 
 
-def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
-    """Whitened, projected residuals ``(m, draws)`` of a machine that the fit describes.
+@dataclass(frozen=True)
+class Draws:
+    """Residuals of a machine that the fit describes, many times.
 
-    Not to the last nanometre: every draw has a little of everything else, ``BACKGROUND`` of its
-    tolerance, so that readings precise enough to show it do not make it a cause.
+    Attributes:
+        rows: whitened, projected residuals ``(m, draws)`` of noise alone.
+        little: what a little of everything else adds ``(m, draws)``.
+        within: whitened sum of squares about the station means ``(draws,)``.
+    """
+
+    rows: Array
+    little: Array
+    within: Array
+
+
+def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) -> Draws:
+    """Draw noise with its rounding, placements and estimate, and a little of everything else.
+
+    No machine is described to the last nanometre: ``BACKGROUND`` of its tolerance of every other
+    effect is not a cause, even where readings are precise enough to show it.
     """
     problem = signatures.estimate.problem
     readings = _noise(problem, signatures, rng, draws)
-    little = rng.standard_normal((len(signatures.names), draws))
-    little *= BACKGROUND * signatures.tolerance[:, None]
-    rows = signatures.whiten(readings) + signatures.columns @ little
+    rows, within = signatures.whiten(readings), about_means(signatures, readings)
     if problem.noise.source == "repeats":
         variance = np.array([repeat_variance(_with_noise(problem, r))[0] for r in readings.T])
         floor = problem.machine.spec.dial.resolution**2 / 12
-        rows = rows * (problem.noise.typical / np.sqrt(np.maximum(variance, floor)))
-    return np.asarray(rows)
+        factor = problem.noise.typical / np.sqrt(np.maximum(variance, floor))
+        rows, within = rows * factor, within * factor**2
+    little = rng.standard_normal((len(signatures.names), draws))
+    little *= BACKGROUND * signatures.tolerance[:, None]
+    return Draws(rows, signatures.columns @ little, within)
+
+
+def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
+    """Whitened, projected residuals ``(m, draws)`` of a machine with nothing wrong."""
+    drawn = noise_draws(signatures, rng, draws)
+    return drawn.rows + drawn.little
 
 
 def _with_noise(problem: Problem, readings: Array) -> tuple:  # type: ignore[type-arg]
@@ -100,13 +125,24 @@ def detect(
         rng: of the bootstrap.
         draws: of the bootstrap.
     """
-    noise = noise_residuals(signatures, rng, draws)
-    # Parameters with priors are drawn with the machine: their share of noise alone is part of chi2.
-    best = scoring.evidences(noise).max(axis=0) if scoring.candidates else np.zeros(draws)
+    drawn = noise_draws(signatures, rng, draws)
+    all_told = drawn.rows + drawn.little
+    best = scoring.evidences(all_told).max(axis=0) if scoring.candidates else np.zeros(draws)
     seen = float(scoring.evidences(signatures.residual).max()) if scoring.candidates else -np.inf
-    chi2 = np.sum(noise**2, axis=0)
+    return Detection(
+        _p_value(best, seen),
+        _lack_of_fit(signatures, all_told, drawn.within),
+        _lack_of_fit(signatures, drawn.rows, drawn.within),
+        float(np.quantile(best, 0.95)),
+    )
+
+
+def _lack_of_fit(signatures: Signatures, rows: Array, within: Array) -> float:
     left = float(signatures.residual @ signatures.residual)
-    return Detection(_p_value(best, seen), _p_value(chi2, left), float(np.quantile(best, 0.95)))
+    chi2 = np.sum(rows**2, axis=0)
+    whole = _p_value(chi2, left)
+    means = _p_value(chi2 - within, left - within_groups(signatures))
+    return min(1.0, 2 * min(whole, means))
 
 
 def name_p_value(
@@ -146,11 +182,19 @@ def name_p_value(
 
 def within_groups(signatures: Signatures) -> float:
     """Whitened sum of squares of readings about their station's mean: no cause of the machine."""
-    problem, groups = signatures.estimate.problem, signatures.groups
-    rest = problem.measured - signatures.estimate.at.value
-    weight = signatures.weight**2
-    mean = np.bincount(groups, rest * weight) / np.bincount(groups, weight)
-    return float(np.sum((rest - mean[groups]) ** 2 * weight))
+    rest = signatures.estimate.problem.measured - signatures.estimate.at.value
+    return float(about_means(signatures, rest[:, None])[0])
+
+
+def about_means(signatures: Signatures, readings: Array) -> Array:
+    """Whitened sum of squares ``(k,)`` of readings ``(n, k)`` about their station means."""
+    groups, weight = signatures.groups, signatures.weight[:, None] ** 2
+    order = np.argsort(groups, kind="stable")
+    starts = np.flatnonzero(np.diff(groups[order], prepend=-1))
+    total = np.add.reduceat((readings * weight)[order], starts, axis=0)
+    share = np.add.reduceat(weight[order], starts, axis=0)
+    square = np.sum(readings**2 * weight, axis=0)
+    return np.asarray(square - np.sum(total**2 / share, axis=0))
 
 
 def station_degrees(signatures: Signatures) -> float:

@@ -197,12 +197,6 @@ FAMILIES: Mapping[str, Words] = {
 }
 """How to speak of every family of the catalogue."""
 
-_PATTERNS = {
-    "cyclic": "each toward the next axis by {size} (x toward {y}, y toward {z}, z toward {x}) and "
-    "as far away from the one before",
-    "common": "all alike",
-}
-
 
 def cause(name: str, values: Mapping[str, float]) -> str:
     """What is wrong, as a clause.
@@ -225,8 +219,14 @@ def cause(name: str, values: Mapping[str, float]) -> str:
     return f"{words.many}, from {sizes[0]} to {sizes[1]}{where}" if own else words.many + where
 
 
-def short(name: str) -> str:
-    """The same without its size."""
+def short(name: str, like: str = "") -> str:
+    """The same without its size.
+
+    Args:
+        name: of a candidate.
+        like: another that was named before: where both follow the same pattern, the pattern is
+            not said again.
+    """
     plain, at, stem = name.partition("@")
     where = f" ({stem})" if at else ""
     words = FAMILIES[family_of(name).name]
@@ -234,12 +234,20 @@ def short(name: str) -> str:
         return words.short(plain.partition(".")[2], "") + where
     if _single(plain):
         return words.short(*_parts(plain)) + where
-    member = plain.partition(".")[2].split(".")
-    if member[0] in ("xy", "yz", "zx"):
-        one, other = member[0]
-        return f"{words.many} ({one} and {other}, {member[1]}){where}"
-    pattern = f" ({member[-1]})" if member[0] else ""
-    return f"{words.many}{pattern}{where}"
+    member = plain.partition(".")[2]
+    if member and member == like.partition("@")[0].partition(".")[2]:
+        return f"{words.many} in the same way{where}"
+    return f"{words.many}{_short_pattern(member)}{where}"
+
+
+def _short_pattern(member: str) -> str:
+    first, _, rest = member.partition(".")
+    if first in ("xy", "yz", "zx"):
+        alike = "alike" if rest == "symmetric" else "opposite ways"
+        return f" (x and y, {alike})".replace("x and y", f"{first[0]} and {first[1]}")
+    if member.endswith("common"):
+        return ", all alike"
+    return ", each toward its two neighbours in turn" if member == "cyclic" else ""
 
 
 def _single(plain: str) -> bool:
@@ -259,9 +267,9 @@ def _parts(plain: str) -> tuple[str, str]:
 def _pattern(plain: str, value: float, words: Words) -> str:
     size = words.size(value)
     member = plain.partition(".")[2].split(".")
-    signs = {leg: _toward(leg, value) for leg in LEGS}
     if member[-1] == "cyclic":
-        return _PATTERNS["cyclic"].format(size=size, **signs)
+        pair = f"{_toward('y', value)} and {_toward('z', -value)}"
+        return f"each toward its two neighbours in turn (x toward {pair}), by {size}"
     if member[0] in ("xy", "yz", "zx"):
         one, other = member[0]
         back = value if member[1] == "symmetric" else -value

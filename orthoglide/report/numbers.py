@@ -49,4 +49,4 @@ def probability(p: float) -> str:
     """A probability; below a millionth only that."""
     if not math.isfinite(p):
         return "–"
-    return "below 10⁻⁶" if p < 1e-6 else f"{p:.2g}" if p < 0.1 else f"{p:.2f}"
+    return "below 10⁻⁶" if p < 1e-6 else compact(p, 2) if p < 0.1 else f"{p:.2f}"

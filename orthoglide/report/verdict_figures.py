@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _MOST_PANELS = 6
 _LEAST_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
 _MOST_CURVES = 4
+_SAME = 0.03  # of what is left: less is no difference between approaches
 _CURVES = (  # the chosen cause, then its rivals
     (FIT, "-", 2.6, 0.75),
     (PALETTE["minus"], "--", 1.3, 1.0),
@@ -122,11 +123,14 @@ class _Pattern:
 
     @property
     def sides(self) -> list[float]:
-        """Sides that must be told apart: those from which a place is reached, if from both."""
-        places = [
-            set(np.round(self.x[self.side == side], 3).tolist()) for side in (1.0, -1.0)
-        ]
-        return [1.0, -1.0] if places[0] & places[1] else []
+        """Sides of the approach where the cause looks different from either; else none."""
+        up, down = (
+            dict(zip(np.round(self.x[own], 3).tolist(), self.curves[0][own], strict=True))
+            for own in (self.side == 1, self.side == -1)
+        )
+        apart = [abs(up[x] - down[x]) for x in up if x in down]
+        differ = apart and max(apart) > _SAME * float(np.ptp(self.left))
+        return [1.0, -1.0] if differ else []
 
 
 def _patterns(explained: Explained) -> list[_Pattern]:

@@ -76,7 +76,12 @@ def _subtitle(view: View, run: Run) -> str:
     first = view.verdict.faulty or view.verdict.base
     count = sum(map(len, first.problem.campaigns))
     files = listed(i.file for i in run.inputs if i.role == "campaign")
-    return f"{files}: {count} readings in {first.problem.setup_count} setups"
+    judges = [f"{i.file} {_JUDGES[i.role]}" for i in run.inputs if i.role != "campaign"]
+    told = f"{files}: {count} readings in {first.problem.setup_count} setups"
+    return "; ".join([told, *judges])
+
+
+_JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
 
 
 # --- The finding ----------------------------------------------------------------------------
@@ -307,29 +312,34 @@ def _left(view: View) -> Data:
 _AIMS = {
     "separate": "To tell the causes apart",
     "narrow": "To narrow what is hardly seen",
-    "none": "Where no reading helps",
 }
 _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 _COLUMNS = ("setup", "leg", "direction", "posture", "gauge_mm", "bar")
 
 
 def _next(view: View, sheet: str) -> Data:
+    useful = [s for s in view.following if s.aim != "none"]
     suggestions = [
         {
             "aim": _AIMS[s.aim],
-            "reason": sentence(_MINUS.sub("−", s.reason)),
+            "reason": _reason(s.reason),
             "rows": [_station(row) for row in _once(s.rows)],
             "bar": any(row.get("bar") for row in s.rows),
             "approach": any("approach_x" in row for row in s.rows),
         }
-        for s in view.following
+        for s in useful
     ]
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": suggestions,
+        "hopeless": [_reason(s.reason) for s in view.following if s.aim == "none"],
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
         "count": max(sheet.count("\n") - 1, 0),
     }
+
+
+def _reason(text: str) -> str:
+    return sentence(_MINUS.sub("−", text))
 
 
 def _once(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
@@ -401,15 +411,16 @@ def _values(view: View) -> Data:
             }
         )
     shared = verdict.machine.spec.parameters
-    others = [
-        f"{n} {compact(entry.value / family_of(n).unit.si, 2)} {family_of(n).unit.name}"
+    freed = {family_of(n).name for n in fit.names}
+    others = dict.fromkeys(
+        family_of(n).name.replace("_", " ")
         for n, entry in shared.items()
-        if n not in fit.names and entry.value
-    ]
+        if family_of(n).name not in freed and entry.value
+    )
     return {
         "rows": rows,
         "averaged": bool(verdict.spread),
-        "others": others,
+        "others": listed(others),
         "dials": any(is_dial(n) for n in fit.names),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
     }

@@ -290,5 +290,3 @@ def next_table(view: View) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()
-
-

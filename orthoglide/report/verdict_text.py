@@ -34,7 +34,9 @@ def verdict_summary(view: View, ranked: bool = False) -> str:
     if ranked and view.tried:
         parts.append(_tried(view))
     parts.append(_scores(view))
-    parts += [Text(f"- {line}") for line in (f"The search ended: {verdict.stopped}.", *view.pattern)]
+    parts += [
+        Text(f"- {line}") for line in (f"The search ended: {verdict.stopped}.", *view.pattern)
+    ]
     parts += [Text(f"- {sentence(w)}") for w in view.warnings]
     return console_text(parts)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from orthoglide.effects import family_of
 from orthoglide.report.causes import short
 from orthoglide.report.numbers import compact, decimals_for
-from orthoglide.report.wording import explained_by, listed, sentence
+from orthoglide.report.wording import explained_by, sentence
 
 if TYPE_CHECKING:
     from orthoglide.report.verdict_view import Explained, View
@@ -47,8 +47,8 @@ def _unexplained(view: View) -> str:
     base = view.verdict.base
     return (
         f"Something is wrong that no cause known to this program explains: with the "
-        f"{explained_by(base)} set right the readings are still {_times(view)} off, "
-        f"{compact(_after(view), 2)} mm rms."
+        f"{explained_by(base)} set right, {_fall(view, 'nominal')}, where the dial's noise is "
+        f"{_noise(view)} a reading."
     )
 
 
@@ -61,8 +61,9 @@ def _explained(view: View) -> str:
 
 def _partial(view: View) -> str:
     return (
-        f"{_causes(view)} This is not all: with it in the model, {_fall(view, 'before')}, still "
-        f"{_times(view)}, and no cause known to this program explains the rest."
+        f"{_causes(view)} This is not all: with it in the model, {_fall(view, 'before')}, where "
+        f"the dial's noise is {_noise(view)} a reading, and no cause known to this program "
+        f"explains the rest."
     )
 
 
@@ -76,7 +77,8 @@ def alternatives(explained: Explained) -> str:
     rivals = explained.effect.rivals
     if not rivals:
         return ""
-    named = [short(r.trial.candidate.name) for r in rivals[:_MOST_RIVALS]]
+    chosen = explained.effect.name
+    named = [short(r.trial.candidate.name, chosen) for r in rivals[:_MOST_RIVALS]]
     rest = len(rivals) - len(named)
     text = ", or ".join(named)
     if rest:
@@ -99,8 +101,8 @@ def _after(view: View) -> float:
     return view.verdict.fit.scores.deviation_rms * 1e3
 
 
-def _times(view: View) -> str:
-    return f"{max(view.verdict.fit.sigma_scale, 1.0):.2g} times the noise"
+def _noise(view: View) -> str:
+    return f"{compact(view.verdict.fit.problem.noise.typical * 1e3, 2)} mm"
 
 
 def look_at(view: View) -> list[tuple[str, str]]:
@@ -112,10 +114,9 @@ def look_at(view: View) -> list[tuple[str, str]]:
             if name not in family:
                 family.append(name)
     return [
-        (sentence(listed([short(n) for n in names]).replace(" and the", " or the")),
-         sentence(family_of(family).look_at))
+        (sentence("; or ".join(short(n) for n in names)), sentence(family_of(family).look_at))
         for family, names in by_family.items()
-    ]  # fmt: skip
+    ]
 
 
 _TOLD = {
