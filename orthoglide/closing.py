@@ -86,7 +86,7 @@ class Verdict:
         own = self.fit.problem.values(len(self.fit.problem.campaigns) - 1, self.fit.x)
         averaged = dict(own)
         for weight, other in self.spread:
-            for name in {*own, *other}:
+            for name in dict.fromkeys((*own, *other)):
                 change = other.get(name, 0.0) - own.get(name, 0.0)
                 averaged[name] = averaged.get(name, 0.0) + weight * change
         return {n: v for n, v in averaged.items() if not is_dial(n)}

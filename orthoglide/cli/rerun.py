@@ -8,6 +8,7 @@ import json
 import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -258,20 +259,13 @@ class Kept:
         return None
 
 
-class written:
-    """The rows of a file as a file of its name again, for a while; each on its line."""
-
-    def __init__(self, kept: InputFile) -> None:
-        self.kept = kept
-        self.folder = tempfile.TemporaryDirectory(prefix="orthoglide-")
-
-    def __enter__(self) -> Path:
-        path = Path(self.folder.name) / self.kept.file
-        path.write_text(input_text(self.kept), encoding="utf-8", newline="")
-        return path
-
-    def __exit__(self, *_: object) -> None:
-        self.folder.cleanup()
+@contextmanager
+def written(kept: InputFile) -> Iterator[Path]:
+    """The rows of a file as a file of its name again, for a while."""
+    with tempfile.TemporaryDirectory(prefix="orthoglide-") as folder:
+        path = Path(folder) / kept.file
+        path.write_text(input_text(kept), encoding="utf-8", newline="")
+        yield path
 
 
 def input_text(kept: InputFile) -> str:

@@ -67,7 +67,7 @@ def find_blunders(
 
     Args:
         estimate: the fit of the base model.
-        rng: not drawn from at present; part of the interface so that a bootstrap may be.
+        rng: not drawn from: every test here is closed form, so that the answer has no seed.
         most: more faults than this are no slips: what is left is for a person to look at.
 
     Returns:

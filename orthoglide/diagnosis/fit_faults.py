@@ -36,6 +36,7 @@ _MASSIVE = 300.0  # chi2 a degree of freedom that puts the linearisation itself 
 _REPEATS = 4  # degrees of freedom from which the scatter of a setup says something of its unit
 _FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
 _MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
+_ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
 _SPOILT = 3.0  # resolutions that it must reach
 
 
@@ -111,10 +112,9 @@ def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
     for k in np.flatnonzero(evidence >= EVIDENCE):
         kind, own, rows, _, size = found[k]
         meant = kind == "exchanged_labels" or _meant(view, rows, size)
-        if kind == "unit" and not _scatters(view, own[0], size):
-            continue
+        bonus = _scattering(view, own[0], size) if kind == "unit" else 0.0
         if meant and _mended(view, own, change[:, k]):
-            yield Fault(kind, rows, own, size, float(evidence[k]))  # type: ignore[arg-type]
+            yield Fault(kind, rows, own, size, float(evidence[k]) + bonus)  # type: ignore[arg-type]
 
 
 def _grain(problem: Problem, rows: Rows, factor: float) -> float:
@@ -139,15 +139,19 @@ def _grain(problem: Problem, rows: Rows, factor: float) -> float:
     return min(-values * float(np.log(chance)), _DIGITS)
 
 
-def _scatters(view: View, setup: int, factor: float) -> bool:
-    """Whether the setup's repeats scatter as its unit says, where it has repeats."""
+def _scattering(view: View, setup: int, factor: float) -> float:
+    """Log Bayes factor of the repeats: in a larger unit a setup scatters less, and conversely."""
     problem = view.seen.estimate.problem
     every = [Within.of(view.seen.estimate, s, ()) for s in range(problem.setup_count)]
     own = every[setup]
     if own.dof < _REPEATS:
-        return True
+        return 0.0
     ratio = float(own.rest @ own.rest) / own.dof / scatter(problem, every)
-    return ratio <= 0.5 if factor > 1 else ratio >= 0.1 / factor**2
+    if factor > 1:
+        return 0.0 if ratio <= 0.5 else -np.inf
+    if ratio < 0.1 / factor**2:
+        return -np.inf
+    return min(own.dof / 2 * float(ratio - 1 - np.log(ratio)), _DIGITS)
 
 
 def _meant(view: View, rows: Rows, factor: float) -> bool:
@@ -271,7 +275,13 @@ def _single(view: View, setups: list[int]) -> Iterator[Fault]:
     after = view.chi2 - along * size
     evidence = view.evidence(after, 1) - np.log(len(rows))
     least = _SPOILT * problem.machine.spec.dial.resolution
-    # A cause in no catalogue looks much the same: only what mends the fit counts.
+    # A cause in no catalogue looks much the same: only what mends the fit counts, and where no
+    # other visit bears witness it must be a slip larger than such causes are.
+    where = np.column_stack(
+        [problem.setup_of_row, np.vstack([c.command for c in problem.campaigns])]
+    )
+    _, place, count = np.unique(where, axis=0, return_inverse=True, return_counts=True)
+    least = np.where(count[place.reshape(-1)][rows] > 1, least, max(least, _ALONE))
     sure = seen & (np.abs(size) >= least) & (after <= _MENDS * view.dof)
     for k in np.flatnonzero(sure & (evidence >= EVIDENCE)):
         own = int(problem.setup_of_row[rows[k]])
