@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orthoglide.closing import Verdict, close_loop
     from orthoglide.errors import (
         ClosureError,
         CrossCheckError,
@@ -38,6 +39,7 @@ __version__ = "0.1.0"
 
 # Pinocchio and CasADi take a third of a second to load: names are fetched when they are used.
 _WHERE = {
+    "closing": ("Verdict", "close_loop"),
     "errors": (
         "ClosureError", "CrossCheckError", "FileError", "InputError", "NumericsError",
         "OrthoglideError", "SolverError", "UnidentifiableError", "UnreachableError",
@@ -71,6 +73,8 @@ __all__ = [
     "TcpPoints",
     "UnidentifiableError",
     "UnreachableError",
+    "Verdict",
+    "close_loop",
     "identify",
     "read_campaign",
     "read_tcp",
