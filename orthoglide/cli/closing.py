@@ -182,7 +182,9 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
         paths = [stack.enter_context(as_file(data / n)) for n in (DEMO_CAMPAIGN, DEMO_HELD_OUT)]
         asked = Asked((paths[0],), holdout=paths[1], own=("joint_offset",), seed=seed)
         folder = out or _next_free(DEMO_FOLDER)
-        run_close_loop(asked, folder, command="demo", again=demo_line(seed), quiet=quiet, as_json=as_json)
+        run_close_loop(
+            asked, folder, command="demo", again=demo_line(seed), quiet=quiet, as_json=as_json
+        )
 
 
 COMMANDS = (demo, close_loop, diagnose)

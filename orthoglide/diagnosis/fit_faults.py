@@ -281,8 +281,8 @@ def _single(view: View, setups: list[int]) -> Iterator[Fault]:
         [problem.setup_of_row, np.vstack([c.command for c in problem.campaigns])]
     )
     _, place, count = np.unique(where, axis=0, return_inverse=True, return_counts=True)
-    least = np.where(count[place.reshape(-1)][rows] > 1, least, max(least, _ALONE))
-    sure = seen & (np.abs(size) >= least) & (after <= _MENDS * view.dof)
+    needed = np.where(count[place.reshape(-1)][rows] > 1, least, max(least, _ALONE))
+    sure = seen & (np.abs(size) >= needed) & (after <= _MENDS * view.dof)
     for k in np.flatnonzero(sure & (evidence >= EVIDENCE)):
         own = int(problem.setup_of_row[rows[k]])
         yield Fault("outlier", rows[[k]], (own,), float(size[k]), float(evidence[k]))

@@ -72,7 +72,7 @@ class _Left:
         return float(np.sum((left.T @ self.residual) ** 2)), left.shape[1]
 
     def p_value(self, columns: Array, by_reading: bool = False) -> tuple[float, float]:
-        """p of the F test, and the share of what is left that the columns take."""
+        """Probability by the F test, and the share of what is left that the columns take."""
         from scipy.special import fdtrc
 
         total = float(self.residual @ self.residual)
@@ -232,14 +232,14 @@ def _hysteresis(left: _Left) -> list[str]:
 def _trend(left: _Left) -> list[str]:
     """A drift along the sequence of the readings."""
     campaigns = left.estimate.problem.campaigns
-    place = np.concatenate([_progress(c.time, c.order) for c in campaigns])
+    place = np.concatenate([_progress(c.time, c.order.astype(float)) for c in campaigns])
     p, share = left.p_value(left.by_setup(place), by_reading=True)
     return [f"it drifts in time ({share:.0%} of it)"] if p < ALPHA else []
 
 
 def _progress(time: Array, order: Array) -> Array:
     """Place in time from -1 to 1; in the sequence where no time was recorded."""
-    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order.astype(float)
+    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order
     return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
 
 

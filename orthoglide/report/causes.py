@@ -244,7 +244,7 @@ def _short_pattern(member: str) -> str:
     first, _, rest = member.partition(".")
     if first in ("xy", "yz", "zx"):
         alike = "alike" if rest == "symmetric" else "opposite ways"
-        return f" (x and y, {alike})".replace("x and y", f"{first[0]} and {first[1]}")
+        return f" ({first[0]} and {first[1]}, {alike})"
     if member.endswith("common"):
         return ", all alike"
     return ", each toward its two neighbours in turn" if member == "cyclic" else ""
@@ -271,7 +271,7 @@ def _pattern(plain: str, value: float, words: Words) -> str:
         pair = f"{_toward('y', value)} and {_toward('z', -value)}"
         return f"each toward its two neighbours in turn (x toward {pair}), by {size}"
     if member[0] in ("xy", "yz", "zx"):
-        one, other = member[0]
+        one, other = member[0][0], member[0][1]
         back = value if member[1] == "symmetric" else -value
         return f"{one} toward {_toward(other, value)} and {other} toward {_toward(one, back)} " + (
             f"by {size}"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.report.figures import (
@@ -53,7 +53,8 @@ _DARKEST = 0.7  # opacity of a cell at the top of the scale
 def draw_verdict(view: View) -> list[Drawing]:
     """All figures of a closed loop."""
     verdict = view.verdict
-    earlier = verdict.base.predicted
+    base = verdict.base
+    earlier = base.predicted if view.effects else base.predicted_before
     with style():
         return [
             *([_causes(view)] if view.effects else []),
@@ -147,9 +148,6 @@ def _patterns(explained: Explained) -> list[_Pattern]:
         _, first, station = np.unique(problem.station[rows], return_index=True, return_inverse=True)
         count = np.bincount(station)
 
-        def mean(values: Array, rows: Array = rows, station: Array = station) -> Array:
-            return np.bincount(station, values[rows]) / np.bincount(station) * 1e3
-
         x = travel[rows[first], setup.leg] * 1e3
         moves = np.ptp(x) > 1.0
         noise = np.hypot(problem.sigma[rows[first]] / np.sqrt(count), problem.noise.common)
@@ -160,12 +158,17 @@ def _patterns(explained: Explained) -> list[_Pattern]:
                 f"travel of carriage {LEGS[setup.leg]}, mm" if moves else "place in the file",
                 x if moves else np.arange(len(x), dtype=float),
                 approach[rows[first], setup.leg],
-                mean(residual),
+                _mean(residual[rows], station),
                 2e3 * noise,
-                tuple(mean(p) for p in predicted),
+                tuple(_mean(p[rows], station) for p in predicted),
             )
         )
     return found
+
+
+def _mean(values: Array, station: NDArray[np.intp]) -> Array:
+    """By station, millimetres."""
+    return np.asarray(np.bincount(station, values) / np.bincount(station) * 1e3)
 
 
 def _shown(patterns: list[_Pattern]) -> list[_Pattern]:
@@ -230,19 +233,21 @@ def _draw_pattern(axes: Axes, pattern: _Pattern) -> list[Line2D]:
 
 
 def _workspace(view: View) -> Drawing:
-    """Three quantities on three levels of z: numbers in cells, darker for larger."""
+    """What is wrong and what is not known on three levels of z; darker for larger."""
     space = view.workspace
     travel = (space.commands - view.verdict.fit.problem.machine.geometry.L) * 1e3
     levels = np.unique(np.round(travel[:, 2], 6))
     chosen = levels[[0, len(levels) // 2, -1]]
-    rows = (
+    rows = [
         ("predicted error now", space.nominal, DATA),
         ("with offsets and lengths set", space.before, DATA),
         ("95 % radius afterwards", space.sure, FIT),
-    )
+    ]
+    if not view.effects:  # then the base model is all there is
+        del rows[1]
     scale = {c: max(float(v.max()) for _, v, own in rows if own == c) for c in (DATA, FIT)}
     width, height = PANEL[0], 2.5
-    figure = new_figure(3 * width, 3 * height)
+    figure = new_figure(3 * width, len(rows) * height)
     places = []
     for i, (what, values, colour) in enumerate(rows):
         for j, level in enumerate(chosen):
@@ -283,6 +288,6 @@ def _draw_cells(axes: Axes, travel: Array, values: Array, colour: str, most: flo
     axes.set_ylabel("travel of y, mm", labelpad=3)
 
 
-def _name_places(axes: Axes, xs: Sequence[float], ys: Sequence[float]) -> None:
+def _name_places(axes: Axes, xs: Array, ys: Array) -> None:
     axes.set_xticks(np.arange(len(xs)) + 0.5, [signed(x, 0) for x in xs])
     axes.set_yticks(np.arange(len(ys)) + 0.5, [signed(y, 0) for y in ys])

@@ -240,9 +240,9 @@ def residual_table(verdict: Verdict) -> str:
             writer.writerow([*_places(campaign.name, row), *map(_mm, values), ""])
     for place, kind in _set_aside(verdict):
         campaign = verdict.faulty.problem.campaigns[place[0]]  # type: ignore[union-attr]
-        row = campaign.subset([place[1]])
-        values = [_mm(row.reading[0]), *[""] * (len(_FIGURES) - 1)]
-        writer.writerow([*_places(campaign.name, next(iter(row.rows))), *values, kind])
+        alone = next(iter(campaign.subset([place[1]]).rows))
+        values = [_mm(alone.reading), *[""] * (len(_FIGURES) - 1)]
+        writer.writerow([*_places(campaign.name, alone), *values, kind])
     return stream.getvalue()
 
 
