@@ -187,29 +187,40 @@ def _single_station(left: _Left) -> list[str]:
 
 
 def _parity(left: _Left, loud: NDArray[np.int64]) -> list[str]:
-    """Odd or even in the travel of the touched leg's own axis, where most of it is."""
+    """Odd or even along the stroke of the touched leg's own axis, where most of it is."""
     from scipy.special import fdtrc
 
-    s = left.travel / max(float(np.abs(left.travel).max()), 1e-12)
     own = loud if len(loud) else np.arange(left.setups)
-    odd, even = (
-        left.gain(np.hstack([left.by_setup(s**k)[:, own] for k in powers]))
-        for powers in ((1, 3), (2, 4))
-    )
-    if not odd[1] or not even[1]:
+    gain, degrees = np.zeros(2), np.zeros(2)  # odd, even
+    for k in own:
+        for power, column in enumerate(_along(left, int(k)), start=1):
+            # What the fit takes of a column is not free to be left.
+            degrees[1 - power % 2] += 1 - float(np.sum((column @ left.basis) ** 2))
+            gain[1 - power % 2] += float(column @ left.residual) ** 2
+    if degrees.min() < 1:
         return []
-    per = odd[0] / odd[1], even[0] / even[1]
     words = (
-        "it is odd in travel: its sign changes with the side of mechanical zero, as with a tilt "
-        "or a scale",
-        "it is even in travel: both ends of the stroke deviate the same way, as with a bend",
+        "it is odd along the stroke: what is too much at one end is too little at the other",
+        "it is even along the stroke: both ends deviate the same way, as with a bend",
     )
+    per = gain / degrees
     for k, text in enumerate(words):
-        top, bottom = (odd, even) if k == 0 else (even, odd)
         ratio = per[k] / max(per[1 - k], 1e-12 * per[k]) if per[k] else 0.0
-        if float(fdtrc(top[1], bottom[1], ratio)) < ALPHA:
+        if float(fdtrc(degrees[k], degrees[1 - k], ratio)) < ALPHA:
             return [text]
     return []
+
+
+def _along(left: _Left, setup: int) -> Array:
+    """Orthonormal polynomials of degree 1 to 4 in the travel of a setup, as rows ``(k, n)``."""
+    rows = np.flatnonzero(left.setup == setup)
+    s, weight = left.travel[rows], left.estimate.nuisance.weight[rows]
+    places = len(np.unique(np.round(s, 6)))
+    u = (s - (s.max() + s.min()) / 2) / max(np.ptp(s) / 2, 1e-12)
+    powers = np.vander(u, min(places, 5), increasing=True) * weight[:, None]
+    columns = np.zeros((powers.shape[1] - 1, len(left.residual)))
+    columns[:, rows] = np.linalg.qr(powers)[0].T[1:]
+    return columns
 
 
 def _hysteresis(left: _Left) -> list[str]:

@@ -226,12 +226,16 @@ def rivals(
         Probability of the chosen one among all candidates, and its rivals, most probable first.
     """
     without = refit(base, others, chosen.estimate)
-    seen = signatures(without)
+    seen = signatures(without, {n for weights in chosen.candidate.weights for n in weights})
     scale = lack_scale(chosen.estimate)
-    scoring = Scoring.of(seen, [c for c in seen.candidates if c.size <= chosen.candidate.size])
+    in_question = chosen.candidate
+    others_as_small = [
+        c for c in seen.candidates if c.size <= in_question.size and c.name != in_question.name
+    ]
+    scoring = Scoring.of(seen, [in_question, *others_as_small])
     gains, evidences = scoring.gains(seen.residual), scoring.evidences(seen.residual)
     names = [c.name for c in scoring.candidates]
-    own = names.index(chosen.candidate.name)
+    own = 0
     margin = (_MARGIN + CLASS_WIDTH) * scale**2 + _RELATIVE_MARGIN * gains[own]
     near = [k for k in np.argsort(-gains) if k != own and gains[own] - gains[k] <= margin]
     trials: dict[int, Trial] = {own: chosen}
@@ -248,13 +252,13 @@ def rivals(
     logs |= {names[k]: trial.evidence for k, trial in trials.items()}
     for trial in _under_other_bars(base, others, chosen, limit, progress):
         name = trial.candidate.name
-        if name != chosen.candidate.name and name not in found:
+        if name != in_question.name and name not in found:
             found[name] = trial
             logs[name] = max(logs.get(name, -np.inf), trial.evidence)
     weights = _weights(logs, scale)
     members = [Rival(t, weights[n]) for n, t in found.items()]
     ordered = sorted(members, key=lambda r: (-r.weight, _order(r.trial)))
-    return weights[chosen.candidate.name], tuple(ordered)
+    return weights[in_question.name], tuple(ordered)
 
 
 def _weights(logs: Mapping[str, float], scale: float) -> dict[str, float]:

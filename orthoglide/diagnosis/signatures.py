@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -111,11 +112,12 @@ def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
     )
 
 
-def signatures(estimate: Estimate) -> Signatures:
+def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
     """Linearise all effects of the catalogue at a fit.
 
     Args:
         estimate: the fit, whose unknowns, datums and placements are projected out.
+        keep: elementary unknowns to keep whether they are visible or not.
     """
     problem, nuisance = estimate.problem, estimate.nuisance
     families = excited_families(problem)
@@ -138,6 +140,7 @@ def signatures(estimate: Estimate) -> Signatures:
     tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])
     names = tuple(u.name for u in wide.unknowns[own:])
     seen = np.linalg.norm(columns, axis=0) * tolerance > _VISIBLE
+    seen |= np.array([name in keep for name in names])
     kept = np.flatnonzero(seen)
     visible = tuple(names[k] for k in kept)
     return Signatures(

@@ -1,0 +1,397 @@
+"""``demo``, ``close-loop``, ``diagnose`` and ``rerun`` as somebody at a machine runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import orthoglide as og
+from orthoglide.cli.rerun import compare
+from orthoglide.errors import SolverError
+from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run, tree
+
+RIG = Path(__file__).parent / "data" / "rig"
+FIGURES = ("causes", "signatures-1", "residuals", "readings", "workspace")
+FILES = {
+    "result.json", "calibrated.toml", "residuals.csv", "report.html",
+    *(f"figures/{name}.svg" for name in FIGURES),
+}  # fmt: skip
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of one's own with the published campaigns, to work in."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "experiment2.csv").write_text(EXPERIMENT_2)
+    (tmp_path / "experiment3.csv").write_text(EXPERIMENT_3)
+    return tmp_path
+
+
+@pytest.fixture
+def rig(here: Path) -> Path:
+    for name in ("rig-1.csv", "rig-2.csv", "rig-2.tcp.csv", "machine.toml"):
+        shutil.copyfile(RIG / name, here / name)
+    return here
+
+
+def flat(text: str) -> str:
+    return " ".join(text.split())
+
+
+# --- demo -----------------------------------------------------------------------------------
+
+
+def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
+    first = process("demo", cwd=tmp_path)
+    assert (first.returncode, first.stderr) == (0, "")
+    assert "readings held out, rms" in first.stdout
+    assert "these readings cannot tell" in flat(first.stdout)
+    assert set(tree(tmp_path / "orthoglide-demo")) >= FILES
+    assert process("demo", "--quiet", cwd=tmp_path).stdout == ""
+    # Another process hashes strings otherwise: whatever hangs on that would show here.
+    assert tree(tmp_path / "orthoglide-demo-2") == tree(tmp_path / "orthoglide-demo")
+    assert sorted(os.listdir(tmp_path)) == ["orthoglide-demo", "orthoglide-demo-2"]
+    result = json.loads((tmp_path / "orthoglide-demo" / "result.json").read_text())
+    assert result["command"] == "demo"
+    assert result["arguments"]["holdout"] == "experiment3.csv"
+    assert result["holdout"]["before_rms_mm"] > 0
+
+
+def test_demo_says_how_to_get_it_again(here: Path) -> None:
+    done("demo", "--out", "out", "--seed", "3", "--quiet")
+    assert "orthoglide demo --out DIR --seed 3" in (here / "out" / "report.html").read_text()
+    shown = done("rerun", "out/result.json", "--out", "again")
+    assert "The same numbers again" in shown
+    assert tree(here / "out") == tree(here / "again")
+
+
+# --- close-loop and diagnose ----------------------------------------------------------------
+
+
+def test_judges_change_nothing(rig: Path) -> None:
+    common = ("close-loop", "rig-2.csv", "--machine", "machine.toml", "--json", "--out")
+    alone = json.loads(done(*common, "a"))
+    judged = json.loads(done(*common, "b", "--tcp", "rig-2.tcp.csv", "--holdout", "rig-1.csv"))
+    same = ("verdict", "effects", "parameters", "candidates", "before", "after", "calibrated",
+            "next_measurements", "left", "summary")  # fmt: skip
+    for key in same:
+        assert alone[key] == judged[key], key
+    assert (alone["holdout"], alone["tcp"]) == (None, None)
+    assert judged["tcp"]["translation"]["after_mean_mm"] < 0.005
+    assert judged["holdout"]["after_rms_mm"] > 0
+    machines = [og.Machine.load(rig / name / "calibrated.toml").values for name in "ab"]
+    assert machines[0] == machines[1]
+
+
+def test_json_is_the_file(rig: Path) -> None:
+    text = done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "a", "--json")
+    assert text.encode() == (rig / "a" / "result.json").read_bytes()
+    result = json.loads(text)
+    assert result["verdict"] == "ambiguous"
+    assert result["effects"][0]["name"] == "axis_tilt.y.z"
+    assert result["effects"][0]["indistinguishable_from"] == ["rail_tilt.y.z"]
+    assert result["parameters"]["axis_tilt.y.z"]["value"] == pytest.approx(2.4e-3, abs=2e-4)
+    assert set(tree(rig / "a")) >= FILES
+
+
+def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
+    before = tree(rig)
+    shown = flat(done("diagnose", "rig-2.csv", "--machine", "machine.toml"))
+    assert tree(rig) == before
+    assert "The path of the y carriage is out of square toward z" in shown
+    assert "Verdict ambiguous" in shown
+    place = [shown.index(f" {name} 1 ") for name in ("axis_tilt.y.z", "axis_offset.x.z")]
+    assert place == sorted(place)
+    assert "Report:" not in shown
+    result = json.loads(done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--json"))
+    assert tree(rig) == before
+    assert result["command"] == "diagnose"
+    assert done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--quiet") == ""
+
+
+def test_several_campaigns_with_offsets_of_their_own(here: Path) -> None:
+    both = ("experiment2.csv", "experiment3.csv", "--own", "joint_offset")
+    result = json.loads(done("close-loop", *both, "--out", "a", "--json"))
+    assert "joint_offset.x@experiment3" in result["parameters"]
+    assert "leg_length.x" in result["parameters"]
+    machine = og.Machine.load("a/calibrated.toml")
+    told = result["calibrated"]["joint_offset.x"]["value"]
+    assert machine.values["joint_offset.x"] * 1e3 == pytest.approx(told, abs=1e-9)
+
+
+def test_the_same_bytes_wherever_the_files_lie(rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "a")
+    (rig / "elsewhere").mkdir()
+    monkeypatch.chdir(rig / "elsewhere")
+    done("close-loop", rig / "rig-2.csv", "--machine", rig / "machine.toml", "--out", "b")
+    assert tree(rig / "a") == tree(rig / "elsewhere" / "b")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--noise", "0"), "--noise must be a positive number"),
+        (("--noise", "nan"), "--noise must be a positive number"),
+        (("--seed", "-1"), "--seed must be 0 or more"),
+        (("--machine", "none.toml"), "none.toml: there is no such file"),
+        (("--holdout", "none.csv"), "none.csv: there is no such file"),
+        (("--tcp", "none.csv"), "none.csv: there is no such file"),
+        (("--tcp", "experiment3.csv"), "experiment3.csv"),
+        (("--own", "backlash"), "own to each campaign but not free"),
+        (("--own", "joint_ofset"), "joint_ofset"),
+        (("experiment2.csv",), "two campaigns are called alike"),
+    ],
+)
+def test_what_cannot_be_asked(arguments: tuple[str, ...], words: str, here: Path) -> None:
+    before = tree(here)
+    for command in (("close-loop", "--out", "out"), ("diagnose",)):
+        result = run(command[0], "experiment2.csv", *command[1:], *arguments)
+        assert result.exit_code == 2, result.output
+        assert words in result.stderr
+        assert result.stderr.startswith("orthoglide: ")
+        assert result.stderr.count("\n") == 1
+        assert result.stdout == ""
+    assert tree(here) == before
+
+
+def test_results_are_never_overwritten(here: Path) -> None:
+    (here / "full").mkdir()
+    (here / "full" / "thesis.tex").write_text("dear")
+    before = tree(here)
+    for command in ("close-loop", "diagnose"):
+        result = run(command, "experiment2.csv", "--out", "full")
+        assert result.exit_code == 2
+        assert "name a new or empty folder" in result.stderr
+    assert tree(here) == before
+
+
+def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise SolverError("no solver reached an answer")
+
+    monkeypatch.setattr("orthoglide.closing.close_loop", fail)
+    before = tree(here)
+    result = run("close-loop", "experiment2.csv", "--out", "out")
+    assert (result.exit_code, result.stdout) == (3, "")
+    assert "no solver reached an answer" in result.stderr
+    assert tree(here) == before
+
+
+# --- In the middle --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("after", [0.7, 1.8])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_killed_in_the_middle(here: Path, sent: signal.Signals, after: float) -> None:
+    before = tree(here)
+    child = subprocess.Popen(
+        [sys.executable, "-m", "orthoglide", "close-loop", "experiment2.csv", "--out", "out"],
+        env=NEVER,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(after)
+    child.send_signal(sent)
+    _, error = child.communicate(timeout=60)
+    if child.returncode == 0:
+        pytest.skip("the run was over before the signal came")
+    assert not (here / "out").exists()
+    if sent != signal.SIGKILL:
+        assert error.splitlines()[-1] == "orthoglide: interrupted: nothing was written"
+        assert tree(here) == before
+
+
+def test_a_bar_from_the_first_second(here: Path) -> None:
+    """On a terminal something moves at once, and it is gone at the end."""
+    master, slave = pty.openpty()
+    start = time.monotonic()
+    child = subprocess.Popen(
+        [sys.executable, "-m", "orthoglide", "close-loop", "experiment2.csv", "--out", "out"],
+        env={**NEVER, "TERM": "xterm", "COLUMNS": "100"},
+        stdout=subprocess.DEVNULL,
+        stderr=slave,
+    )
+    os.close(slave)
+    shown, first = b"", 0.0
+    while True:
+        ready, _, _ = select.select([master], [], [], 60)
+        assert ready
+        try:
+            part = os.read(master, 4096)
+        except OSError:  # the other end was closed
+            break
+        if not part:
+            break
+        first = first or time.monotonic() - start
+        shown += part
+    os.close(master)
+    whole = time.monotonic() - start
+    assert child.wait() == 0
+    assert first < 0.5 * whole
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+    for stage in ("identifying", "looking for faults", "trying", "drawing"):
+        assert stage in text
+
+
+def test_the_bar_never_goes_back() -> None:
+    from rich.progress import Progress
+
+    from orthoglide.cli.progress import _share
+
+    shown = Progress()
+    task = shown.add_task("", total=100)
+    seen = []
+    for text in ("reading", "identifying from 12 readings", "trying a", "trying b", "testing",
+                 "comparing with c", "trying d", "drawing", "something new", "writing"):  # fmt: skip
+        shown.update(task, completed=_share(text, shown))
+        seen.append(shown.tasks[0].completed)
+    assert seen == sorted(seen)
+    assert seen[2] < seen[3]
+    assert 90 < seen[-1] < 100
+
+
+# --- rerun ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def ran(rig: Path) -> Path:
+    done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--tcp", "rig-2.tcp.csv",
+         "--holdout", "rig-1.csv", "--seed", "5", "--out", "out", "--quiet")  # fmt: skip
+    return rig
+
+
+def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
+    shown = done("rerun", "out/result.json", "--out", "again")
+    for name in ("rig-2.csv", "rig-1.csv", "rig-2.tcp.csv", "machine.toml"):
+        assert f"{name}: unchanged." in shown
+    assert "The same numbers again" in shown
+    assert tree(ran / "out") == tree(ran / "again")
+
+
+def test_rerun_needs_no_files_and_says_which_have_changed(ran: Path) -> None:
+    (ran / "rig-2.csv").write_text((ran / "rig-2.csv").read_text().replace("8.19", "9.19"))
+    (ran / "machine.toml").unlink()
+    before = tree(ran)
+    shown = done("rerun", "out/result.json")
+    assert tree(ran) == before
+    assert "rig-2.csv: has changed since; the rows kept in the result were used" in shown
+    assert "machine.toml: not here" in shown
+    assert "The same numbers again" in shown
+    assert "rig-2.csv: unchanged." in done("rerun", "out/result.json", "--inputs", RIG)
+    assert "has changed" in done("rerun", "out/result.json", "--quiet")
+
+
+def change(path: Path, edit: Any) -> None:
+    result = json.loads(path.read_text())
+    edit(result)
+    path.write_text(json.dumps(result))
+
+
+def test_rerun_says_what_is_not_reproduced(ran: Path) -> None:
+    def edit(result: Any) -> None:
+        result["parameters"]["axis_tilt.y.z"]["value"] = 3e-3
+        result["effects"][0]["name"] = "backlash.x"
+
+    change(ran / "out" / "result.json", edit)
+    before = tree(ran)
+    result = run("rerun", "out/result.json", "--out", "again")
+    assert result.exit_code == 3
+    assert "is not reproduced" in result.stderr
+    assert "parameters.axis_tilt.y.z.value was 0.003 and is 0.0024" in result.stderr
+    assert "effects[0].name was 'backlash.x' and is 'axis_tilt.y.z'" in result.stderr
+    assert tree(ran) == before
+
+
+def test_rerun_sees_a_reading_that_was_tampered_with(ran: Path) -> None:
+    def edit(result: Any) -> None:
+        row = result["inputs"][0]["rows"][7]
+        row["reading_mm"] = str(float(row["reading_mm"]) + 0.02)
+
+    change(ran / "out" / "result.json", edit)
+    assert run("rerun", "out/result.json").exit_code == 3
+
+
+@pytest.mark.parametrize("options", [(), ("--reduced",), ("--free", "joint_offset", "--no-priors")])
+def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> None:
+    done("identify", "experiment2.csv", "--out", "out", "--noise", "0.03", *options, "--quiet")
+    shown = done("rerun", "out/result.json", "--out", "again")
+    assert "experiment2.csv: unchanged." in shown
+    assert tree(here / "out") == tree(here / "again")
+
+
+def test_rerun_keeps_the_lines_of_the_file(here: Path) -> None:
+    lines = (RIG / "rig-3.csv").read_text().splitlines()
+    cells = lines[40].split(",")
+    cells[-1] = str(float(cells[-1]) + 0.8)
+    text = ["", *lines[:20], "", "", *lines[20:40], ",".join(cells), "", *lines[41:]]
+    (here / "gaps.csv").write_text("\n".join(text) + "\n")
+    common = ("--machine", RIG / "machine.toml", "--quiet")
+    done("close-loop", "gaps.csv", "--out", "out", *common)
+    result = json.loads((here / "out" / "result.json").read_text())
+    place = text.index(",".join(cells)) + 1
+    assert [b["rows"] for b in result["blunders"]] == [[place]]
+    done("rerun", "out/result.json", "--out", "again", "--quiet")
+    assert tree(here / "out") == tree(here / "again")
+
+
+BROKEN: dict[str, tuple[str, str]] = {
+    "not JSON": ("{", "is not JSON"),
+    "a list": ("[]", "has no 'schema'"),
+    "nothing": ("", "give a file with content"),
+    "another file": ('{"a": 1}', "has no 'schema'"),
+    "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "keeps no rows"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_rerun_of_what_is_no_result(kind: str, here: Path) -> None:
+    text, words = BROKEN[kind]
+    (here / "result.json").write_text(text)
+    result = run("rerun", "result.json")
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+    assert "Traceback" not in result.output
+
+
+def test_rerun_of_a_spoilt_result(here: Path) -> None:
+    done("identify", "experiment2.csv", "--out", "out", "--quiet")
+    whole = json.loads((here / "out" / "result.json").read_text())
+
+    def spoilt(key: str, value: Any) -> str:
+        (here / "result.json").write_text(json.dumps({**whole, key: value}))
+        result = run("rerun", "result.json")
+        assert result.exit_code == 2, (key, value, result.output)
+        return result.stderr
+
+    assert "this version runs" in spoilt("schema", 2)
+    assert "this version runs" in spoilt("command", "compare")
+    assert "not as it was written" in spoilt("inputs", [{"file": "a.csv"}])
+    assert "not as it was written" in spoilt("machine", {"toml": "x"})
+    assert "not as it was written" in spoilt("seed", "today")
+    assert "not as it was written" in spoilt("arguments", {})
+
+
+def test_comparing_numbers() -> None:
+    old = {"a": [1.0, None], "b": {"c": True, "d": "x"}, "e": 1e-12}
+    assert list(compare(old, {"a": [1.0 + 1e-9, None], "b": {"c": True, "d": "x"}, "e": 0})) == []
+    found = list(compare(old, {"a": [1.1], "b": {"c": False, "d": "x"}, "f": 2}))
+    assert found == [
+        "a[0] was 1.0 and is 1.1",
+        "a[1] was None and is gone",
+        "b.c was True and is False",
+        "e was 1e-12 and is gone",
+        "f is new, 2",
+    ]

@@ -1,0 +1,425 @@
+"""The report of a closed loop: true to the verdict, self-contained, the same bytes, readable."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import json
+import re
+import tomllib
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.test_report import DATA, RIG, Balanced, opened, words
+
+import orthoglide as og
+from orthoglide.closing import Verdict, close_loop
+from orthoglide.diagnosis.pattern import describe_left
+from orthoglide.effects import CATALOGUE
+from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+from orthoglide.errors import FileError
+from orthoglide.identification import Estimate, identify
+from orthoglide.observations import Campaign, protocol
+from orthoglide.report import verdict_files
+from orthoglide.report.causes import cause, short
+from orthoglide.report.verdict_html import tiles
+from orthoglide.report.verdict_run import run_of
+from orthoglide.report.verdict_view import View
+from orthoglide.report.verdict_wording import headline
+
+CASES = ("ambiguous", "partial", "unexplained", "faulty")
+
+
+@cache
+def rig_machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+def swept(extra: float | np.ndarray = 0.0, seed: int = 0) -> Campaign:
+    """A sweep of a machine with offsets alone, and something besides in the readings."""
+    sheet, machine = protocol("sweep"), rig_machine()
+    real = machine.with_parameters({"joint_offset.x": 4e-4, "joint_offset.z": -7e-4})
+    noise = np.random.default_rng(seed).normal(scale=5e-6, size=len(sheet))
+    return replace(sheet.with_readings(real.readings(sheet) + noise + extra), name="sweep")
+
+
+def travel(sheet: Campaign) -> np.ndarray:
+    return sheet.command[np.arange(len(sheet)), sheet.leg] - rig_machine().geometry.L
+
+
+def odd() -> Campaign:
+    """A step that comes and goes along y, in one setup: nothing in the catalogue does that."""
+    sheet = protocol("sweep")
+    wave = np.sign(np.sin(2 * np.pi * travel(sheet) / 0.043 + 1))
+    return swept(4e-5 * wave * (sheet.setup == 2))
+
+
+def faulty() -> Campaign:
+    campaign = og.read_campaign(RIG / "rig-3.csv", rig_machine().spec)
+    reading = campaign.reading.copy()
+    reading[39] += 8e-4
+    return campaign.with_readings(reading)
+
+
+@cache
+def view_of(which: str) -> View:
+    if which == "partial":
+        two, three = (og.read_campaign(DATA / f"experiment{k}.csv") for k in (2, 3))
+        return View(close_loop(two, holdout=three, own=["joint_offset"]))
+    machine = rig_machine()
+    if which == "ambiguous":
+        points = og.read_tcp(RIG / "rig-2.tcp.csv", machine.spec)
+        return View(close_loop(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine,
+                               tcp=points))  # fmt: skip
+    return View(close_loop(odd() if which == "unexplained" else faulty(), machine))
+
+
+@cache
+def files_of(which: str) -> dict[str, str]:
+    view = view_of(which)
+    return verdict_files(view, run_of(view.verdict))
+
+
+def verdict_of(which: str) -> Verdict:
+    return view_of(which).verdict
+
+
+def page_without_sheet(which: str) -> str:
+    return re.sub(r"data:text/csv[^\"]*", "#", files_of(which)["report.html"])
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_the_cases_are_what_they_are_called(which: str) -> None:
+    verdict = verdict_of(which)
+    assert verdict.word == ("explained" if which == "faulty" else which)
+    assert bool(verdict.blunders) == (which == "faulty")
+
+
+# --- The page -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
+    parser = Balanced()
+    parser.feed(files_of(which)["report.html"])
+    parser.close()
+    assert parser.open == []
+    assert len(parser.ids) == len(set(parser.ids))
+    inside = [a for a in parser.addresses if not a.startswith("data:text/csv;")]
+    assert all(address.startswith("#") for address in inside)
+    assert {a[1:] for a in inside} | parser.references <= set(parser.ids)
+    page = page_without_sheet(which)
+    assert not re.search(r"https?:|//|@import|<script|<link|url\((?!#)", page.replace("<!--", ""))
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_nothing_tells_where_or_when(which: str) -> None:
+    for name, text in files_of(which).items():
+        shown = page_without_sheet(which) if name == "report.html" else text
+        assert not re.search(r"/(?:home|root|tmp|usr|work|var)/", shown), name
+        assert str(Path.cwd()) not in shown, name
+        assert not re.search(r"\b20[2-9]\d-\d\d-\d\d", shown), name
+        assert not re.search(r"\bnan\b|\binf\b|Infinity|NaN|None|undefined", shown), name
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_the_same_bytes_again(which: str) -> None:
+    verdict = verdict_of(which)
+    assert verdict_files(View(verdict), run_of(verdict)) == files_of(which)
+    assert list(files_of(which))[-1] == "result.json"
+
+
+SECTIONS = {
+    "ambiguous": {"look", "causes", "apart", "next"},
+    "partial": {"look", "causes", "apart", "left", "next"},
+    "unexplained": {"causes", "left", "next"},
+    "faulty": {"faults", "look", "causes", "apart"},
+}
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_sections_stand_where_they_say_something(which: str) -> None:
+    ids = set(re.findall(r'<section id="(\w+)"', files_of(which)["report.html"]))
+    always = {"finding", "controller", "judged", "workspace", "values", "readings", "loop"}
+    assert always <= ids
+    sometimes = {"faults", "look", "causes", "apart", "left", "next"}
+    assert SECTIONS[which] <= ids
+    assert ids & (sometimes - {"next"}) == SECTIONS[which] - {"next"}
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_the_key_numbers_are_on_the_page(which: str) -> None:
+    view, text = view_of(which), words(files_of(which)["report.html"].replace("&amp;", "&"))
+    verdict = view.verdict
+    assert headline(view) in text
+    assert f"{verdict.word} " in text
+    for tile in tiles(view):
+        assert tile.after in text
+    for effect in verdict.effects:
+        assert f"{effect.name} passed three tests" in text
+        for rival in effect.indistinguishable_from:
+            assert rival in text
+        assert CATALOGUE[effect.trial.candidate.family].look_at[1:] in text
+    assert f"{verdict.map.error.mean() * 1e3:.2f}" in text
+    assert f"{verdict.map.uncertainty.max() * 1e3:.2f}" in text
+    for blunder in verdict.blunders:
+        assert blunder.message in text
+    for line in view.pattern:
+        assert line[1:] in text
+    assert "orthoglide rerun result.json" in text
+    assert "Not visible, which is not absent" in text or not verdict.invisible
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("which", CASES)
+def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) -> None:
+    seen: SimpleNamespace = opened(files_of(which)["report.html"], width, tmp_path)
+    assert seen.inner == width
+    assert seen.page <= width
+    assert (seen.out, seen.cut, seen.flat) == ([], [], 0)
+    assert seen.height > 3000
+
+
+# --- What is said ---------------------------------------------------------------------------
+
+
+def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
+    text = headline(view_of("ambiguous"))
+    assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
+    assert "(or the y rail leans toward z and its carriage with it: these readings cannot" in text
+    assert "0.043 to 0.003 mm rms, which is the noise of the dial" in text
+    assert "no cause known to this program explains" in headline(view_of("unexplained"))
+    partial = headline(view_of("partial"))
+    assert "This is not all" in partial
+    assert partial.count(" or ") >= 2
+    faults = headline(view_of("faulty"))
+    assert faults.startswith("Drive x has 0.056 mm of lost motion.")
+    assert faults.endswith("1 fault in the data had to be dealt with first.")
+
+
+def test_a_machine_with_nothing_wrong() -> None:
+    view = View(close_loop(swept(), rig_machine()))
+    assert view.verdict.word == "adequate"
+    assert headline(view).startswith("Nothing is wrong that these readings could show")
+    page = verdict_files(view, run_of(view.verdict))["report.html"]
+    assert not {"look", "apart", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
+
+
+@pytest.mark.parametrize("name", MACHINE_PARAMETERS)
+def test_every_parameter_can_be_said(name: str) -> None:
+    leg = name.split(".")[1]
+    for value in (1e-3, -1e-3):
+        text = cause(name, {name: value})
+        assert re.search(rf"\b{leg}\b", text)
+        assert not re.search(r"[{}_]|nan", text)
+    assert short(name) in {short(name), cause(name, {name: 1e-3})}
+    opposite = cause(name, {name: -1e-3})
+    assert name.startswith(("joint_offset", "mount_tilt", "screw", "drive_c", "thermal")) or (
+        opposite != cause(name, {name: 1e-3})
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("rail_bow.x.z", 1e-4, "its middle stands 0.1 mm toward −z"),
+        ("axis_offset.z.x", -5e-4, "the z rail stands 0.5 mm beside its place, toward −x"),
+        ("bar_mismatch.z", 2e-3, "bar 1 of leg z is 2 mm longer than bar 2"),
+        ("parallelogram_width.y", -1e-3, "is 1 mm narrower than the one at the carriage"),
+        ("encoder_scale.y", -3e-3, "drive y moves 0.3 % less than it is told"),
+        ("axis_tilt.x.y", -2e-3, "toward −y by 2 mrad (0.2 mm over 100 mm)"),
+        ("axis_tilt.cyclic", 1e-3, "each toward its two neighbours in turn (x toward y and −z)"),
+        ("axis_offset.zx.symmetric", -1e-3, "z toward −x and x toward −z by 1 mm"),
+        ("axis_offset.zx.antisymmetric", 1e-3, "z toward x and x toward −z by 1 mm"),
+        ("backlash.common", 5e-5, "the drives have lost motion, all alike, by 0.05 mm"),
+        ("mount_tilt.b.common", -2e-3, "all alike about its pivots, by −2 mrad"),
+        ("backlash.x@day-2", 5e-5, "drive x has 0.05 mm of lost motion (day-2)"),
+        ("gauge_scale.left", 0.02, "the dial of left shows 2 % more"),
+        ("gauge_drift.left", 1e-8, "the stand of left creeps by 0.036 mm an hour"),
+    ],
+)
+def test_size_and_direction(name: str, value: float, said: str) -> None:
+    assert said in cause(name, {name: value})
+
+
+def test_blocks_are_said_by_their_size() -> None:
+    both = {"screw_error.x.sin": 3e-5, "screw_error.x.cos": -4e-5}
+    assert "drive x runs 0.05 mm ahead and behind" in cause("screw_error.x", both)
+    many = {"backlash.x": 1e-5, "backlash.y": -4e-5}
+    assert cause("backlash", many) == "the drives have lost motion, from 0.01 mm to 0.04 mm"
+    assert short("axis_tilt.cyclic", "rail_tilt.cyclic").endswith("out of square in the same way")
+
+
+# --- result.json and its neighbours ---------------------------------------------------------
+
+KEYS = {
+    "schema", "version", "command", "arguments", "seed", "inputs", "noise_mm", "noise_source",
+    "sigma_scale", "verdict", "before", "after", "holdout", "tcp", "effects", "parameters",
+    "candidates", "blunders", "weak_directions", "cross_check", "next_measurements",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_result_has_the_keys_of_the_contract(which: str) -> None:
+    verdict, result = verdict_of(which), json.loads(files_of(which)["result.json"])
+    assert set(result) >= KEYS
+    assert result["verdict"] == verdict.word
+    assert result["before"]["chi2"] == pytest.approx(verdict.base.scores.chi2)
+    assert result["after"]["cv_rms_mm"] == pytest.approx(verdict.fit.scores.cv_rms * 1e3)
+    assert [e["name"] for e in result["effects"]] == [e.name for e in verdict.effects]
+    for told, effect in zip(result["effects"], verdict.effects, strict=True):
+        assert told["parameters"] == list(effect.parameters)
+        assert told["indistinguishable_from"] == list(effect.indistinguishable_from)
+        assert 0 < told["probability"] <= 1
+    for name, entry in result["parameters"].items():
+        si = CATALOGUE[name.split(".")[0]].unit.si
+        assert entry["sigma"] * si == pytest.approx(verdict.known.sigmas[name], rel=1e-9)
+        assert entry["sigma_alone"] * si == pytest.approx(verdict.fit.sigmas[name], rel=1e-9)
+    tried = {(c["name"], c["round"]) for c in result["candidates"]}
+    assert len(tried) == len(result["candidates"])
+    assert {r for e in verdict.effects for r in e.indistinguishable_from} <= {n for n, _ in tried}
+    assert {"p_value", "evidence", "cv_rms_mm", "plausible"} <= set().union(
+        *result["candidates"], {"p_value", "evidence", "cv_rms_mm", "plausible"}
+    )
+    for suggestion in result["next_measurements"]:
+        assert suggestion["reason"]
+        assert all("reading_mm" not in row for row in suggestion["readings"])
+
+
+def test_judges_are_reported() -> None:
+    held = json.loads(files_of("partial")["result.json"])
+    verdict = verdict_of("partial")
+    assert verdict.hold_out is not None
+    assert held["holdout"]["after_rms_mm"] == pytest.approx(verdict.hold_out.after_rms * 1e3)
+    assert held["tcp"] is None
+    assert [i.get("role", "campaign") for i in held["inputs"]] == ["campaign", "holdout"]
+    judged = json.loads(files_of("ambiguous")["result.json"])
+    errors = verdict_of("ambiguous").tcp
+    assert errors is not None
+    assert judged["holdout"] is None
+    assert set(judged["tcp"]) == {"none", "translation", "rigid"}
+    told = judged["tcp"]["translation"]
+    assert told["after_mean_mm"] == pytest.approx(errors["translation"].after[0] * 1e3)
+    assert told["nominal_max_mm"] == pytest.approx(errors["translation"].nominal[1] * 1e3)
+
+
+def test_faults_carry_the_lines_of_the_file() -> None:
+    result = json.loads(files_of("faulty")["result.json"])
+    (fault,) = result["blunders"]
+    assert fault["kind"] == "outlier"
+    assert fault["rows"] == [41]
+    assert fault["files"] == {"rig-3.csv": [41]}
+    assert fault["rms_without_mm"] < fault["rms_with_mm"]
+    assert len(result["inputs"][0]["rows"]) == 252
+    table = list(csv.DictReader(io.StringIO(files_of("faulty")["residuals.csv"])))
+    aside = [row for row in table if row["set_aside"]]
+    assert len(table) == 252
+    assert [(row["line"], row["set_aside"]) for row in aside] == [("41", "outlier")]
+    assert aside[0]["predicted_after_mm"] == ""
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_residuals_add_up(which: str) -> None:
+    verdict = verdict_of(which)
+    table = list(csv.DictReader(io.StringIO(files_of(which)["residuals.csv"])))
+    kept = [row for row in table if not row["set_aside"]]
+    for side, rms in (
+        ("nominal", verdict.base.nominal.rms),
+        ("before", verdict.base.scores.rms),
+        ("after", verdict.fit.scores.rms),
+    ):
+        residual = np.array([float(row[f"residual_{side}_mm"]) for row in kept])
+        assert np.sqrt(np.mean(residual**2)) == pytest.approx(rms * 1e3, rel=1e-3)
+        row = kept[0]
+        value = float(row["reading_mm"]) - float(row[f"predicted_{side}_mm"])
+        assert value == pytest.approx(residual[0], abs=2e-6)
+
+
+@pytest.mark.parametrize("which", ["ambiguous", "partial"])
+def test_the_calibrated_machine_is_averaged_over_the_class(which: str, tmp_path: Path) -> None:
+    text, verdict = files_of(which)["calibrated.toml"], verdict_of(which)
+    provenance = tomllib.loads(text)["provenance"]
+    rivals = verdict.effects[0].indistinguishable_from
+    assert provenance["verdict"] == verdict.word
+    assert set(rivals) <= set(provenance["averaged_over"])
+    (tmp_path / "calibrated.toml").write_text(text)
+    machine = og.Machine.load(tmp_path / "calibrated.toml")
+    for name, value in verdict.values.items():
+        assert machine.values[name] == pytest.approx(value, abs=1e-15)
+    entries = machine.spec.parameters
+    assert all(entries[n].sigma > 0 for n, v in verdict.values.items() if v)
+    families = {n.split(".")[0] for n, v in machine.values.items() if v}
+    assert {n.split(".")[0] for n in rivals} <= families
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_the_sheet_of_what_to_measure_next_can_be_measured(which: str, tmp_path: Path) -> None:
+    text = files_of(which).get("next_measurements.csv", "")
+    link = re.search(r'href="data:text/csv;charset=utf-8;base64,([^"]*)"',
+                     files_of(which)["report.html"])  # fmt: skip
+    assert bool(text) == bool(link)
+    if not link:
+        assert not any(s.rows for s in view_of(which).following)
+        return
+    assert base64.b64decode(link[1]).decode() == text
+    (tmp_path / "next.csv").write_text(text)
+    campaign = og.read_campaign(tmp_path / "next.csv", require_readings=False)
+    assert len(campaign) == text.count("\n") - 1
+    assert not campaign.warnings
+    assert np.isnan(campaign.reading).all()
+
+
+def test_a_verdict_writes_its_report(tmp_path: Path) -> None:
+    verdict = verdict_of("partial")
+    verdict.report(str(tmp_path / "out"))
+    for name, text in files_of("partial").items():
+        assert (tmp_path / "out" / name).read_text(encoding="utf-8") == text
+    with pytest.raises(FileError, match="is not empty"):
+        verdict.report(str(tmp_path / "out"))
+
+
+# --- The workspace --------------------------------------------------------------------------
+
+
+def test_the_workspace_is_told_before_and_after() -> None:
+    space = view_of("ambiguous").workspace
+    assert np.all(space.sure > space.alone)
+    assert space.before.mean() < space.nominal.mean()
+    assert np.all(space.before > 0)
+    assert not view_of("unexplained").workspace.before.any()
+    families = view_of("ambiguous").uncertain_families
+    assert 0.3 < sum(share for _, share in families) <= 1
+    assert [s for _, s in families] == sorted((s for _, s in families), reverse=True)
+
+
+# --- The pattern of what is left ------------------------------------------------------------
+
+
+def left_of(extra: np.ndarray | float, seed: int = 0) -> str:
+    fit: Estimate = identify(swept(extra, seed), rig_machine())
+    return "; ".join(describe_left(fit))
+
+
+def test_patterns_are_recognised() -> None:
+    sheet = protocol("sweep")
+    s = travel(sheet)
+    assert "setup yx-0.5 holds" in left_of(3e-5 * (s / 0.1) ** 2 * (sheet.setup == 2))
+    u = (s + 0.02) / 0.08
+    assert "even along the stroke" in left_of(5e-5 * u**2)
+    assert "odd along the stroke" in left_of(5e-5 * (5 * u**3 - 3 * u))
+    assert "side from which axis z came" in left_of(1e-5 * sheet.approach[:, 2])
+    assert "drifts in time" in left_of(1e-4 * np.linspace(0, 1, len(sheet)) ** 2)
+    wave = np.sin(2 * np.pi * s / 0.06)
+    found = re.search(r"travel of y, every (\d+) mm", left_of(5e-5 * wave * (sheet.leg == 1)))
+    assert found
+    assert abs(int(found[1]) - 60) <= 6
+
+
+def test_noise_has_no_pattern() -> None:
+    silent = [left_of(0.0, seed) for seed in range(20)]
+    assert sum("no pattern" in text for text in silent) >= 17
