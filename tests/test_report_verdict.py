@@ -15,7 +15,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.test_report import DATA, RIG, Balanced, opened, words
 
 import orthoglide as og
 from orthoglide.closing import Verdict, close_loop
@@ -31,6 +30,7 @@ from orthoglide.report.verdict_html import tiles
 from orthoglide.report.verdict_run import run_of
 from orthoglide.report.verdict_view import View
 from orthoglide.report.verdict_wording import headline
+from tests.test_report import DATA, RIG, Balanced, opened, words
 
 CASES = ("ambiguous", "partial", "unexplained", "faulty")
 

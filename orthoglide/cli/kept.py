@@ -104,6 +104,7 @@ class Kept:
             spec = parse_machine_file(told["toml"], told["file"] or "")
             spec = replace(spec, file=told["file"] or "", sha256=told["sha256"] or "")
             seed = int(result["seed"])
+            _check(result["command"], result["arguments"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise FileError(
                 f"is not as it was written ({type(error).__name__}: {error}): take the original",
@@ -204,6 +205,20 @@ class Kept:
                     points = read_tcp(path, self.machine.spec)
                 return replace(points, file=kept.file, sha256=kept.sha256)
         return None
+
+
+def _check(command: str, told: Mapping[str, Any]) -> None:
+    """Whether arguments are those of a command; ValueError or KeyError where they are not."""
+    lists = ("campaigns", "own", *(("free",) if command == "identify" else ()))
+    single = ("priors", "reduced") if command == "identify" else ("holdout", "tcp")
+    for name in lists:
+        if not all(isinstance(item, str) for item in told[name]):
+            raise ValueError(f"{name} is no list of names")
+    for name in ("machine", *single):
+        if not isinstance(told[name], str | bool | None):
+            raise ValueError(f"{name} is no name")
+    if not isinstance(told["noise_mm"], int | float | None):
+        raise ValueError("noise_mm is no number")
 
 
 @contextmanager

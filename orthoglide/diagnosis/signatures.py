@@ -92,7 +92,7 @@ class Signatures:
 def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
     """The same readings with all parameters of families freed besides those that are."""
     taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
-    free = []
+    free: list[str] = []
     for family in families:
         names = build_problem(problem.machine, problem.campaigns, [family], problem.noise).unknowns
         free.extend(

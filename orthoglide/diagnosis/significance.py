@@ -20,6 +20,7 @@ from orthoglide.geometry import Array
 from orthoglide.identification import Problem
 from orthoglide.identification.least_squares import normal
 from orthoglide.identification.noise import repeat_variance
+from orthoglide.observations import Campaign
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
@@ -88,7 +89,7 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     return drawn.rows + drawn.little
 
 
-def _with_noise(problem: Problem, readings: Array) -> tuple:  # type: ignore[type-arg]
+def _with_noise(problem: Problem, readings: Array) -> tuple[Campaign, ...]:
     return problem.with_readings(readings).campaigns
 
 

@@ -174,11 +174,11 @@ def _fit(
         )
     default = DEFAULT_SIGMA if sigma is None else sigma
     spread = np.where(np.isfinite(points.sigma) & (sigma is None), points.sigma, default)
-    weight = (1 / np.repeat(spread[:, None], 3, axis=1))[known]
+    weights: Array = (1 / np.repeat(spread[:, None], 3, axis=1))[known]
     conditions = Conditions.at(points.command, approach=points.approach)
     held = {n: v for n, v in machine.values.items() if n not in parts}
     names = tuple(u.name for u in unknowns)
-    fit = _Fit(machine, points, conditions, names, matrix, parts, held, frame, known, weight)
+    fit = _Fit(machine, points, conditions, names, matrix, parts, held, frame, known, weights)
     return fit, np.array([u.tolerance for u in unknowns])
 
 

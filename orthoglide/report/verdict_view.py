@@ -171,9 +171,8 @@ class View:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Of the fits, each once."""
-        both = (*self.verdict.base.warnings, *self.verdict.fit.warnings)
-        return tuple(dict.fromkeys(w for w in both if not w.startswith("the residuals are")))
+        """Of the final fit: what troubles the base model may be what the cause explains."""
+        return tuple(w for w in self.verdict.fit.warnings if not w.startswith("the residuals are"))
 
     @property
     def unexcited(self) -> tuple[str, ...]:
