@@ -387,6 +387,12 @@ def test_a_disk_that_fails(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 # --- What is made ---------------------------------------------------------------------------
 
+FILES = {
+    "result.json", "calibrated.toml", "residuals.csv", "report.html", "figures/readings.svg",
+    "figures/residuals.svg", "figures/parameters.svg", "figures/correlations.svg",
+}  # fmt: skip
+
+
 def test_the_same_bytes_wherever_the_files_lie(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done("identify", "experiment2.csv", "--out", "out")
     (here / "elsewhere").mkdir()

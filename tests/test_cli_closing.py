@@ -254,8 +254,9 @@ def test_the_bar_never_goes_back() -> None:
     shown = Progress()
     task = shown.add_task("", total=100)
     seen = []
-    for text in ("reading", "identifying from 12 readings", "trying a", "trying b", "testing",
-                 "comparing with c", "trying d", "drawing", "something new", "writing"):  # fmt: skip
+    stages = ("reading", "identifying from 12 readings", "trying a", "trying b", "testing",
+              "comparing with c", "trying d", "drawing", "something new", "writing")  # fmt: skip
+    for text in stages:
         shown.update(task, completed=_share(text, shown))
         seen.append(shown.tasks[0].completed)
     assert seen == sorted(seen)

@@ -156,9 +156,11 @@ def test_the_key_numbers_are_on_the_page() -> None:
     assert "from 0.32 to 0.14 mm" in text
     assert "5.5 times the noise" in text
     for name, value in estimate.values.items():
-        low, high = estimate.interval(name)
-        assert f"{signed(value * 1e3, 2)} ± {estimate.sigmas[name] * 1e3:.2f}" in text
-        assert f"{signed(low * 1e3, 2)} to {signed(high * 1e3, 2)}" in text
+        low, high = (end * 1e3 for end in estimate.interval(name))
+        sigma = estimate.sigmas[name] * 1e3
+        places = decimals_for(sigma)
+        assert f"{signed(value * 1e3, places)} ± {sigma:.{places}f}" in text
+        assert f"{signed(low, places)} to {signed(high, places)}" in text
     assert f"{estimate.nominal.deviation_rms * 1e3:.3f}" in text
     assert f"{estimate.scores.cv_rms * 1e3:.3f}" in text
     assert "cannot tell the joint offset from the leg length of leg x, y and z" in text
