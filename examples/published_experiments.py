@@ -67,8 +67,8 @@ def alone(verdicts: dict[str, Verdict]) -> Iterator[str]:
     yield "## Each experiment alone"
     yield ""
     yield (
-        "| experiment | verdict | cause | probability | naming p | cannot be told from | deviations "
-        "before, after (mm) | stations left out before, after (mm) |"
+        "| experiment | verdict | cause | probability | naming p | cannot be told from | "
+        "deviations before, after (mm) | stations left out before, after (mm) |"
     )
     yield "|---|---|---|---|---|---|---|---|"
     for name, verdict in verdicts.items():

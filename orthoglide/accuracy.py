@@ -66,8 +66,11 @@ def knowledge(estimate: Estimate) -> Knowledge:
     prior = here.prior.copy()
     prior[:own] = 1 / problem.prior_sd
     scale = np.concatenate([problem.tolerance, wide.tolerance[own:]])
-    information = (here.jacobian.T @ here.jacobian + np.diag(prior**2)) * scale * scale[:, None]
-    gradient = (here.jacobian.T @ here.residual - prior**2 * x) * scale
+    # Where the fit lacks something, the readings are worse witnesses of everything else as well.
+    noise = estimate.sigma_scale**2
+    seen = here.jacobian.T @ here.jacobian / noise
+    information = (seen + np.diag(prior**2)) * scale * scale[:, None]
+    gradient = (here.jacobian.T @ here.residual / noise - prior**2 * x) * scale
     values, vectors = np.linalg.eigh(information)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
     covariance = root @ root.T
@@ -143,7 +146,7 @@ def tcp_map(
     estimate: Estimate,
     known: Knowledge,
     values: Mapping[str, float],
-    spread: tuple[tuple[float, Mapping[str, float]], ...] = (),
+    explanations: tuple[tuple[float, Mapping[str, float]], ...] = (),
     commands: Array | None = None,
 ) -> Map:
     """Predict the TCP and its uncertainty over the workspace.
@@ -152,8 +155,8 @@ def tcp_map(
         estimate: the fit.
         known: as from :func:`knowledge`.
         values: parameters of the calibrated machine, SI.
-        spread: weights and parameters of rival explanations, whose differences count as
-            uncertainty.
+        explanations: weights and parameters of all that fit as well, whose distance from
+            ``values`` counts as uncertainty.
         commands: ``(g, 3)``; the grid of :func:`workspace` where absent.
     """
     model = estimate.problem.machine.model
@@ -167,7 +170,7 @@ def tcp_map(
     variance_all = np.einsum("gie,ef,gif->gi", slope, known.covariance, slope) + shift**2
     own = slope[:, :, : known.own]
     variance = np.einsum("gie,ef,gif->gi", own, estimate.covariance, own)
-    for weight, other in spread:
+    for weight, other in explanations:
         rival = model.outputs({n: v for n, v in other.items() if not is_dial(n)}, conditions).p
         apart = rival - outputs.p
         variance_all = variance_all + weight * (apart - apart.mean(axis=0)) ** 2

@@ -81,9 +81,20 @@ class Verdict:
         return tuple(found)
 
     @cached_property
+    def chosen(self) -> dict[str, float]:
+        """Parameters of the explanation that was chosen, SI."""
+        return self.fit.problem.values(len(self.fit.problem.campaigns) - 1, self.fit.x)
+
+    @cached_property
+    def explanations(self) -> tuple[tuple[float, dict[str, float]], ...]:
+        """Weights and parameters of all explanations that fit as well, the chosen one first."""
+        rest = max(1.0 - sum(share for share, _ in self.spread), 0.0)
+        return ((rest, self.chosen), *self.spread)
+
+    @cached_property
     def values(self) -> dict[str, float]:
         """Parameters of the calibrated machine, SI: averaged over what fits as well."""
-        own = self.fit.problem.values(len(self.fit.problem.campaigns) - 1, self.fit.x)
+        own = self.chosen
         averaged = dict(own)
         for weight, other in self.spread:
             for name in dict.fromkeys((*own, *other)):
@@ -109,9 +120,7 @@ class Verdict:
         weights, mean = self.known.weights, self.values
         variance = np.einsum("pe,ef,pf->p", weights, self.known.covariance, weights)
         variance += (weights @ self.known.shift) ** 2
-        chosen = self.fit.problem.values(len(self.fit.problem.campaigns) - 1, self.fit.x)
-        rest = max(1.0 - sum(share for share, _ in self.spread), 0.0)
-        for share, other in (*self.spread, (rest, chosen)):
+        for share, other in self.explanations:
             apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in MACHINE_PARAMETERS]
             variance += share * np.square(apart)
         return dict(zip(MACHINE_PARAMETERS, np.sqrt(variance).tolist(), strict=True))
@@ -119,7 +128,7 @@ class Verdict:
     @cached_property
     def map(self) -> Map:
         """Predicted TCP over the workspace, with both kinds of uncertainty."""
-        return tcp_map(self.fit, self.known, self.values, self.spread)
+        return tcp_map(self.fit, self.known, self.values, self.explanations)
 
     @property
     def invisible(self) -> tuple[str, ...]:
@@ -196,7 +205,9 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
     if holdout is not None:
         scored = hold_out(verdict.before, verdict.values, machine, holdout, verdict.own)
     if tcp is not None:
-        at_points = tcp_map(verdict.fit, verdict.known, verdict.values, verdict.spread, tcp.command)
+        at_points = tcp_map(
+            verdict.fit, verdict.known, verdict.values, verdict.explanations, tcp.command
+        )
         errors = tcp_errors(machine, tcp, verdict.before, verdict.values, at_points.sigma_all)
     return replace(verdict, hold_out=scored, tcp=errors, judges=(holdout, tcp))
 
