@@ -85,7 +85,7 @@ def check(rest: list[str]) -> int:
 def bench(rest: list[str]) -> int:
     """Run the benchmarks of speed, or the one named: bench closure."""
     environment("test")
-    names = rest[:1] or ["closure", "identify"]
+    names = rest[:1] or ["closure", "identify", "elastic"]
     paths = [ROOT / "benchmarks" / f"{Path(name).stem}.py" for name in names]
     for path in paths:
         if not path.is_file():

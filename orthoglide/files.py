@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from orthoglide.errors import FileError
@@ -65,20 +67,35 @@ def write_whole(path: str | os.PathLike[str], text: str, *, overwrite: bool) -> 
         FileError: where a file stands already and may not be replaced, or none can be written.
     """
     target = Path(path)
-    if target.exists() and not overwrite:
+    if not overwrite:
+        check_new(target)
+    with writing(path):
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=".orthoglide-")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
+                stream.write(text)
+            os.chmod(name, 0o644)  # mkstemp's file is its owner's alone
+            os.replace(name, target)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+
+def check_new(path: str | os.PathLike[str]) -> None:
+    """Refuse a name that stands already, or that no file can have, with a `FileError`."""
+    with writing(path):
+        stands = Path(path).exists()
+    if stands:
         raise FileError("exists and is not overwritten: choose another name", file=str(path))
+
+
+@contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """What the system refuses within is a `FileError` that names the path."""
     try:
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        yield
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(
-            f"cannot be written ({reason}): choose another place", file=str(path)
+            f"cannot be written ({reason}): choose another place or name", file=str(path)
         ) from None
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
-        os.chmod(name, 0o644)  # mkstemp's file is its owner's alone
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

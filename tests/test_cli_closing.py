@@ -325,6 +325,19 @@ def test_rerun_sees_a_reading_that_was_tampered_with(ran: Path) -> None:
     assert run("rerun", "out/result.json").exit_code == 3
 
 
+def test_rerun_names_the_file_that_was_read(here: Path) -> None:
+    done("identify", "experiment2.csv", "--out", "out", "--quiet")
+
+    def edit(result: Any) -> None:
+        result["inputs"][0]["rows"][1]["reading_mm"] = "99"
+
+    change(here / "out" / "result.json", edit)
+    result = run("rerun", "out/result.json")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("orthoglide: experiment2.csv, line ")
+    assert "orthoglide-" not in result.stderr
+
+
 @pytest.mark.parametrize("options", [(), ("--reduced",), ("--free", "joint_offset", "--no-priors")])
 def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> None:
     done("identify", "experiment2.csv", "--out", "out", "--noise", "0.03", *options, "--quiet")
@@ -353,6 +366,8 @@ BROKEN: dict[str, tuple[str, str]] = {
     "a list": ("[]", "has no 'schema'"),
     "nothing": ("", "give a file with content"),
     "another file": ('{"a": 1}', "has no 'schema'"),
+    "arguments of none": ('{"schema": 1, "arguments": 5}', "has no 'version'"),
+    "a number without end": (f'{{"schema": {"1" * 5000}}}', "is no result"),
     "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "keeps no rows"),
 }
 
@@ -383,6 +398,22 @@ def test_rerun_of_a_spoilt_result(here: Path) -> None:
     assert "not as it was written" in spoilt("machine", {"toml": "x"})
     assert "not as it was written" in spoilt("seed", "today")
     assert "not as it was written" in spoilt("arguments", {})
+    assert "not as it was written" in spoilt("arguments", {**whole["arguments"], "machine": True})
+    assert "not as it was written" in spoilt("arguments", {**whole["arguments"], "noise_mm": -1})
+    assert "inputs has no campaign" in spoilt("inputs", [])
+    one = whole["inputs"][0]
+    for key, value, words in (
+        ("file", "..", "is no name of a file"),
+        ("file", "a/b.csv", "is no name of a file"),
+        ("file", "a" * 300, "is no name of a file"),
+        ("rows", [5, *one["rows"][1:]], "has a row that is none"),
+        ("rows", [], "has no rows"),
+        ("lines", [2, 3], "lines that are not those of its rows"),
+        ("lines", [10**9 + k for k in range(len(one["rows"]))], "lines that are not those"),
+        ("lines", ["2"], "lines that are no numbers"),
+        ("role", "judge", "is none of campaign"),
+    ):
+        assert words in spoilt("inputs", [{**one, key: value}])
 
 
 def test_comparing_numbers() -> None:

@@ -313,6 +313,7 @@ def test_everything_own_is_each_campaign_alone() -> None:
     joint = identify(both, MACHINE, own=["joint_offset", "leg_length"])
     for campaign in both:
         alone = identify(campaign, MACHINE)
+        assert len(alone.values) == 6
         for name, value in alone.values.items():
             assert joint.values[f"{name}@{campaign.name}"] == pytest.approx(value, abs=NANOMETRE)
 
@@ -322,6 +323,7 @@ def test_a_campaign_twice_is_twice_the_knowledge() -> None:
     twice = identify([one, replace(one, name="again")], MACHINE, ["joint_offset"], priors=False)
     once = identify(one, MACHINE, ["joint_offset"], priors=False)
     agree(twice, once, within=1e-8)
+    assert len(once.names) == 3
     for name in once.names:
         assert twice.sigmas[name] == pytest.approx(once.sigmas[name] / np.sqrt(2), rel=1e-3)
 
@@ -402,6 +404,17 @@ def test_common_axis_offset_cannot_be_seen() -> None:
         vector = np.array([direction.get(n, 0.0) for n in named])
         assert np.linalg.norm(vector) > 0
     identify(measured("sweep"), MACHINE, ["joint_offset", "axis_offset"])  # priors make it whole
+
+
+def test_what_is_undetermined_is_said_once_and_with_few_names() -> None:
+    """Three directions, one toward each axis: a joint offset and the two axis offsets with it."""
+    with pytest.raises(UnidentifiableError) as caught:
+        identify(measured("sweep"), MACHINE, ["joint_offset", "axis_offset"], priors=False)
+    groups = [frozenset(direction) for direction in caught.value.directions]
+    assert len(set(groups)) == 3
+    assert all(len(group) == 3 for group in groups)
+    text = str(caught.value)
+    assert all(text.count(name) == 1 for group in groups for name in group)
 
 
 def test_backlash_is_not_seen_from_one_side() -> None:
@@ -495,6 +508,7 @@ def test_sigmas_are_scaled_where_lack_of_fit_remains() -> None:
 
 def test_intervals_are_sigmas_times_the_factor() -> None:
     found = identify(measured("standard"), MACHINE)
+    assert len(found.values) == 6
     for name, value in found.values.items():
         low, high = found.interval(name)
         assert (low + high) / 2 == pytest.approx(value)

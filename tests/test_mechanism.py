@@ -535,3 +535,18 @@ def test_pickling_gives_the_same_mechanism(compile: bool | None) -> None:
     assert np.abs(again.forward(rho, moves) - expected).max() < 1e-13
     assert np.array_equal(same.q, posture.q)
     assert np.abs(again.close(rho[0], moves[0], guess=same).p - posture.p).max() < 1e-14
+
+
+def test_a_batch_that_does_not_close_says_where_in_words() -> None:
+    with pytest.raises(ClosureError, match=r"largest misfit of \S+ mm or mrad at \w+") as caught:
+        mechanism().forward([[0.31025] * 3, [0.7] * 3])
+    assert "{" not in str(caught.value)
+    assert caught.value.residuals
+
+
+def test_points_are_counted_from_one_for_people() -> None:
+    with pytest.raises(UnreachableError, match=r"^point 2: leg y is") as caught:
+        mechanism().inverse([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    assert caught.value.index == (1,)
+    with pytest.raises(UnreachableError, match=r"^leg y is"):
+        mechanism().inverse([0.5, 0.0, 0.0])

@@ -353,6 +353,22 @@ def test_a_leg_that_hardly_moves_is_a_warning(tmp_path: Path) -> None:
     assert campaign.warnings[0].startswith("leg z moves by only 0 mm along its own axis")
 
 
+@pytest.mark.parametrize(
+    ("readings", "said"), [(["3.20"], True), (["3.20", "3.21"], True), (["3.20", "3.22"], False)]
+)
+def test_a_dial_that_stands_still_is_a_warning(
+    readings: list[str], said: bool, tmp_path: Path
+) -> None:
+    rows = [list(row) for row in good_rows()]
+    place, setup = rows[0].index("reading_mm"), rows[0].index("setup")
+    visits: dict[str, int] = {}
+    for row in rows[1:]:
+        visits[row[setup]] = visits.get(row[setup], 0) + 1
+        row[place] = readings[visits[row[setup]] % len(readings)]
+    campaign = read_campaign(write(tmp_path / "c.csv", as_text(rows)))
+    assert any("is the dial touching" in w for w in campaign.warnings) == said
+
+
 def test_partly_recorded_conditions_are_warnings_and_count_as_none(tmp_path: Path) -> None:
     rows = chained(
         added("temperature_C", "21"), cell("temperature_C", "", 2), cell("temperature_C", "23", 5)

@@ -128,6 +128,7 @@ def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
 
 @pytest.mark.parametrize("which", ["published", "rig", "two"])
 def test_nothing_tells_where_or_when(which: str) -> None:
+    assert {"report.html", "result.json"} <= set(files_of(which))
     for name, text in files_of(which).items():
         assert not re.search(r"/(?:home|root|tmp|usr|work|var)/", text), name
         assert str(Path.cwd()) not in text, name
@@ -252,6 +253,7 @@ def test_result_is_enough_to_run_it_again() -> None:
     spec = parse_machine_file(result["machine"]["toml"])
     campaign = og.Campaign.from_frame(columns, name="rig-6", machine_file=spec)
     again = identify(campaign, og.Machine(spec))
+    assert list(again.values) == list(result["parameters"])
     for name, entry in result["parameters"].items():
         assert again.values[name] * 1e3 == pytest.approx(entry["value"], abs=1e-9)
 

@@ -23,13 +23,15 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.effects.catalogue import MACHINE_PARAMETERS
 from orthoglide.errors import FileError
 from orthoglide.identification import Estimate, identify
+from orthoglide.judging import HoldOut
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import verdict_files
 from orthoglide.report.causes import cause, short
 from orthoglide.report.verdict_html import tiles
 from orthoglide.report.verdict_run import run_of
+from orthoglide.report.verdict_text import verdict_summary
 from orthoglide.report.verdict_view import View
-from orthoglide.report.verdict_wording import headline
+from orthoglide.report.verdict_wording import cautions, headline
 from tests.test_report import DATA, RIG, Balanced, opened, words
 
 CASES = ("ambiguous", "partial", "unexplained", "faulty")
@@ -119,6 +121,7 @@ def test_the_page_is_well_formed_and_self_contained(which: str) -> None:
 
 @pytest.mark.parametrize("which", CASES)
 def test_nothing_tells_where_or_when(which: str) -> None:
+    assert {"report.html", "result.json"} <= set(files_of(which))
     for name, text in files_of(which).items():
         shown = page_without_sheet(which) if name == "report.html" else text
         assert not re.search(r"/(?:home|root|tmp|usr|work|var)/", shown), name
@@ -306,6 +309,29 @@ def test_judges_are_reported() -> None:
     told = judged["tcp"]["translation"]
     assert told["after_mean_mm"] == pytest.approx(errors["translation"].after[0] * 1e3)
     assert told["nominal_max_mm"] == pytest.approx(errors["translation"].nominal[1] * 1e3)
+
+
+@pytest.mark.parametrize("worse", [False, True])
+def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
+    """A mere part, and readings held out that the cause predicts worse."""
+    known = verdict_of("partial")
+    scores = HoldOut(2e-5, 3e-5) if worse else HoldOut(3e-5, 2e-5)
+    verdict = replace(known, hold_out=scores)
+    files = verdict_files(View(verdict), run_of(verdict))
+    warnings = json.loads(files["result.json"])["warnings"]
+    said = " ".join(verdict_summary(View(verdict)).split())
+    for text, wanted in (
+        ("only part of what is wrong", True),
+        ("The readings held out are predicted worse", worse),
+    ):
+        assert any(text in w for w in warnings) == wanted
+        assert (text in said) == wanted
+        assert files["report.html"].count(text) == wanted
+
+
+def test_what_stands_is_not_warned_of() -> None:
+    assert cautions(view_of("ambiguous")) == ()
+    assert cautions(view_of("unexplained")) == ()
 
 
 def test_faults_carry_the_lines_of_the_file() -> None:

@@ -107,6 +107,7 @@ def test_names_of_joints_links_and_their_axes() -> None:
 
 def test_frames_of_the_closures_are_found_by_bare_name() -> None:
     model = load(NOMINAL)
+    assert urdf.closures(NOMINAL)
     for item in urdf.closures(NOMINAL):
         for frame in (item.frame_1, item.frame_2):
             # raises where a joint's and a link's frame share the name

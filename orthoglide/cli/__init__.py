@@ -29,8 +29,8 @@ __all__ = ["cli", "main"]
 def cli() -> None:
     """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
 
-    Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed. Nothing is written unless the
-    run succeeds.
+    Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted. Nothing is
+    written unless the run succeeds.
     """
 
 

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.options import PATH, fit_options, load_machine, out_option, run_options
+from orthoglide.cli.options import (
+    PATH,
+    fit_options,
+    load_machine,
+    noise_metres,
+    out_option,
+    run_options,
+)
 from orthoglide.cli.progress import Step, bar
+from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -83,9 +91,7 @@ class Asked:
         """Read the files and close the loop."""
         from orthoglide.observations import read_campaign, read_tcp
 
-        noise = self.noise_mm
-        if noise is not None and not noise > 0:
-            raise InputError(f"--noise must be a positive number of millimetres, not {noise}")
+        noise = noise_metres(self.noise_mm)
         if self.seed < 0:
             raise InputError(f"--seed must be 0 or more, not {self.seed}")
         machine = load_machine(self.machine)
@@ -99,7 +105,7 @@ class Asked:
             campaigns,
             machine,
             own=self.own,
-            noise=None if noise is None else noise * 1e-3,
+            noise=noise,
             holdout=held,
             tcp=points,
             seed=self.seed,
@@ -211,7 +217,7 @@ def run_close_loop(
         as_json: print `result.json` and nothing else.
         ranked: print all causes that were tried.
     """
-    from orthoglide.report.folder import check_folder, write_folder
+    from orthoglide.report.folder import check_folder
 
     if out is not None:
         check_folder(out)
@@ -226,7 +232,7 @@ def run_close_loop(
         result = ""
         if out is not None:
             files = verdict_files(view, run, step)
-            write_folder(out, files)
+            write_results(out, files)
             result = files["result.json"]
         elif as_json:
             step("choosing what to measure next")

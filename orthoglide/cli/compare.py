@@ -9,6 +9,7 @@ import click
 
 from orthoglide.cli.options import Names, load_machine, machine_option, out_option
 from orthoglide.cli.progress import Step, progress
+from orthoglide.cli.writing import write_results
 
 if TYPE_CHECKING:
     from orthoglide.comparison import Row
@@ -38,12 +39,12 @@ def compare(
     at the TCP over the workspace and in the readings of a sweep.
     """
     from orthoglide.comparison import worst_of_families
-    from orthoglide.report.folder import check_folder, write_folder
+    from orthoglide.report.folder import check_folder
 
     check_folder(out)
     with progress(quiet) as step:
         files, rows, calibrated = _files(load_machine(machine_path), names, not no_figures, step)
-        write_folder(out, files)
+        write_results(out, files)
     if not quiet:
         for row in (*calibrated[:1], *worst_of_families(rows)):
             answer = "will do" if row.good_enough else "will not do"

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from orthoglide.cli.options import PATH, load_machine, out_option
+from orthoglide.cli.writing import write_file, write_results
 from orthoglide.errors import FileError, InputError, UnreachableError
 
 _MACHINE = click.option(
@@ -34,7 +35,6 @@ def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming
     lost motion depends on it.
     """
     from orthoglide import controller
-    from orthoglide.files import write_whole
 
     if not (0 <= load_N < 1e4 and -100 < warming < 100):
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
@@ -44,7 +44,7 @@ def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming
     except UnreachableError as error:
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
-    write_whole(out, controller.commands_text(found), overwrite=False)
+    write_file(out, controller.commands_text(found))
     for warning in points.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"{click.format_filename(out)}: {found}")
@@ -60,9 +60,10 @@ def export(machine_path: Path, out: Path) -> None:
     calibrated URDF with its loop closures.
     """
     from orthoglide.controller import export_files
-    from orthoglide.report.folder import write_folder
+    from orthoglide.report.folder import check_folder
 
-    write_folder(out, export_files(load_machine(machine_path)))
+    check_folder(out)
+    write_results(out, export_files(load_machine(machine_path)))
     click.echo(f"written: {click.format_filename(out)}")
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import PATH, Names, load_machine, machine_option
+from orthoglide.cli.options import PATH, Names, load_machine, machine_option, noise_metres
 from orthoglide.cli.progress import Step, progress
+from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,18 +63,19 @@ def design(
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
     from orthoglide.design import design as choose
-    from orthoglide.design import observability, report_design, smallest_effects
+    from orthoglide.design import observability, reading_pool, report_design, smallest_effects
     from orthoglide.design.expected import expected_noise
     from orthoglide.effects import BASE_FAMILIES
-    from orthoglide.errors import FileError
-    from orthoglide.observations import write_campaign
+    from orthoglide.files import check_new
+    from orthoglide.observations import campaign_text
 
-    if out is not None and out.exists():
-        raise FileError("exists and is not overwritten: choose another name", file=str(out))
-    if noise_mm is not None and not noise_mm > 0:
-        raise InputError(f"--noise must be a positive number of millimetres, not {noise_mm}")
+    if out is not None:
+        check_new(out)
+    noise = noise_metres(noise_mm)
     machine = load_machine(machine_path)
-    noise = None if noise_mm is None else noise_mm * 1e-3
+    most = len(reading_pool(machine.geometry))
+    if count > most:
+        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
     families = free or (BASE_FAMILIES if criterion == "d-optimal" else ())
     wanted = _wanted(want)
     with progress(quiet) as step:
@@ -96,7 +98,7 @@ def design(
             step(f"smallest effects: {name}")
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
         if out is not None:
-            write_campaign(found.campaign, out)
+            write_file(out, campaign_text(found.campaign))
     if quiet:
         return
     for line in report_design(found, compared):

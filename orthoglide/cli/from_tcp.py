@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.options import load_machine
+from orthoglide.cli.options import load_machine, noise_metres
 from orthoglide.cli.progress import progress
-from orthoglide.errors import InputError
+from orthoglide.cli.writing import write_results
 
 if TYPE_CHECKING:
     from orthoglide.identification.from_tcp import Frame, TcpEstimate
@@ -37,10 +37,9 @@ def run_fit_tcp(
     """Read the points, identify, write the folder and say what was found."""
     from orthoglide.effects import BASE_FAMILIES
     from orthoglide.observations import read_tcp
-    from orthoglide.report.folder import check_folder, write_folder
+    from orthoglide.report.folder import check_folder
 
-    if noise_mm is not None and not noise_mm > 0:
-        raise InputError(f"--noise must be a positive number of millimetres, not {noise_mm}")
+    noise = noise_metres(noise_mm)
     check_folder(out)
     with progress(quiet or as_json) as step:
         step("reading")
@@ -55,10 +54,10 @@ def run_fit_tcp(
             free or BASE_FAMILIES,
             frame=frame,
             priors=priors,
-            sigma=None if noise_mm is None else noise_mm * 1e-3,
+            sigma=noise,
         )
         files = _files(estimate, points, path, frame, priors)
-        write_folder(out, files)
+        write_results(out, files)
     if as_json:
         click.echo(files["result.json"], nl=False)
     elif not quiet:

@@ -11,10 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orthoglide.cli.from_tcp import FRAMES, run_fit_tcp
-from orthoglide.cli.options import PATH, Names, fit_options, load_machine, out_option, run_options
+from orthoglide.cli.options import (
+    PATH,
+    Names,
+    fit_options,
+    load_machine,
+    noise_metres,
+    out_option,
+    run_options,
+)
 from orthoglide.cli.progress import progress
-from orthoglide.cli.run import stop_if_asked
-from orthoglide.errors import InputError
+from orthoglide.cli.writing import write_results
 
 if TYPE_CHECKING:
     from orthoglide.identification import Estimate
@@ -146,7 +153,7 @@ def run_identify(
     as_json: bool = False,
 ) -> None:
     """Read, identify, write the folder and say what was found."""
-    from orthoglide.report.folder import check_folder, write_folder
+    from orthoglide.report.folder import check_folder
 
     check_folder(out)
     with progress(quiet or as_json) as step:
@@ -157,8 +164,7 @@ def run_identify(
         from orthoglide.report import identification_files
 
         files = identification_files(estimate, run)
-        stop_if_asked()
-        write_folder(out, files)
+        write_results(out, files)
     if as_json:
         click.echo(files["result.json"], nl=False)
     elif not quiet:
@@ -184,19 +190,18 @@ def _identified(paths: Sequence[Path], asked: Asked, step: Any) -> Estimate:
     from orthoglide.effects import BASE_FAMILIES
     from orthoglide.observations import read_campaign
 
+    noise = noise_metres(asked.noise_mm)
     machine = load_machine(asked.machine)
     campaigns = [read_campaign(path, machine.spec) for path in paths]
     step(f"identifying from {sum(map(len, campaigns))} readings")
     from orthoglide.identification import identify
 
-    if asked.noise_mm is not None and not asked.noise_mm > 0:
-        raise InputError(f"--noise must be a positive number of millimetres, not {asked.noise_mm}")
     return identify(
         campaigns,
         machine,
         asked.free or BASE_FAMILIES,
         own=asked.own,
         priors=asked.priors,
-        noise=None if asked.noise_mm is None else asked.noise_mm * 1e-3,
+        noise=noise,
         method="reduction" if asked.reduced else "auto",
     )

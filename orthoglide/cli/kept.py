@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.cli.kept_checks import check_arguments, check_inputs, check_name
+from orthoglide.cli.options import noise_metres
 from orthoglide.cli.progress import Step
 from orthoglide.errors import FileError
 
@@ -39,7 +41,12 @@ def read_result(path: Path) -> dict[str, Any]:
             f"is not JSON ({error.msg}): give the result.json of a run",
             file=str(path), line=error.lineno,
         ) from None  # fmt: skip
-    if isinstance(found, dict) and "fit_tcp" in (found.get("arguments") or {}):
+    except FileError:
+        raise
+    except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
+        raise FileError("is no result: give the result.json of a run", file=str(path)) from None
+    told = found.get("arguments") if isinstance(found, dict) else None
+    if isinstance(told, dict) and "fit_tcp" in told:
         raise FileError(
             "is of --fit-tcp, which keeps no rows: run that command again", file=str(path)
         )
@@ -93,22 +100,28 @@ class Kept:
         from orthoglide.report import InputFile
 
         try:
+            check_inputs(result["inputs"])
             inputs = tuple(
                 InputFile(
-                    Path(i["file"]).name, i["sha256"], tuple(i["rows"]),
+                    i["file"], i["sha256"], tuple(i["rows"]),
                     i.get("role", "campaign"), tuple(i.get("lines", ())),
                 )
                 for i in result["inputs"]
             )  # fmt: skip
             told = result["machine"]
+            if told["file"] is not None:
+                check_name(told["file"])
             spec = parse_machine_file(told["toml"], told["file"] or "")
             spec = replace(spec, file=told["file"] or "", sha256=told["sha256"] or "")
-            seed = int(result["seed"])
-            _check(result["command"], result["arguments"])
+            seed = result["seed"]
+            check_arguments(result["command"], result["arguments"], seed)
+            noise_metres(result["arguments"]["noise_mm"])
+        except FileError:  # of the machine file
+            raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
+            reason = f"no {error}" if isinstance(error, KeyError) else str(error)
             raise FileError(
-                f"is not as it was written ({type(error).__name__}: {error}): take the original",
-                file=str(path),
+                f"is not as it was written ({reason}): take the original", file=str(path)
             ) from None
         return cls(result["command"], result["arguments"], seed, inputs, Machine(spec), str(path))
 
@@ -154,8 +167,7 @@ class Kept:
 
     @property
     def _noise(self) -> float | None:
-        noise = self.arguments["noise_mm"]
-        return None if noise is None else noise * 1e-3
+        return noise_metres(self.arguments["noise_mm"])
 
     def _run(self) -> Run:
         from orthoglide.cli import closing, identification
@@ -207,33 +219,20 @@ class Kept:
         return None
 
 
-def _check(command: str, told: Mapping[str, Any]) -> None:
-    """Whether arguments are those of a command; ValueError or KeyError where they are not."""
-    lists = ("campaigns", "own", *(("free",) if command == "identify" else ()))
-    single = ("priors", "reduced") if command == "identify" else ("holdout", "tcp")
-    for name in lists:
-        if not all(isinstance(item, str) for item in told[name]):
-            raise ValueError(f"{name} is no list of names")
-    for name in ("machine", *single):
-        if not isinstance(told[name], str | bool | None):
-            raise ValueError(f"{name} is no name")
-    if not isinstance(told["noise_mm"], int | float | None):
-        raise ValueError("noise_mm is no number")
-
-
 @contextmanager
 def written(kept: InputFile) -> Iterator[Path]:
     """The rows of a file as a file of its name again, for a while."""
     with tempfile.TemporaryDirectory(prefix="orthoglide-") as folder:
         path = Path(folder) / kept.file
         path.write_text(input_text(kept), encoding="utf-8", newline="")
-        yield path
+        try:
+            yield path
+        except FileError as error:  # the reader knows the passing file only
+            raise FileError(error.reason, file=kept.file, line=error.line) from error
 
 
 def input_text(kept: InputFile) -> str:
     """A file's rows as CSV, each on the line where it stood."""
-    if not kept.rows:
-        raise FileError("has no rows in the result: take the original", file=kept.file)
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     names = list(kept.rows[0])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from orthoglide.cli.options import PATH, load_machine, machine_option
+from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,13 +22,28 @@ _NUMBERS = {"ignore_unknown_options": True}
 _DIGITS = 6  # of a millimetre
 
 
+class _Coordinate(click.ParamType):
+    """A number, or what looks like an option and is none."""
+
+    name = "float"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """In millimetres."""
+        try:
+            return float(value)
+        except ValueError:
+            if str(value).startswith("-"):
+                raise click.NoSuchOption(str(value), ctx=ctx) from None
+            self.fail(f"{value!r} is not a number.", param, ctx)
+
+
 def _arguments(metavar: str) -> Callable[[click.decorators.FC], click.decorators.FC]:
     def decorate(command: click.decorators.FC) -> click.decorators.FC:
         for decorator in (
             click.option("--out", type=PATH, metavar="CSV", help="With --csv: file to write."),
             click.option("--csv", "table", type=PATH, metavar="CSV", help="Rows to compute."),
             machine_option,
-            click.argument("numbers", nargs=-1, type=float, metavar=f"[{metavar}]"),
+            click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
         ):
             command = decorator(command)
         return command
@@ -157,11 +173,9 @@ def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> No
     import csv
     import io
 
-    from orthoglide.files import write_whole
-
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([*table.names, *names])
     for row, found in zip(table.rows, values, strict=True):
         writer.writerow([*row, *map(_number, found)])
-    write_whole(out, stream.getvalue(), overwrite=False)
+    write_file(out, stream.getvalue())

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from orthoglide.errors import InputError
+
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
 
@@ -86,6 +88,22 @@ def fit_options(command: Command) -> Command:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+_NOISE = (1e-6, 1e3)  # millimetres: an atom, and more than any dial shows
+
+
+def noise_metres(noise_mm: float | None) -> float | None:
+    """The standard deviation of ``--noise``; `InputError` where no dial can have it."""
+    if noise_mm is None:
+        return None
+    low, high = _NOISE
+    if not low <= noise_mm <= high:
+        raise InputError(
+            f"--noise must be a positive number of millimetres from {low:g} to {high:g}, "
+            f"not {noise_mm:g}"
+        )
+    return noise_mm * 1e-3
 
 
 def load_machine(path: Path | None) -> Machine:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from orthoglide.cli.run import stop_if_asked
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -18,7 +20,7 @@ Step = Callable[[str], None]
 def progress(quiet: bool) -> Iterator[Step]:
     """Show steps while they run; silent where asked for, or where nobody is looking."""
     if quiet or not sys.stderr.isatty():
-        yield lambda _: None
+        yield _go_on
         return
     from rich.console import Console
 
@@ -49,7 +51,7 @@ _CREEP = 0.15
 def bar(quiet: bool) -> Iterator[Step]:
     """Show a bar that fills as the stages of a closed loop go by; silent as `progress`."""
     if quiet or not sys.stderr.isatty():
-        yield lambda _: None
+        yield _go_on
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -58,6 +60,11 @@ def bar(quiet: bool) -> Iterator[Step]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task("starting", total=100)
         yield lambda text: shown.update(task, description=text, completed=_share(text, shown))
+
+
+def _go_on(_: str) -> None:
+    """Nothing to show; a stop that compiled code swallowed is heeded at the next stage."""
+    stop_if_asked()
 
 
 def _share(text: str, shown: Progress) -> float:

@@ -13,6 +13,7 @@ import click
 from orthoglide.cli.kept import Kept, read_result
 from orthoglide.cli.options import PATH, out_option
 from orthoglide.cli.progress import bar
+from orthoglide.cli.writing import write_results
 from orthoglide.errors import NumericsError
 
 SAME = 1e-6
@@ -39,7 +40,7 @@ def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> N
     Tells which of the files that were read have changed since. Exit code 0 where the numbers are
     the same, 3 where they are not.
     """
-    from orthoglide.report.folder import check_folder, write_folder
+    from orthoglide.report.folder import check_folder
 
     if out is not None:
         check_folder(out)
@@ -51,7 +52,7 @@ def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> N
         new = json.loads(files["result.json"])
         differences = list(compare(_numbers(old), _numbers(new)))
         if out is not None and not differences:
-            write_folder(out, files)
+            write_results(out, files)
     folders = (inputs,) if inputs else (result.parent, result.parent.parent, Path())
     for line in input_lines(old, folders):
         if not quiet or "changed" in line:
@@ -128,5 +129,8 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, bool) or isinstance(other, bool) or isinstance(one, str):
         return bool(one == other)
     if isinstance(one, int | float) and isinstance(other, int | float):
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=_TINY)
+        try:
+            return math.isclose(one, other, rel_tol=SAME, abs_tol=_TINY)
+        except OverflowError:  # an integer beyond all that is calculated with
+            return one == other
     return bool(one == other)

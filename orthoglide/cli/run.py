@@ -40,6 +40,13 @@ class Commands(click.Group):
         """Names in the order of the work, not of the alphabet."""
         return list(self.commands)
 
+    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
+        """Read the command line; an interrupt ends it like a command."""
+        try:
+            return super().make_context(*arguments, **options)
+        except KeyboardInterrupt as error:
+            raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; what it raises becomes an exit code."""
         try:
@@ -51,6 +58,10 @@ class Commands(click.Group):
                 raise Refusal(_INTERRUPTED, INTERRUPTED) from error
             bad = isinstance(error, InputError)
             raise Refusal(str(error), BAD_INPUT if bad else NUMERICS_FAILED) from error
+        except Exception as error:
+            if _asked_to_stop():  # a compiled import that was interrupted says that it failed
+                raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+            raise
 
 
 def stop_cleanly() -> None:
@@ -62,6 +73,13 @@ def stop_cleanly() -> None:
             context.meta[_STOP] = True
         raise KeyboardInterrupt
 
+    told = sys.unraisablehook
+
+    def tell(what: sys.UnraisableHookArgs) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):  # the context remembers that one
+            told(what)
+
+    sys.unraisablehook = tell
     for asked in (signal.SIGINT, signal.SIGTERM):
         signal.signal(asked, interrupt)
 

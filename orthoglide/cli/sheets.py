@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from orthoglide.cli.options import PATH, load_machine, machine_option
-from orthoglide.errors import FileError, InputError
+from orthoglide.cli.writing import write_file
+from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,11 +39,11 @@ def _kind_option(command: Any) -> Any:
 @machine_option
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     """Write a measuring sheet: every row but the reading."""
+    from orthoglide.observations import campaign_text
     from orthoglide.observations import protocol as make
-    from orthoglide.observations import write_campaign
 
     sheet = make(kind, load_machine(machine_path).geometry)  # type: ignore[arg-type]
-    write_campaign(sheet, out)
+    write_file(out, campaign_text(sheet))
     click.echo(
         f"{click.format_filename(out)}: {len(sheet)} readings in {len(sheet.setups)} setups, to be "
         f"filled in as reading_mm"
@@ -76,11 +78,13 @@ def simulate(
     """
     import numpy as np
 
+    from orthoglide.files import check_new
     from orthoglide.observations import protocol as make
 
+    if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
+        raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
     for path in filter(None, (out, tcp)):
-        if path.exists():
-            raise FileError("exists and is not overwritten: choose another name", file=str(path))
+        check_new(path)
     if seed < 0:
         raise InputError(f"--seed must be 0 or more, not {seed}")
     machine = load_machine(machine_path)
@@ -99,12 +103,10 @@ COMMANDS = (protocol, simulate)
 
 def _write_all(texts: dict[Path, str]) -> None:
     """All files or none."""
-    from orthoglide.files import write_whole
-
     written: list[Path] = []
     try:
         for path, text in texts.items():
-            write_whole(path, text, overwrite=False)
+            write_file(path, text)
             written.append(path)
     except BaseException:
         for path in written:

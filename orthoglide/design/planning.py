@@ -12,7 +12,7 @@ from orthoglide.design.bench import Bench
 from orthoglide.design.choosing import choose
 from orthoglide.design.detectable import Detectability, Smallest
 from orthoglide.design.expected import bench_of, expected_noise, machine_families
-from orthoglide.design.objectives import Determinant, Discriminate, Objective, gram, separations
+from orthoglide.design.objectives import Determinant, Discriminate, gram, separations
 from orthoglide.design.observability import Observability, observability
 from orthoglide.design.pool import reading_pool, sheet
 from orthoglide.design.precision import Repeats
@@ -253,10 +253,3 @@ def _family_row(name: str, members: Sequence[Smallest]) -> str:
 def is_elementary(name: str) -> bool:
     """Whether a candidate is a single parameter, no structured member of a family."""
     return name in MACHINE_PARAMETERS or (is_dial(name) and not name.endswith(".common"))
-
-
-def criterion_value(bench: Bench, start: Objective, rows: Sequence[int]) -> float:
-    """Value of a criterion for given rows, to compare a choice with others."""
-    from orthoglide.design.choosing import replayed
-
-    return replayed(bench, start, rows).value

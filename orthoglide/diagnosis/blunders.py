@@ -15,6 +15,7 @@ import numpy as np
 from orthoglide.diagnosis.fault_view import set_free
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
+from orthoglide.diagnosis.joint_faults import joint_fault
 from orthoglide.diagnosis.repeat_faults import repeat_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.stuck_faults import stuck_faults
@@ -25,6 +26,8 @@ from orthoglide.observations import Campaign
 
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
+
+_MEANINGS = ("sign", "unit", "exchanged_labels")
 
 _SILENT = 1e6  # times its sigma: a reading of no weight
 
@@ -87,6 +90,9 @@ def find_blunders(
         if fault is None:
             break
         found.append(fault)
+    if len(found) < most and not any(f.kind in _MEANINGS for f in found):
+        beside = joint_fault(now, found)
+        found += [beside] if beside is not None else []
     return _reported(seen, found[:most])
 
 

@@ -94,7 +94,7 @@ def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
         rows = in_order(problem, s)
         found.append(("sign", (s,), rows, -measured[rows], -1.0))
         found += [("unit", (s,), rows, f * measured[rows], f) for f in UNITS]
-    for one, other in _pairs(problem, setups):
+    for one, other in pairs_of_setups(problem, setups):
         a, b = in_order(problem, one), in_order(problem, other)
         if len(a) == len(b):
             rows = np.concatenate([a, b])
@@ -108,16 +108,16 @@ def _changed(view: View, setups: list[int]) -> Iterator[Fault]:
         column[rows] = values - measured[rows]
     after = np.sum((view.residual[:, None] + view.shown(change)) ** 2, axis=0)
     evidence = view.evidence(after) - np.log(len(found))
-    evidence += [_grain(problem, f[2], f[4]) if f[0] == "unit" else 0.0 for f in found]
+    evidence += [grain(problem, f[2], f[4]) if f[0] == "unit" else 0.0 for f in found]
     for k in np.flatnonzero(evidence >= EVIDENCE):
         kind, own, rows, _, size = found[k]
-        meant = kind == "exchanged_labels" or _meant(view, rows, size)
+        swings = kind == "exchanged_labels" or meant(view, rows, size)
         bonus = _scattering(view, own[0], size) if kind == "unit" else 0.0
-        if meant and _mended(view, own, change[:, k]):
+        if swings and _mended(view, own, change[:, k]):
             yield Fault(kind, rows, own, size, float(evidence[k]) + bonus)  # type: ignore[arg-type]
 
 
-def _grain(problem: Problem, rows: Rows, factor: float) -> float:
+def grain(problem: Problem, rows: Rows, factor: float) -> float:
     """Log Bayes factor of the digits: in its own unit a dial shows multiples of its step."""
     step = problem.machine.spec.dial.resolution
     if step <= 0:
@@ -154,7 +154,7 @@ def _scattering(view: View, setup: int, factor: float) -> float:
     return min(own.dof / 2 * float(ratio - 1 - np.log(ratio)), _DIGITS)
 
 
-def _meant(view: View, rows: Rows, factor: float) -> bool:
+def meant(view: View, rows: Rows, factor: float) -> bool:
     """Whether the factor that fits best is this one: flat readings would fit any small factor."""
     readings = np.zeros(view.seen.count)
     readings[rows] = view.seen.estimate.problem.measured[rows]
@@ -175,7 +175,7 @@ def _mended(view: View, setups: tuple[int, ...], change: Array) -> bool:
     return size <= max(_HALVED * float(np.linalg.norm(before[rows])), noise)
 
 
-def _pairs(problem: Problem, setups: list[int]) -> Iterator[tuple[int, int]]:
+def pairs_of_setups(problem: Problem, setups: list[int]) -> Iterator[tuple[int, int]]:
     """Two setups of one campaign."""
     ends = np.cumsum([len(c.setups) for c in problem.campaigns])
     home = np.searchsorted(ends, np.arange(problem.setup_count), side="right")
@@ -187,10 +187,10 @@ def _relabelled(view: View, setups: list[int]) -> Iterator[Fault]:
     """Two setups that carry each other's leg, direction and place while the commands stay."""
     problem = view.seen.estimate.problem
     value = view.seen.estimate.at.value
-    pairs = [p for p in _pairs(problem, setups) if not _same_commands(problem, *p)]
+    pairs = [p for p in pairs_of_setups(problem, setups) if not same_commands(problem, *p)]
     if not pairs:
         return
-    said = _under_each_label(problem, view.seen.estimate.x)
+    said = under_each_label(problem, view.seen.estimate.x)
     change = np.zeros((len(value), len(pairs)))
     for k, (one, other) in enumerate(pairs):
         a, b = in_order(problem, one), in_order(problem, other)
@@ -214,7 +214,15 @@ def _refitted(view: View, pair: tuple[int, int]) -> float | None:
 
     Wrong labels lead the fit far from where it belongs: its linearisation is no guide there.
     """
-    problem = view.seen.estimate.problem
+    try:
+        fit = solve(exchanged(view.seen.estimate.problem, pair), method="nested")
+    except NumericsError:
+        return None
+    return fit.scores.chi2 - within_groups(view.seen)
+
+
+def exchanged(problem: Problem, pair: tuple[int, int]) -> Problem:
+    """The problem with the labels of two setups of one campaign exchanged."""
     ends = np.cumsum([len(c.setups) for c in problem.campaigns])
     home = int(np.searchsorted(ends, pair[0], side="right"))
     first = int(ends[home]) - len(problem.campaigns[home].setups)
@@ -226,20 +234,17 @@ def _refitted(view: View, pair: tuple[int, int]) -> float | None:
     )
     campaigns = list(problem.campaigns)
     campaigns[home] = replace(campaigns[home], setups=tuple(setups))
-    try:
-        fit = solve(replace(problem, campaigns=tuple(campaigns)), method="nested")
-    except NumericsError:
-        return None
-    return fit.scores.chi2 - within_groups(view.seen)
+    return replace(problem, campaigns=tuple(campaigns))
 
 
-def _same_commands(problem: Problem, one: int, other: int) -> bool:
+def same_commands(problem: Problem, one: int, other: int) -> bool:
+    """Whether two setups were read at the same commands, in the same order."""
     commands = np.concatenate([c.command for c in problem.campaigns])
     a, b = in_order(problem, one), in_order(problem, other)
     return len(a) == len(b) and np.allclose(commands[a], commands[b], atol=1e-6)
 
 
-def _under_each_label(problem: Problem, x: Array) -> Array:
+def under_each_label(problem: Problem, x: Array) -> Array:
     """What every row would read, datums apart, were it of each setup ``(n, setups)``, metres."""
     said = np.full((len(problem.measured), problem.setup_count), np.nan)
     first = 0

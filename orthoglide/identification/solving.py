@@ -25,7 +25,7 @@ from orthoglide.identification.nested import solve_nested
 from orthoglide.identification.noise import noise_of
 from orthoglide.identification.problem import Problem, build_problem
 from orthoglide.identification.scores import Scores, score
-from orthoglide.identification.weakness import weak_directions
+from orthoglide.identification.weakness import sparse_basis, weak_directions
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions
@@ -137,20 +137,28 @@ def _determined(problem: Problem, first: Linearised, nuisance: Nuisances) -> Non
     here = normal(problem, first, nuisance)
     _, unseen = covariance(here.jacobian, here.prior)
     if len(unseen):
-        found = []
-        for direction in unseen:
-            share = np.abs(direction) * np.linalg.norm(here.jacobian, axis=0)
-            share = share if share.max() > 0 else np.abs(direction)
-            kept = share >= 0.05 * share.max()
-            found.append(
-                {n: float(v) for n, v, k in zip(problem.names, direction, kept, strict=True) if k}
-            )
-        names = "; ".join(" with ".join(f) for f in found)
+        found = _undetermined(problem.names, here.jacobian, unseen)
+        names = "; ".join(dict.fromkeys(" with ".join(f) for f in found))
         raise UnidentifiableError(
             f"these readings do not determine {names}: free fewer parameters, measure more "
             f"postures, or let the tolerances act as priors",
-            directions=tuple(found),
+            directions=found,
         )
+
+
+def _undetermined(
+    names: tuple[str, ...], jacobian: Array, unseen: Array
+) -> tuple[dict[str, float], ...]:
+    """Undetermined directions by unknown, SI: as few unknowns in each as can be."""
+    norm = np.linalg.norm(jacobian, axis=0)
+    # By what each unknown does to the readings, as metres and radians do not compare.
+    seen = np.where(norm > 0, norm, 1.0)
+    found = []
+    for shares in sparse_basis(unseen * seen):
+        kept = np.abs(shares) >= 0.05 * np.abs(shares).max()
+        direction = shares / seen / np.linalg.norm(shares / seen)
+        found.append({n: float(v) for n, v, k in zip(names, direction, kept, strict=True) if k})
+    return tuple(found)
 
 
 def _solved(

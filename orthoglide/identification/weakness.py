@@ -73,9 +73,7 @@ def weak_directions(
     if not weak.any():
         return ()
     # Back in SI, then the sparsest basis of the weak space, so that legs stand apart.
-    basis = _sparse_basis(
-        (right[weak] / seen) / np.linalg.norm(right[weak] / seen, axis=1)[:, None]
-    )
+    basis = sparse_basis((right[weak] / seen) / np.linalg.norm(right[weak] / seen, axis=1)[:, None])
     found = []
     for direction in basis:
         seen_along = float(np.linalg.norm(jacobian @ direction))
@@ -85,7 +83,7 @@ def weak_directions(
     return tuple(sorted(found, key=lambda d: -d.sigma))
 
 
-def _sparse_basis(basis: Array) -> Array:
+def sparse_basis(basis: Array) -> Array:
     """Reduced row echelon form of the rows, pivots by size; rows of unit length."""
     rows, pivots = basis.copy(), []
     for k in range(len(rows)):

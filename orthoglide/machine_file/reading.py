@@ -39,7 +39,9 @@ def _quantity(
         if not (low < number < high or (number == low and not open_end)):
             bound = "above" if open_end else "at least"
             hint = ": is it in metres?" if factor == 1e-3 and 0 < number <= low else ""
-            raise ValueError(f"must be {bound} {low:g} and below {high:g}, not {number:f}{hint}")
+            raise ValueError(
+                f"must be {bound} {low:g} and below {high:g}, not {float(number):g}{hint}"
+            )
         return units.to_si(number, factor)
 
     return parse

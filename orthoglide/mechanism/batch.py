@@ -169,8 +169,10 @@ class BatchClosure:
             size = 3 if loop.kind == "point" else 6
             by_loop[loop.name] = float(np.max(np.abs(full[start : start + size])))
             start += size
+        worst = max(by_loop, key=lambda name: np.nan_to_num(by_loop[name], nan=np.inf))
         return ClosureError(
-            f"{count} of {total} postures do not close; the first is number {index}: {by_loop}",
+            f"{count} of {total} postures do not close; the first is number {index}, with its "
+            f"largest misfit of {by_loop[worst] * 1e3:.3g} mm or mrad at {worst}",
             residuals=by_loop,
             index=(index,),
         )

@@ -321,8 +321,11 @@ class Mechanism:
             excess = np.hypot(goal[:, b], goal[:, c]) - self.geometry.L
             worst = int(np.argmax(excess)) if len(goal) else 0
             if len(goal) and excess[worst] >= 0:
+                which = f"point {worst + 1}: " if len(goal) > 1 else ""
+                short = excess[worst] * 1e3
+                shown = f"{short:.3f}" if short < 1e6 else f"{short:g}"
                 raise UnreachableError(
-                    f"point {worst}: leg {LEGS[leg]} is {excess[worst] * 1e3:.3f} mm too short",
+                    f"{which}leg {LEGS[leg]} is {shown} mm too short",
                     leg=LEGS[leg],
                     excess=float(excess[worst]),
                     index=(worst,),

@@ -29,6 +29,9 @@ HARDLY = 1e-3
 DIAL_RANGE = 20e-3
 """More than any dial shows besides what the command itself moves, metres."""
 
+STILL = 2 - 1e-6
+"""Steps of the dial: readings that spread by less, in every setup, hardly move."""
+
 NO_READING = 1e-8
 """Readings all below this are a simulated perfect machine's zeros, metres."""
 
@@ -90,7 +93,7 @@ def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tupl
     """
     for check in _CHECKS:
         check(campaign, machine, fail)
-    return tuple(text for notice in _NOTICES for text in notice(campaign))
+    return tuple(text for notice in _NOTICES for text in notice(campaign, machine))
 
 
 def check_tcp(points: TcpPoints, fail: Fail) -> None:
@@ -213,7 +216,7 @@ def _dial(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
 _CHECKS = (_motion, _gauges, _postures, _duplicates, _sequence, _clock, _dial)
 
 
-def _still_legs(campaign: Campaign) -> Iterator[str]:
+def _still_legs(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
     for leg in np.unique(campaign.leg):
         span = np.ptp(campaign.command[campaign.leg == leg, leg])
         if span <= HARDLY:
@@ -223,7 +226,23 @@ def _still_legs(campaign: Campaign) -> Iterator[str]:
             )
 
 
-def _partly_recorded(campaign: Campaign) -> Iterator[str]:
+def _still_dial(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
+    read = np.isfinite(campaign.reading)
+    if not read.any():
+        return
+    spans = [
+        np.ptp(campaign.reading[read & (campaign.setup == place)])
+        for place in np.unique(campaign.setup[read])
+    ]
+    # Two steps of the dial are what rounding and a trembling finger make of a standing one.
+    if max(spans) < max(STILL * machine.dial.resolution, NO_READING):
+        yield (
+            f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
+            "touching the leg? Unless the machine is as good as that, such readings say nothing"
+        )
+
+
+def _partly_recorded(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
     said = {
         "time_s": (campaign.time, "these count as taken at the start"),
         "temperature_C": (campaign.temperature, "these count as no warmer than the first"),
@@ -235,4 +254,4 @@ def _partly_recorded(campaign: Campaign) -> Iterator[str]:
             yield f"{column} is empty in {missing} of {len(values)} rows: {consequence}"
 
 
-_NOTICES = (_still_legs, _partly_recorded)
+_NOTICES = (_still_legs, _still_dial, _partly_recorded)

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from orthoglide.errors import FileError
+from orthoglide.files import writing
 
 
 def check_folder(out: Path) -> Path:
@@ -23,7 +24,12 @@ def check_folder(out: Path) -> Path:
     Raises:
         FileError: saying what would do.
     """
-    target = out.resolve()
+    with writing(out):
+        return _checked(out)
+
+
+def _checked(out: Path) -> Path:
+    target = Path(os.path.realpath(out))
     if target.exists() and not target.is_dir():
         raise FileError("is a file: name a new folder for the results", file=str(out))
     if target == Path.cwd():
@@ -53,8 +59,8 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
         FileError: where the folder cannot be written.
     """
     target = check_folder(out)
-    try:
-        made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    with writing(out):
+        made = Path(tempfile.mkdtemp(prefix=".orthoglide-", dir=target.parent))
         try:
             for name, text in files.items():
                 path = made / name
@@ -65,8 +71,3 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
         except BaseException:
             shutil.rmtree(made, ignore_errors=True)
             raise
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise FileError(
-            f"cannot be written ({reason}): choose another place", file=str(out)
-        ) from None

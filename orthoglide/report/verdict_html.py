@@ -22,7 +22,7 @@ from orthoglide.report.html import (
 from orthoglide.report.numbers import compact, decimals_for, probability, signed
 from orthoglide.report.run import Run
 from orthoglide.report.verdict_causes import apart_data, causes_data, left_data, next_data
-from orthoglide.report.verdict_wording import headline, look_at, told
+from orthoglide.report.verdict_wording import cautions, headline, look_at, told
 from orthoglide.report.wording import listed, sentence, weak_sentences
 
 if TYPE_CHECKING:
@@ -124,16 +124,13 @@ def _tile(what: str, before: float, after: float, unit: str) -> Tile:
 
 def _finding(view: View) -> Data:
     verdict = view.verdict
-    worse = verdict.hold_out is not None and (
-        verdict.hold_out.after_rms > verdict.hold_out.before_rms
-    )
     return {
         "sentence": headline(view),
         "word": verdict.word,
         "told": sentence(told(verdict.word).partition(": ")[2]),
         "tiles": tiles(view),
         "since": "joint offsets and leg lengths alone" if view.effects else "the nominal machine",
-        "worse": worse and bool(view.effects),
+        "cautions": cautions(view),
         "warnings": [sentence(w) for w in view.warnings],
     }
 

@@ -24,7 +24,7 @@ from orthoglide.report.result import (
 )
 from orthoglide.report.run import Run
 from orthoglide.report.verdict_view import Explained, View
-from orthoglide.report.verdict_wording import headline
+from orthoglide.report.verdict_wording import cautions, headline
 
 if TYPE_CHECKING:
     from orthoglide.closing import Verdict
@@ -75,7 +75,7 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
             "iterations": fit.iterations,
             "last_step_in_sigmas": number(fit.optimality, 3),
         },
-        "warnings": list(view.warnings),
+        "warnings": [*cautions(view), *view.warnings],
     }
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from orthoglide.report.causes import short
 from orthoglide.report.numbers import compact, decimals_for, probability, signed
 from orthoglide.report.text import console_text, table
-from orthoglide.report.verdict_wording import headline, told
+from orthoglide.report.verdict_wording import cautions, headline, told
 from orthoglide.report.wording import sentence
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def verdict_summary(view: View, ranked: bool = False) -> str:
         Text(f"- {line}") for line in (f"The search ended: {verdict.stopped}.", *view.pattern)
     ]
     parts += [Text(f"- {sentence(w)}") for w in view.warnings]
+    parts += [Text(f"Warning: {caution}", style="bold") for caution in cautions(view)]
     return console_text(parts)
 
 

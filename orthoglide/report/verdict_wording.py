@@ -119,6 +119,25 @@ def look_at(view: View) -> list[tuple[str, str]]:
     ]
 
 
+def cautions(view: View) -> tuple[str, ...]:
+    """What speaks against acting on the causes as they stand, a sentence each."""
+    verdict, found = view.verdict, []
+    if verdict.word == "partial":
+        causes = "causes named explain" if len(view.effects) > 1 else "cause named explains"
+        found.append(
+            f"The {causes} only part of what is wrong, and may stand in for something that this "
+            f"program does not know: do not act on it, nor put its numbers in a controller, before "
+            f"it is confirmed."
+        )
+    held = verdict.hold_out
+    if view.effects and held is not None and held.after_rms > held.before_rms:
+        found.append(
+            "The readings held out are predicted worse with the cause than without it: it does not "
+            "carry over to them, so do not act on it before it is confirmed."
+        )
+    return tuple(found)
+
+
 _TOLD = {
     "adequate": "adequate: nothing significant is left, and nothing was added",
     "explained": "explained: a cause was added, and nothing significant is left",
