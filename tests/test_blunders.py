@@ -134,10 +134,8 @@ def test_a_sign_beside_a_tilt(setup, tilt, nominal):
     assert (blunder.kind, blunder.setups) == ("sign", (setup,))
 
 
-@pytest.mark.parametrize(
-    ("one", "other"), [("yz-0.5", "yx-0.5"), ("zx-0.5", "xz-0.5")], ids=["same leg", "another leg"]
-)
-def test_exchanged_labels_beside_a_tilt(one, other, machine):
+def test_exchanged_labels_beside_a_tilt(machine):
+    one, other = "zx-0.5", "xz-0.5"
     rows = rows_of("standard", **{"axis_tilt.y.z": 3e-3})
     (blunder,) = found_in(rc.swapped_labels(rows, one, other).rows, machine)
     assert blunder.kind == "exchanged_labels"

@@ -34,10 +34,11 @@ from orthoglide.identification import Problem, solve
 MARGIN = 12.0
 """Log Bayes factor, the number of hypotheses discounted, by which the readings must be beaten."""
 
-_SPREAD = 4.0  # standard deviations of chi2 by which a fault and its effects may exceed noise
+_SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
 _SHARE = 0.5  # of what the best effects alone leave, that a fault and its effects may leave
 _REFITS = 4  # hypotheses that are identified anew
 _TOLD = 30.0  # sigmas of the station means by which readings must swing past fit and effects
+_FEWEST = 6.0  # degrees of freedom of station means: fewer tell nothing of two effects and a fault
 _APART = 6.0  # log Bayes factor between the best fault and the next one of other setups
 
 
@@ -82,7 +83,7 @@ def joint_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
     for fault in known:
         seen = set_free(seen, fault.columns(problem))
     view = View.of(seen)
-    if not seen.candidates or _fits(view, view.chi2):
+    if not seen.candidates or view.dof < _FEWEST or _fits(view, view.chi2):
         return None
     bare = _scored(view, view.residual, families=True)
     if _fits(view, bare.left):
