@@ -40,6 +40,9 @@ class Loops:
             self._models.append(pin.ConstraintModel(anchor(tree.model, *places)))
         for model in self._models:
             self._datas.append(model.createData())
+        sizes = [3 if loop.kind == "point" else 6 for loop in tree.loops]
+        self._starts = np.cumsum([0, *sizes[:-1]])
+        self._names = [loop.name for loop in tree.loops]
         # The containers hold copies: what is calculated with must be taken back from them.
         self._pairs = [
             (self._models[k], self._datas[k], self._datas[k].extract())
@@ -83,9 +86,5 @@ class Loops:
 
     def by_loop(self, residual: Array) -> dict[str, float]:
         """Largest entry of a closure residual ``(21,)`` by loop: metres, or radians for turns."""
-        found, start = {}, 0
-        for loop in self.tree.loops:
-            size = 3 if loop.kind == "point" else 6
-            found[loop.name] = float(np.max(np.abs(residual[start : start + size])))
-            start += size
-        return found
+        largest = np.maximum.reduceat(np.abs(residual), self._starts)
+        return dict(zip(self._names, largest.tolist(), strict=True))
