@@ -110,10 +110,7 @@ class Verdict:
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine, sigmas of the second kind."""
-        sigmas = self._sigmas()
-        machine = Machine(replace(self.fit.problem.machine.spec, parameters={}))
-        machine.__dict__["model"] = self.fit.problem.machine.model
-        return machine.with_parameters(self.values, sigmas)
+        return self.fit.problem.machine.with_only(self.values, self._sigmas())
 
     def _sigmas(self) -> dict[str, float]:
         """Sigmas of the second kind of the machine's parameters, what fits as well in them."""

@@ -58,11 +58,9 @@ def _left_out(
 ) -> float:
     held = {n: v for n, v in values.items() if not is_dial(n)}
     noise = noise_of([campaign], machine.spec.dial)
-    fixed = Machine(replace(machine.spec, parameters={})).with_parameters(held)
-    fixed.__dict__["model"] = machine.model
-    free = [n for n in own if n not in BASE_FAMILIES] + [n for n in own if n in BASE_FAMILIES]
-    problem = build_problem(fixed, [campaign], free or BASE_FAMILIES, noise)
-    if free:
+    fixed = machine.with_only(held)
+    problem = build_problem(fixed, [campaign], own or BASE_FAMILIES, noise)
+    if own:
         estimate = solve(problem, method="nested")
         at, nuisance = estimate.at, estimate.nuisance
     else:

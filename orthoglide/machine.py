@@ -111,11 +111,24 @@ class Machine:
         Raises:
             InputError: for a name that is no parameter, or a value that is no number.
         """
-        entries = dict(self.spec.parameters)
+        return self._with(dict(self.spec.parameters), values, sigmas or {})
+
+    def with_only(
+        self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+    ) -> Machine:
+        """The same machine with these parameters and no others; see :meth:`with_parameters`."""
+        return self._with({}, values, sigmas or {})
+
+    def _with(
+        self,
+        entries: dict[str, ParameterValue],
+        values: Mapping[str, float],
+        sigmas: Mapping[str, float],
+    ) -> Machine:
         for name, value in values.items():
             if not np.isfinite(value):
                 raise InputError(f"{name} must be a finite number, not {value}")
-            sigma = (sigmas or {}).get(name, 0.0)
+            sigma = sigmas.get(name, 0.0)
             for part, weight in elementary(name).items():
                 entries[part] = ParameterValue(
                     weight * float(value), abs(weight) * float(sigma), family_of(part).unit.name

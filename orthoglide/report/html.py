@@ -6,7 +6,7 @@ A section is a template ``sections/<name>.html.j2`` and the data that it shows.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,13 +128,10 @@ def _effect_of_others(estimate: Calibrated) -> str:
     """How far the TCP is off, at Zero and the ends, where only the offsets are told: in mm."""
     import numpy as np
 
-    from orthoglide.machine import Machine
-
     machine = estimate.machine
     spec = machine.spec
     offsets = {n: v for n, v in machine.values.items() if n.startswith("joint_offset.")}
-    bare = Machine(replace(spec, parameters={})).with_parameters(offsets)
-    bare.__dict__["model"] = machine.model  # the tree is the same, and costly to build
+    bare = machine.with_only(offsets)
     names = ("zero", *(f"{leg}{end}" for leg in LEGS for end in ("max", "min")))
     rho = np.array([spec.geometry.command(name) for name in names])
     apart = np.linalg.norm(machine.forward(rho) - bare.forward(rho), axis=-1)

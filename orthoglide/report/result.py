@@ -36,19 +36,8 @@ def identification_result(estimate: Estimate, run: Run) -> dict[str, Any]:
         estimate: what was found.
         run: what was asked.
     """
-    problem = estimate.problem
     return {
-        "schema": SCHEMA,
-        "version": run.version,
-        "command": run.command,
-        "arguments": dict(run.arguments),
-        "seed": run.seed,
-        "inputs": [i.mapping() for i in run.inputs],
-        "machine": machine_mapping(problem.machine),
-        "summary": headline(estimate),
-        "noise_mm": number(problem.noise.typical * 1e3),
-        "noise_source": problem.noise.source,
-        "sigma_scale": number(estimate.sigma_scale),
+        **run_mapping(estimate, run, headline(estimate)),
         "verdict": None,
         "before": scores_mapping(estimate.nominal),
         "after": scores_mapping(estimate.scores),
@@ -71,6 +60,30 @@ def identification_result(estimate: Estimate, run: Run) -> dict[str, Any]:
             "last_step_in_sigmas": number(estimate.optimality, _FEW),
         },
         "warnings": list(estimate.warnings),
+    }
+
+
+def run_mapping(estimate: Estimate, run: Run, summary: str) -> dict[str, Any]:
+    """What every ``result.json`` begins with: what was asked of which files, and the noise.
+
+    Args:
+        estimate: the final fit.
+        run: what was asked.
+        summary: the finding in a sentence.
+    """
+    problem = estimate.problem
+    return {
+        "schema": SCHEMA,
+        "version": run.version,
+        "command": run.command,
+        "arguments": dict(run.arguments),
+        "seed": run.seed,
+        "inputs": [i.mapping() for i in run.inputs],
+        "machine": machine_mapping(problem.machine),
+        "summary": summary,
+        "noise_mm": number(problem.noise.typical * 1e3),
+        "noise_source": problem.noise.source,
+        "sigma_scale": number(estimate.sigma_scale),
     }
 
 

@@ -14,11 +14,10 @@ from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.report.result import (
-    SCHEMA,
     check_mapping,
-    machine_mapping,
     number,
     provenance_of,
+    run_mapping,
     scores_mapping,
     weak_mapping,
 )
@@ -40,19 +39,9 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
     from orthoglide.design import as_result
 
     verdict = view.verdict
-    problem, fit, base = verdict.fit.problem, verdict.fit, verdict.base
+    fit, base = verdict.fit, verdict.base
     return {
-        "schema": SCHEMA,
-        "version": run.version,
-        "command": run.command,
-        "arguments": dict(run.arguments),
-        "seed": run.seed,
-        "inputs": [i.mapping() for i in run.inputs],
-        "machine": machine_mapping(problem.machine),
-        "summary": headline(view),
-        "noise_mm": number(problem.noise.typical * 1e3),
-        "noise_source": problem.noise.source,
-        "sigma_scale": number(fit.sigma_scale),
+        **run_mapping(fit, run, headline(view)),
         "verdict": verdict.word,
         "nominal": scores_mapping(base.nominal),
         "before": scores_mapping(base.scores),
