@@ -19,7 +19,7 @@ from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.errors import OrthoglideError
-from orthoglide.identification import identify
+from orthoglide.fit import identify
 from orthoglide.judging import tcp_errors
 from orthoglide.machine import Machine, elementary
 from orthoglide.observations import Campaign, TcpPoints

@@ -33,7 +33,7 @@ sys.path.insert(0, str(ROOT))
 
 from orthoglide.diagnosis.blunders import Blunder, find_blunders
 from orthoglide.errors import OrthoglideError
-from orthoglide.identification import identify
+from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from tests import rig_campaigns as rc

@@ -31,7 +31,7 @@ from rich.table import Table
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.effects import MACHINE_PARAMETERS
 from orthoglide.geometry import Geometry
 from orthoglide.mechanism import Mechanism
@@ -81,7 +81,7 @@ def rows(geometry: Geometry) -> list[Row]:
         found.append(Row(name, start, count, call, []))
 
     many = commands(geometry, 100_000)
-    add("analytic reduction, batch", "none", len(many), lambda: pss.forward(many))
+    add("analytic reduction, batch", "none", len(many), lambda: reduction.forward(many))
     _add_single(geometry, add)
     for with_compiler in (False, True):
         _add_batches(geometry, add, with_compiler)
@@ -151,7 +151,7 @@ def _add_mujoco(geometry: Geometry, add: Callable[..., None]) -> None:
     size = Dimensions(geometry.L, geometry.d, geometry.r)
     for name, build in zip(YARDSTICKS, (prpar_mjcf, six_bar_mjcf), strict=True):
         machine = MujocoMachine(build(size), geometry.L)
-        worst = max(np.abs(machine.pose(r)[0] - pss.forward(r)).max() for r in rho)
+        worst = max(np.abs(machine.pose(r)[0] - reduction.forward(r)).max() for r in rho)
         if not worst < 1e-12:
             raise SystemExit(f"{name} stands {worst:.2g} m from the reduction: nothing to compare")
         add(name, "cold", len(rho), lambda machine=machine: [machine.close(r) for r in rho])

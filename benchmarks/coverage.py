@@ -31,8 +31,8 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
+from orthoglide.fit import identify
 from orthoglide.geometry import LEGS
-from orthoglide.identification import identify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, nominal_machine_file
 from orthoglide.observations import Campaign

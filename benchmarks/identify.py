@@ -32,13 +32,13 @@ from scipy.optimize import least_squares
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from orthoglide import pss
+from orthoglide import reduction
+from orthoglide.fit import Problem, build_problem, identify, noise_of
+from orthoglide.fit.crosscheck import reduction_fit
+from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
+from orthoglide.fit.nested import solve_nested
+from orthoglide.fit.nlp import Nlp
 from orthoglide.geometry import Array
-from orthoglide.identification import Problem, build_problem, identify, noise_of
-from orthoglide.identification.crosscheck import reduction_fit
-from orthoglide.identification.least_squares import Nuisances, linearise, normal, nuisances
-from orthoglide.identification.nested import solve_nested
-from orthoglide.identification.nlp import Nlp
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from tests.rig import Rig
@@ -104,11 +104,11 @@ def by_scipy(problem: Problem, nuisance: Nuisances) -> Array:
     gauges = np.array([s.gauge for s in setups])
 
     def rows(six: Array) -> Array:
-        shown = pss.readings(data.command, legs, axes, gauges, six[:3], six[3:])
+        shown = reduction.readings(data.command, legs, axes, gauges, six[:3], six[3:])
         return np.append(nuisance.project(problem.measured - shown), six / problem.tolerance)
 
     def slopes(six: Array) -> Array:
-        by_six = pss.reading_jacobian(data.command, legs, axes, gauges, six[:3], six[3:])
+        by_six = reduction.reading_jacobian(data.command, legs, axes, gauges, six[:3], six[3:])
         return np.vstack([-nuisance.project(by_six), np.diag(1 / problem.tolerance)])
 
     exact = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}

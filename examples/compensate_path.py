@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide import Machine, identify
-from orthoglide.controller import Compensation, compensate
+from orthoglide.control import Compensation, compensate
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import protocol

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide import Geometry, Machine, Mechanism, pss
+from orthoglide import Geometry, Machine, Mechanism, reduction
 from orthoglide.geometry import Array
 
 MM = 1e-3
@@ -45,22 +45,25 @@ def compute() -> Shown:
     mechanism = Mechanism(Geometry())
 
     # (3): rho_i = p_i + s_i sqrt(L^2 - p_j^2 - p_k^2), the machine's own signs (+, +, +)
-    rho = pss.inverse(p)
+    rho = reduction.inverse(p)
 
     # (4): a quadratic, so two assembly modes
     modes = {
-        mode: (pss.forward(rho, mode=mode), mechanism.forward(rho, mode=mode))
+        mode: (reduction.forward(rho, mode=mode), mechanism.forward(rho, mode=mode))
         for mode in ("machine", "other")
     }
 
     # (5): the velocity Jacobian
-    jacobian = (pss.velocity_jacobian(p, rho), mechanism.velocity_jacobian(mechanism.close(rho)))
+    jacobian = (
+        reduction.velocity_jacobian(p, rho),
+        mechanism.velocity_jacobian(mechanism.close(rho)),
+    )
 
     # general against simplified, over the stroke
     rng = np.random.default_rng(0)
     commands = rng.uniform(210.25, 370.25, (1000, 3)) * MM
     machine = Machine.nominal()
-    apart = np.linalg.norm(machine.forward(commands) - pss.forward(commands), axis=-1)
+    apart = np.linalg.norm(machine.forward(commands) - reduction.forward(commands), axis=-1)
 
     # what only the general model has: a crooked axis, bars of two lengths in one leg
     crooked = machine.with_parameters({"axis_tilt.y.z": 1e-3, "bar_mismatch.x": 0.1 * MM})

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.geometry import Array, Geometry
 
 MACHINE = Geometry()
@@ -78,8 +78,8 @@ def columns(experiment: str, which: str) -> dict[str, float]:
 
 def fitted(deviations: dict[str, float], which: str) -> dict[str, float]:
     """J x of system (11), by row name, millimetres."""
-    system = pss.system11(MACHINE).select(SETS[which])
-    fit = pss.solve(system, system.ordered(deviations))
+    system = reduction.system11(MACHINE).select(SETS[which])
+    fit = reduction.solve(system, system.ordered(deviations))
     return dict(zip(system.rows, fit.fitted.tolist(), strict=True))
 
 
@@ -98,7 +98,7 @@ def bar_error(p: Array, rho: Array) -> float:
 
 def equation_1() -> Misprint:
     printed = -(L + MACHINE.r)
-    right = pss.inverse(np.zeros(3))[0]
+    right = reduction.inverse(np.zeros(3))[0]
     return Misprint(
         "2008 (1a-c)",
         "p = rho + cos cos L + r",
@@ -122,8 +122,8 @@ def tool_shift() -> Misprint:
 
 
 def root() -> Misprint:
-    plus, minus = (pss.forward(MACHINE.zero, mode=mode)[0] for mode in ("other", "machine"))
-    signs = np.sign(MACHINE.zero - pss.forward(MACHINE.zero, mode="other"))
+    plus, minus = (reduction.forward(MACHINE.zero, mode=mode)[0] for mode in ("other", "machine"))
+    signs = np.sign(MACHINE.zero - reduction.forward(MACHINE.zero, mode="other"))
     return Misprint(
         "2008, root of the quadratic",
         "t = (-B + sqrt) / 2A",
@@ -180,20 +180,20 @@ def coefficients_2006() -> Misprint:
 
 
 def _at_xmax(offset: float) -> Array:
-    return pss.forward(MACHINE.command("xmax"), np.array([offset, 0.0, 0.0]))
+    return reduction.forward(MACHINE.command("xmax"), np.array([offset, 0.0, 0.0]))
 
 
 def jacobian_2006() -> Misprint:
     step = 1e-5
     measured = (_at_xmax(step)[1] - _at_xmax(-step)[1]) / (2 * step)
     rho = MACHINE.command("xmax")
-    inverse = np.linalg.inv(pss.velocity_jacobian(pss.forward(rho), rho))
+    inverse = np.linalg.inv(reduction.velocity_jacobian(reduction.forward(rho), rho))
     return Misprint(
         "2006 (5)",
         "the inverse Jacobian",
         "the Jacobian itself",
         f"dp_y/drho_x at XMax by differences is {measured:+.4f}; (5) has T = "
-        f"{np.tan(pss.stroke_angles()[0]):+.4f} there, the inverse {inverse[1, 0]:+.4f}",
+        f"{np.tan(reduction.stroke_angles()[0]):+.4f} there, the inverse {inverse[1, 0]:+.4f}",
     )
 
 
@@ -203,13 +203,16 @@ def right_side_2006() -> Misprint:
     by_x, by_z = (
         np.subtract(
             *(
-                (pss.readings(commands, 0, 1, L / 2, o) - pss.readings(commands, 0, 1, L / 2, -o))
+                (
+                    reduction.readings(commands, 0, 1, L / 2, o)
+                    - reduction.readings(commands, 0, 1, L / 2, -o)
+                )
                 / (2 * step)
             )
         )
         for o in step * np.eye(3)[[0, 2]]
     )
-    row = pss.system8().matrix[4]
+    row = reduction.system8().matrix[4]
     return Misprint(
         "2006 (8), rows 5 and 6",
         "y_x+, y_z+",
@@ -254,14 +257,14 @@ def limits() -> Misprint:
 
 def angle_named() -> Misprint:
     rho = MACHINE.command("xmax")
-    bar = np.array([0.0, rho[1], 0.0]) - pss.forward(rho)
+    bar = np.array([0.0, rho[1], 0.0]) - reduction.forward(rho)
     to_x, to_y = (np.degrees(np.arccos(abs(bar[axis]) / np.linalg.norm(bar))) for axis in (0, 1))
     return Misprint(
         "2008, above (8)",
         "alpha is the angle between the y-, z-legs and the X axes",
         "the angle between each leg and its own axis (as 2006 has it)",
         f"at XMax leg y makes {to_y:.2f} degrees with y and {to_x:.2f} with x; "
-        f"arcsin(60 / L) = {np.degrees(pss.stroke_angles()[0]):.2f}",
+        f"arcsin(60 / L) = {np.degrees(reduction.stroke_angles()[0]):.2f}",
     )
 
 
@@ -269,7 +272,7 @@ def angle_named() -> Misprint:
 
 
 def angles() -> Misprint:
-    high, low = np.degrees(pss.stroke_angles())
+    high, low = np.degrees(reduction.stroke_angles())
     return Misprint(
         "2008, 3.4, angles",
         "11.0 and -18.7 degrees",
@@ -279,15 +282,15 @@ def angles() -> Misprint:
 
 
 def accuracy() -> Misprint:
-    system, sigma = pss.system11(MACHINE), 0.01
-    both = pss.covariance(system, sigma)
+    system, sigma = reduction.system11(MACHINE), 0.01
+    both = reduction.covariance(system, sigma)
     difference = np.hstack([np.eye(3), -np.eye(3)])
     full, fine, offsets, differences = (
         rms(np.sqrt(np.diag(v)))
         for v in (
             both,
-            pss.covariance(system, sigma / 10),
-            pss.covariance(pss.system8(MACHINE), sigma),
+            reduction.covariance(system, sigma / 10),
+            reduction.covariance(reduction.system8(MACHINE), sigma),
             difference @ both @ difference.T,
         )
     )
@@ -307,7 +310,7 @@ def noise_13() -> Misprint:
     printed = right.copy()
     printed[3] = right[1]
     smallest = [np.linalg.eigvalsh(d @ d.T)[0] for d in (printed, right)]
-    misfit = float(np.max(np.abs(right @ right.T - pss.G)))
+    misfit = float(np.max(np.abs(right @ right.T - reduction.G)))
     return Misprint(
         "2008 (13), last entry",
         "z_x+",
@@ -395,13 +398,13 @@ def entry_experiment3() -> Misprint:
 
 
 def entry_experiment1() -> Misprint:
-    system, data = pss.reduced_system(MACHINE).select("joint_offset"), table1("1")
+    system, data = reduction.reduced_system(MACHINE).select("joint_offset"), table1("1")
     residuals_mm = published()["table1_expected_residual_mm"]["1"]
     expected = {row: residuals_mm[row.replace("_", "")] for row in data}
     printed, differences, averages = data["x_z"], [], []
     for value in (printed, 1.48):
         data["x_z"] = value
-        residuals = pss.solve(system, system.ordered(data)).residuals
+        residuals = reduction.solve(system, system.ordered(data)).residuals
         differences.append(np.max(np.abs(residuals - system.ordered(expected))))
         averages.append(rms(data.values()))
     return Misprint(

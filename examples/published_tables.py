@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from misprints import DATA, SETS, SLIPS, TABLE2_ROWS, columns, published, table1, table2
 
-from orthoglide import pss
-from orthoglide.identification import identify
+from orthoglide import reduction
+from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import read_campaign
 
@@ -90,10 +90,12 @@ class Beyond:
     with_priors: float
 
 
-def fit(deviations: dict[str, float], which: str) -> tuple[pss.LinearSystem, pss.LinearFit]:
+def fit(
+    deviations: dict[str, float], which: str
+) -> tuple[reduction.LinearSystem, reduction.LinearFit]:
     """Pseudoinverse of system (11) for one set of parameters, millimetres."""
-    system = pss.system11().select(SETS[which])
-    return system, pss.solve(system, system.ordered(deviations))
+    system = reduction.system11().select(SETS[which])
+    return system, reduction.solve(system, system.ordered(deviations))
 
 
 def _rms_row(
@@ -162,8 +164,8 @@ def table1_rows() -> Iterator[Row]:
     for experiment in ("1", "2", "3"):
         data = table1(experiment) | MENDED_1.get(experiment, {})
         label = f"{experiment} mended" if experiment in MENDED_1 else experiment
-        system = pss.reduced_system().select("joint_offset")
-        found = pss.solve(system, system.ordered(data))
+        system = reduction.reduced_system().select("joint_offset")
+        found = reduction.solve(system, system.ordered(data))
         ours = dict(zip(system.rows, found.residuals.tolist(), strict=True))
         printed = published()["table1_expected_residual_mm"][experiment]
         for entry, value in ours.items():

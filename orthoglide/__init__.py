@@ -21,8 +21,8 @@ if TYPE_CHECKING:
         UnidentifiableError,
         UnreachableError,
     )
+    from orthoglide.fit import Estimate, identify
     from orthoglide.geometry import Geometry
-    from orthoglide.identification import Estimate, identify
     from orthoglide.machine import Machine, Pose
     from orthoglide.mechanism import Mechanism
     from orthoglide.observations import (
@@ -45,7 +45,7 @@ _WHERE = {
         "OrthoglideError", "SolverError", "UnidentifiableError", "UnreachableError",
     ),
     "geometry": ("Geometry",),
-    "identification": ("Estimate", "identify"),
+    "fit": ("Estimate", "identify"),
     "machine": ("Machine", "Pose"),
     "mechanism": ("Mechanism",),
     "observations": (

@@ -14,10 +14,10 @@ import numpy as np
 
 from orthoglide.effects import is_dial
 from orthoglide.effects.catalogue import CATALOGUE, MACHINE_PARAMETERS, family_of
+from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.least_squares import linearise, normal
+from orthoglide.fit.problem import build_problem
 from orthoglide.geometry import Array, Geometry
-from orthoglide.identification import Estimate, Problem
-from orthoglide.identification.least_squares import linearise, normal
-from orthoglide.identification.problem import build_problem
 from orthoglide.prediction import Conditions
 
 GRID = 5

@@ -13,8 +13,8 @@ from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round
 from orthoglide.effects import BASE_FAMILIES, is_dial
 from orthoglide.effects.catalogue import MACHINE_PARAMETERS
-from orthoglide.identification import Estimate, Problem, noise_of, solve
-from orthoglide.identification.problem import build_problem
+from orthoglide.fit import Estimate, Problem, noise_of, solve
+from orthoglide.fit.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints

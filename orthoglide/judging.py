@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.effects import BASE_FAMILIES, is_dial
-from orthoglide.geometry import Array
-from orthoglide.identification import solve
-from orthoglide.identification.least_squares import (
+from orthoglide.fit import solve
+from orthoglide.fit.least_squares import (
     Linearised,
     nuisances,
 )
-from orthoglide.identification.noise import noise_of
-from orthoglide.identification.problem import Problem, build_problem
-from orthoglide.identification.scores import leverage_basis
+from orthoglide.fit.noise import noise_of
+from orthoglide.fit.problem import Problem, build_problem
+from orthoglide.fit.scores import leverage_basis
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
 from orthoglide.prediction import Conditions

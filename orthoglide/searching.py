@@ -20,7 +20,7 @@ from orthoglide.diagnosis.ranking import (
     rivals,
     try_out,
 )
-from orthoglide.identification import Estimate, Problem
+from orthoglide.fit import Estimate, Problem
 
 Progress = Callable[[str], None]
 

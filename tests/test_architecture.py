@@ -17,12 +17,12 @@ LONGEST = 400
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"errors"}),
     frozenset({"geometry", "files", "units"}),
-    frozenset({"pss", "urdf", "effects"}),
+    frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
     frozenset({"observations"}),
     frozenset({"prediction"}),
     frozenset({"machine"}),
-    frozenset({"identification", "comparison", "controller"}),
+    frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
     frozenset({"accuracy", "judging", "searching"}),
     frozenset({"closing"}),
@@ -33,9 +33,9 @@ FLOORS: tuple[frozenset[str], ...] = (
 )
 # Nearer than the floors: two derivations never meet below, and declarations know names only.
 NEVER = {
-    ("mechanism", "pss"), ("mechanism", "effects"), ("machine_file", "mechanism"),
-    ("observations", "mechanism"), ("prediction", "pss"), ("machine", "pss"),
-    ("diagnosis", "pss"), ("controller", "pss"),
+    ("mechanism", "reduction"), ("mechanism", "effects"), ("machine_file", "mechanism"),
+    ("observations", "mechanism"), ("prediction", "reduction"), ("machine", "reduction"),
+    ("diagnosis", "reduction"), ("control", "reduction"),
 }  # fmt: skip
 # A result writes its own report: the name is fetched when it is asked to.
 UPWARD = {("closing", "report")}
@@ -103,12 +103,12 @@ def test_imports_go_down() -> None:
 
 def test_the_rules_look_at_something() -> None:
     """Edges that must be there: else the parsing is broken and everything passes."""
-    assert {("identification", "pss"), ("comparison", "pss"), ("cli", "report")} <= set(edges())
+    assert {("fit", "reduction"), ("comparison", "reduction"), ("cli", "report")} <= set(edges())
     assert set(edges()) >= UPWARD
 
 
 def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
-    assert not {("pss", "mechanism"), ("mechanism", "pss")} & set(edges())
+    assert not {("reduction", "mechanism"), ("mechanism", "reduction")} & set(edges())
     assert not {pair: edges()[pair] for pair in NEVER & set(edges())}
 
 

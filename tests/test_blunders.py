@@ -7,7 +7,7 @@ import pytest
 
 from orthoglide.diagnosis.blunders import Blunder, find_blunders, without
 from orthoglide.errors import InputError
-from orthoglide.identification import Estimate, identify, solve
+from orthoglide.fit import Estimate, identify, solve
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, read_campaign
 from tests import rig_campaigns as rc

@@ -27,7 +27,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.cli.run import stop_cleanly
 from orthoglide.errors import CrossCheckError, SolverError
-from orthoglide.identification import identify
+from orthoglide.fit import identify
 from orthoglide.machine_file import machine_text, nominal_machine_file
 from orthoglide.observations import campaign_text, protocol
 
@@ -317,7 +317,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     def disagree(*_: object, **__: object) -> None:
         raise CrossCheckError("the mechanism and the reduction disagree", difference=1.0)
 
-    monkeypatch.setattr("orthoglide.identification.identify", disagree)
+    monkeypatch.setattr("orthoglide.fit.identify", disagree)
     result = run("identify", "experiment2.csv", "--out", "out")
     assert (result.exit_code, result.stdout) == (3, "")
     assert result.stderr == "orthoglide: the mechanism and the reduction disagree\n"
@@ -370,7 +370,7 @@ def test_interrupted_inside_a_compiled_solver(
             return real(*arguments, **options)
         raise SolverError("stopped at the user's request")
 
-    monkeypatch.setattr("orthoglide.identification.identify", interrupted)
+    monkeypatch.setattr("orthoglide.fit.identify", interrupted)
     with listening(monkeypatch):
         result = run("identify", "experiment2.csv", "--out", "out")
     assert result.exit_code == 130
@@ -394,9 +394,9 @@ def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 # What is called on the way: the command in which its interrupt is lost.
 WRITING: dict[str, tuple[str, ...]] = {
     "orthoglide.closing.close_loop": ("close-loop", "experiment2.csv", "--out", "out"),
-    "orthoglide.controller.read_path":
+    "orthoglide.control.read_path":
         ("compensate", "path.csv", "--machine", "planted.toml", "--out", "out"),
-    "orthoglide.controller.export_files": ("export", "--machine", "planted.toml", "--out", "out"),
+    "orthoglide.control.export_files": ("export", "--machine", "planted.toml", "--out", "out"),
     "orthoglide.observations.protocol":
         ("simulate", "--machine", "planted.toml", "--out", "out", "--tcp", "out2"),
     "orthoglide.observations.campaign_text": ("protocol", "--out", "out"),

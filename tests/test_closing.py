@@ -11,7 +11,7 @@ import pytest
 import orthoglide as og
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.effects import family_of
-from orthoglide.identification import identify
+from orthoglide.fit import identify
 from orthoglide.judging import tcp_errors
 
 RIG = Path(__file__).parent / "data" / "rig"

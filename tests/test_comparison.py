@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.optimize import least_squares
 
-from orthoglide import Machine, pss
+from orthoglide import Machine, reduction
 from orthoglide.cli.compare import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.comparison import (
@@ -64,9 +64,9 @@ def test_the_cube_fills_the_stroke_and_no_more(stroke: tuple[float, float]) -> N
     geometry = Geometry(stroke=stroke)
     side = np.linspace(*cube(geometry), 21)
     p = np.stack(np.meshgrid(side, side, side), -1).reshape(-1, 3)
-    travel = pss.inverse(p, geometry=geometry) - geometry.L
+    travel = reduction.inverse(p, geometry=geometry) - geometry.L
     # The grid need not hold p = 0 across the axis, where the outer end is touched.
-    outer = pss.inverse([side[-1], 0.0, 0.0], geometry=geometry)[0] - geometry.L
+    outer = reduction.inverse([side[-1], 0.0, 0.0], geometry=geometry)[0] - geometry.L
     assert travel.min() == pytest.approx(stroke[0], abs=1e-12)
     assert outer == pytest.approx(stroke[1], abs=1e-12)
     assert travel.max() <= stroke[1] + 1e-12
@@ -109,7 +109,7 @@ def test_no_six_parameters_come_nearer_to_the_tcp(name: str) -> None:
     commands = bench().seen.command
 
     def apart(six: Array) -> Array:
-        return (pss.forward(commands, six[:3], six[3:]) - p).ravel() * 1e6
+        return (reduction.forward(commands, six[:3], six[3:]) - p).ravel() * 1e6
 
     best = least_squares(apart, np.full(6, 1e-5), x_scale=1e-5, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     own = np.linalg.norm(apart(np.array(row(name).six)))
@@ -127,7 +127,7 @@ def test_no_six_parameters_come_nearer_to_the_readings(name: str) -> None:
     pose = rig.pose(c.command, c.approach, c.time, c.temperature_rise, c.load)
     shown = rig.readings(pose.lines, c.leg, [c.setups[k].direction for k in c.setup], gauges)
     columns = np.hstack(
-        [pss.reading_jacobian(c.command, c.leg, axes, gauges), np.eye(len(c.setups))[c.setup]]
+        [reduction.reading_jacobian(c.command, c.leg, axes, gauges), np.eye(len(c.setups))[c.setup]]
     )
     linear = shown - columns @ np.linalg.lstsq(columns, shown, rcond=None)[0]
     rms = np.sqrt(np.mean(linear**2))
@@ -197,8 +197,8 @@ def test_planes_show_the_same_difference() -> None:
     assert [plane.normal for plane in planes] == [0, 1, 2]
     for plane in planes:
         assert np.all(plane.p[..., plane.normal] == 0)
-        rho = pss.inverse(plane.p)
-        reduced = pss.forward(rho, six[:3], six[3:])
+        rho = reduction.inverse(plane.p)
+        reduced = reduction.forward(rho, six[:3], six[3:])
         plus, minus = (
             np.linalg.norm(worn.forward(rho, approach=way) - reduced, axis=-1) for way in (1, -1)
         )

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from orthoglide import Campaign, Machine, UnreachableError, identify
 from orthoglide.cli.compensate import COMMANDS
 from orthoglide.cli.run import Commands
-from orthoglide.controller import (
+from orthoglide.control import (
     HELD_BY_URDF,
     calibrated_urdf,
     commands_text,

@@ -46,7 +46,7 @@ from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import BASE_FAMILIES
 from orthoglide.effects.effect import relabelled
 from orthoglide.errors import InputError
-from orthoglide.identification import build_problem, noise_of
+from orthoglide.fit import build_problem, noise_of
 from orthoglide.observations import Campaign, protocol
 from tests.rig import Rig
 from tests.rig_campaigns import simulate

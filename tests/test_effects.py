@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orthoglide import effects, pss
+from orthoglide import effects, reduction
 from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, relabelled, structured
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
@@ -169,7 +169,7 @@ def test_a_vector_of_parameters_takes_no_families() -> None:
 def test_the_nominal_machine_is_the_reduction() -> None:
     seen = campaign()
     found = outputs({}, seen)
-    assert np.abs(found[:, TCP] - pss.forward(seen.command)).max() < 1e-12
+    assert np.abs(found[:, TCP] - reduction.forward(seen.command)).max() < 1e-12
     assert np.abs(found[:, ROTATION] - np.eye(3).ravel()).max() < 1e-12
 
 
@@ -306,7 +306,7 @@ def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> No
     assert np.abs(found[:, TCP] - pose.p).max() < 1e-8
     assert np.abs(found[:, ROTATION].reshape(-1, 3, 3) - pose.R).max() < 1e-8
     assert np.abs(model().readings(values, campaign()) - shown).max() < 1e-8
-    assert np.abs(pose.p - pss.forward(campaign().command)).max() > 1e-3
+    assert np.abs(pose.p - reduction.forward(campaign().command)).max() > 1e-3
 
 
 @pytest.mark.parametrize("times", [1, 10, -10])
@@ -321,9 +321,9 @@ def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, ti
     low, high = GEOMETRY.stroke
     u = (told - (low + high) / 2) / ((high - low) / 2)
     turn = 2 * np.pi * told / PITCH
-    p = pss.forward(seen.command)
+    p = reduction.forward(seen.command)
     # Force of the load on the drive by virtual work: the row of z in dp/drho.
-    force = -seen.load * pss.velocity_jacobian(p, seen.command)[:, 2, leg]
+    force = -seen.load * reduction.velocity_jacobian(p, seen.command)[:, 2, leg]
     along: dict[str, Array | float] = {
         "joint_offset": 1.0, "encoder_scale": told, "backlash": -seen.approach[:, leg] / 2,
         "screw_error": np.sin(turn) if name.endswith("sin") else np.cos(turn),
@@ -337,7 +337,7 @@ def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, ti
     lengths = np.full((len(seen), 3), GEOMETRY.L)
     centres[:, leg, toward] += value * along.get(family, 0.0)
     lengths[:, leg] += value * longer.get(family, 0.0)
-    expected = pss.intersect_spheres(centres, lengths)
+    expected = reduction.intersect_spheres(centres, lengths)
     found = outputs({name: value}, seen)
     assert np.abs(expected - p).max() > 1e-9
     assert np.abs(found[:, TCP] - expected).max() < 1e-12

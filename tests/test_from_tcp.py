@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.identification import from_tcp
-from orthoglide.identification.from_tcp import Frame, identify_tcp
+from orthoglide.fit import from_tcp
+from orthoglide.fit.from_tcp import Frame, identify_tcp
 from tests.rig import Rig
 
 RIG = Path(__file__).parent / "data" / "rig"

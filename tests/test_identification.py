@@ -17,11 +17,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.effects.effect import relabelled
 from orthoglide.errors import CrossCheckError, InputError, SolverError, UnidentifiableError
-from orthoglide.geometry import LEGS
-from orthoglide.identification import (
+from orthoglide.fit import (
     Estimate,
     Problem,
     build_problem,
@@ -29,11 +28,12 @@ from orthoglide.identification import (
     noise_of,
     solve,
 )
-from orthoglide.identification import crosscheck as crosscheck_module
-from orthoglide.identification.estimate import as_mapping
-from orthoglide.identification.least_squares import Nuisances, linearise, normal, nuisances
-from orthoglide.identification.nlp import Nlp, NlpResult
-from orthoglide.identification.scores import stations
+from orthoglide.fit import crosscheck as crosscheck_module
+from orthoglide.fit.estimate import as_mapping
+from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
+from orthoglide.fit.nlp import Nlp, NlpResult
+from orthoglide.fit.scores import stations
+from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, nominal_machine_file
 from orthoglide.observations import Campaign, Setup, protocol, read_campaign
@@ -244,7 +244,7 @@ def test_they_agree_without_priors(free: tuple[str, ...]) -> None:
 
 
 def test_many_postures_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
-    from orthoglide.identification import solving
+    from orthoglide.fit import solving
 
     assert identify(measured("standard once"), MACHINE).method == "nlp"
     monkeypatch.setattr(solving, "NLP_POSTURES", 3)
@@ -558,13 +558,13 @@ def pss_step(one: Estimate) -> np.ndarray:
 @pytest.mark.parametrize("number", [2, 3])
 def test_deviations_are_system_11_to_second_order(family: str, number: int) -> None:
     campaign = published(number)
-    system = pss.system11().select(family)
+    system = reduction.system11().select(family)
     row = {
         f"{s.setup.direction}_{LEGS[s.setup.leg]}{'+' if s.posture == 'max' else '-'}": s.reading
         for s in campaign.rows
         if s.posture != "zero"
     }
-    linear = pss.solve(system, system.ordered(row))
+    linear = reduction.solve(system, system.ordered(row))
     found = identify(campaign, free=[family], priors=False, weighting="deviations")
     # Second order: errors times errors, and errors times what is left, over the legs' length.
     size = float(np.max(np.abs(linear.values)))
@@ -616,7 +616,7 @@ def test_a_wrong_answer_called_success_is_caught(
 
 
 def test_a_solver_that_says_it_failed_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    from orthoglide.identification import nlp
+    from orthoglide.fit import nlp
 
     monkeypatch.setitem(nlp._OPTIONS, "ipopt.max_iter", 1)
     with pytest.raises(SolverError, match="did not converge") as caught:
@@ -627,7 +627,7 @@ def test_a_solver_that_says_it_failed_is_an_error(monkeypatch: pytest.MonkeyPatc
 def test_a_reduction_that_disagrees_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     honest = crosscheck_module.reduction_fit
 
-    def other(*arguments: Any, **options: Any) -> pss.ReadingFit:
+    def other(*arguments: Any, **options: Any) -> reduction.ReadingFit:
         fit = honest(*arguments, **options)
         return replace(fit, values=fit.values + 2e-9)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.errors import ClosureError, FileError, InputError, OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine import Machine, elementary
@@ -32,7 +32,7 @@ def commands(n: int, seed: int = 0) -> np.ndarray:
 
 def test_nominal_is_the_reduction() -> None:
     rho = commands(200)
-    assert np.allclose(NOMINAL.forward(rho), pss.forward(rho), rtol=0, atol=1e-12)
+    assert np.allclose(NOMINAL.forward(rho), reduction.forward(rho), rtol=0, atol=1e-12)
     assert np.allclose(NOMINAL.pose(rho).R, np.eye(3), atol=1e-12)
 
 
@@ -85,7 +85,7 @@ def test_jacobian_by_differences() -> None:
 
 def test_nominal_jacobian_is_equation_5() -> None:
     rho = commands(50)
-    expected = pss.velocity_jacobian(pss.forward(rho), rho)
+    expected = reduction.velocity_jacobian(reduction.forward(rho), rho)
     assert np.allclose(NOMINAL.jacobian(rho), expected, rtol=0, atol=1e-9)
 
 

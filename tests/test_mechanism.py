@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism import Mechanism
@@ -84,7 +84,7 @@ def six_bars(rho: Array, moves: Array, geometry: Geometry = NOMINAL) -> tuple[Ar
 @pytest.mark.parametrize("geometry", [NOMINAL, OTHER], ids=["nominal", "other"])
 def test_closed_tcp_equals_the_quadratic(geometry: Geometry) -> None:
     rho = commands(1000, geometry=geometry)
-    expected = pss.forward(rho, geometry=geometry)
+    expected = reduction.forward(rho, geometry=geometry)
     own = mechanism(geometry)
     assert np.abs(own.forward(rho) - expected).max() < 1e-12
     single = np.array([own.close(r).p for r in rho])
@@ -94,8 +94,8 @@ def test_closed_tcp_equals_the_quadratic(geometry: Geometry) -> None:
 
 
 def test_inverse_equals_eq_3() -> None:
-    p = pss.forward(commands(1000, 1))
-    expected = pss.inverse(p)
+    p = reduction.forward(commands(1000, 1))
+    expected = reduction.inverse(p)
     assert np.abs(mechanism().inverse(p) - expected).max() < 1e-12
     general = mechanism().inverse(p[:100], np.zeros((3, 10)))
     assert np.abs(general - expected[:100]).max() < 1e-12
@@ -104,13 +104,13 @@ def test_inverse_equals_eq_3() -> None:
 def test_inverse_undoes_forward_with_everything_displaced() -> None:
     rho, moves = commands(100, 2), displacements(100, 2)
     p = mechanism().forward(rho, moves)
-    assert np.abs(p - pss.forward(rho)).max() > 1e-3
+    assert np.abs(p - reduction.forward(rho)).max() > 1e-3
     assert np.abs(mechanism().inverse(p, moves) - rho).max() < 1e-12
 
 
 def test_other_assembly_mode_equals_the_other_root() -> None:
     rho = commands(1000, 3)
-    expected = pss.forward(rho, mode="other")
+    expected = reduction.forward(rho, mode="other")
     assert np.abs(mechanism().forward(rho, mode="other") - expected).max() < 1e-12
     for r, p in zip(rho[:40], expected[:40], strict=True):
         posture = mechanism().close(r, mode="other")
@@ -121,7 +121,7 @@ def test_other_assembly_mode_equals_the_other_root() -> None:
 def test_other_assembly_mode_with_errors_is_another_pose_of_the_same_bars() -> None:
     rho, moves = commands(20, 4), displacements(20, 4, 1e-3)
     other = mechanism().forward(rho, moves, mode="other")
-    assert np.abs(other - pss.forward(rho, mode="other")).max() < 0.05
+    assert np.abs(other - reduction.forward(rho, mode="other")).max() < 0.05
     for r, m, p in zip(rho, moves, other, strict=True):
         posture = mechanism().close(r, m, mode="other")
         assert np.abs(posture.p - p).max() < 1e-11
@@ -137,14 +137,14 @@ def test_platform_does_not_turn_while_nothing_is_displaced() -> None:
 
 def test_velocity_jacobian_equals_eq_5() -> None:
     rho = np.concatenate([commands(100, 6), CORNERS])
-    p = pss.forward(rho)
-    for r, expected in zip(rho, pss.velocity_jacobian(p, rho), strict=True):
+    p = reduction.forward(rho)
+    for r, expected in zip(rho, reduction.velocity_jacobian(p, rho), strict=True):
         own = mechanism().velocity_jacobian(mechanism().close(r))
         assert np.abs(own - expected).max() < 1e-9
     batch = mechanism().nominal_batch
     given = mechanism().given(rho)[:, :3]
     _, by_given = batch.tangent(batch.close(given), given)
-    assert np.abs(by_given[:, TCP] - pss.velocity_jacobian(p, rho)).max() < 1e-9
+    assert np.abs(by_given[:, TCP] - reduction.velocity_jacobian(p, rho)).max() < 1e-9
 
 
 # -- the constraint Jacobian -----------------------------------------------------------------
@@ -448,7 +448,7 @@ def test_far_commands_close_on_the_right_pose_or_not_at_all() -> None:
                 refused += 1
                 continue
             closed += 1
-            assert np.abs(p - pss.forward(r)).max() < 1e-7
+            assert np.abs(p - reduction.forward(r)).max() < 1e-7
     assert closed > 50
     assert refused > 50
 
@@ -462,15 +462,15 @@ def test_carriages_beyond_the_origin_close_on_the_right_pose_or_not_at_all() -> 
             except ClosureError:
                 continue
             closed += 1
-            assert np.abs(p - pss.forward(r)).max() < 1e-7
+            assert np.abs(p - reduction.forward(r)).max() < 1e-7
     assert closed > 20
 
 
 def test_whatever_the_legs_reach_near_the_stroke_closes() -> None:
     low, high = NOMINAL.stroke
     rho = NOMINAL.L + np.random.default_rng(25).uniform(1.3 * low, 1.3 * high, (300, 3))
-    assert np.abs(mechanism().forward(rho) - pss.forward(rho)).max() < 1e-12
-    assert max(np.abs(mechanism().close(r).p - pss.forward(r)).max() for r in rho) < 1e-12
+    assert np.abs(mechanism().forward(rho) - reduction.forward(rho)).max() < 1e-12
+    assert max(np.abs(mechanism().close(r).p - reduction.forward(r)).max() for r in rho) < 1e-12
 
 
 def test_a_batch_names_the_posture_that_fails() -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from orthoglide.errors import InputError
-from orthoglide.identification import noise_of
-from orthoglide.identification.noise import (
+from orthoglide.fit import noise_of
+from orthoglide.fit.noise import (
     PUBLISHED_REPEATABILITY,
     common_rounding,
     repeat_variance,

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.identification import Estimate, WeakDirection, identify
+from orthoglide.fit import Estimate, WeakDirection, identify
 from orthoglide.machine_file import Controller
 from orthoglide.observations import protocol
 from orthoglide.report import Run, identification_files, read_input

@@ -22,7 +22,7 @@ from orthoglide.diagnosis.pattern import describe_left
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.catalogue import MACHINE_PARAMETERS
 from orthoglide.errors import FileError
-from orthoglide.identification import Estimate, identify
+from orthoglide.fit import Estimate, identify
 from orthoglide.judging import HoldOut
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import verdict_files

@@ -59,7 +59,7 @@ def export(machine_path: Path, out: Path) -> None:
     The controller's numbers with the sign rule written out (controller.txt and .json), and the
     calibrated URDF with its loop closures.
     """
-    from orthoglide.controller import export_files
+    from orthoglide.control import export_files
     from orthoglide.report.folder import check_folder
 
     check_folder(out)

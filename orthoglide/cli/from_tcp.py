@@ -16,7 +16,7 @@ from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
 
 if TYPE_CHECKING:
-    from orthoglide.identification.from_tcp import Frame, TcpEstimate
+    from orthoglide.fit.from_tcp import Frame, TcpEstimate
     from orthoglide.observations import TcpPoints
 
 FRAMES = ("rigid", "translation", "none")
@@ -46,7 +46,7 @@ def run_fit_tcp(
         machine = load_machine(machine_path)
         points = read_tcp(path, machine.spec)
         step(f"identifying from {len(points)} TCP points")
-        from orthoglide.identification.from_tcp import identify_tcp
+        from orthoglide.fit.from_tcp import identify_tcp
 
         estimate = identify_tcp(
             points,
@@ -66,7 +66,7 @@ def run_fit_tcp(
 
 
 def _summary(estimate: TcpEstimate) -> str:
-    from orthoglide.identification.from_tcp import table
+    from orthoglide.fit.from_tcp import table
 
     lines = [
         f"The points lie {estimate.before * 1e3:.4f} mm rms from the machine as it was, "

@@ -24,8 +24,8 @@ from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
 
 if TYPE_CHECKING:
-    from orthoglide.identification import Estimate
-    from orthoglide.identification.from_tcp import Frame
+    from orthoglide.fit import Estimate
+    from orthoglide.fit.from_tcp import Frame
     from orthoglide.report import Run
 
 
@@ -194,7 +194,7 @@ def _identified(paths: Sequence[Path], asked: Asked, step: Any) -> Estimate:
     machine = load_machine(asked.machine)
     campaigns = [read_campaign(path, machine.spec) for path in paths]
     step(f"identifying from {sum(map(len, campaigns))} readings")
-    from orthoglide.identification import identify
+    from orthoglide.fit import identify
 
     return identify(
         campaigns,

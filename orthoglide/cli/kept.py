@@ -149,7 +149,7 @@ class Kept:
         return verdict_files(view, run, step) if whole else {"result.json": result_text(view, run)}
 
     def _identified(self, run: Run, step: Step) -> dict[str, str]:
-        from orthoglide.identification import identify
+        from orthoglide.fit import identify
         from orthoglide.report import identification_files
 
         campaigns, arguments = self._campaigns("campaign"), self.arguments

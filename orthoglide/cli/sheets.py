@@ -141,7 +141,7 @@ def _campaign_text(
 
 
 def _noise(machine: Machine, noise_mm: float | None) -> float:
-    from orthoglide.identification.noise import PUBLISHED_REPEATABILITY
+    from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 
     if noise_mm is None:
         repeatability = machine.spec.dial.repeatability

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.comparison.rows import ALIKE, READING_LIMIT, Difference, Row
 from orthoglide.effects import family_of, is_dial
 from orthoglide.errors import InputError, NumericsError
@@ -60,7 +60,7 @@ def cube(geometry: Geometry) -> tuple[float, float]:
 
 def reduced(commands: Array, six: Array, geometry: Geometry) -> Array:
     """TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``, metres."""
-    return pss.forward(commands, six[:3], six[3:], geometry=geometry)
+    return reduction.forward(commands, six[:3], six[3:], geometry=geometry)
 
 
 def fit_tcp(commands: Array, p: Array, geometry: Geometry) -> Array:
@@ -68,7 +68,7 @@ def fit_tcp(commands: Array, p: Array, geometry: Geometry) -> Array:
     six = np.zeros(6)
     for _ in range(_FIT_STEPS):
         found = reduced(commands, six, geometry)
-        slopes = pss.jacobians(found, commands, six[:3], six[3:], geometry=geometry)
+        slopes = reduction.jacobians(found, commands, six[:3], six[3:], geometry=geometry)
         columns = np.concatenate(slopes, axis=-1).reshape(-1, 6)
         step = np.linalg.lstsq(columns, (p - found).reshape(-1), rcond=None)[0]
         six = six + step
@@ -89,7 +89,7 @@ class Bench:
             raise InputError("the workspace needs at least two points along each axis")
         side = np.linspace(*cube(self.geometry), circumstances.points)
         grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
-        self.seen = self.visits(pss.inverse(grid, geometry=self.geometry))
+        self.seen = self.visits(reduction.inverse(grid, geometry=self.geometry))
         self.commands = self.seen.command
         self.p = np.tile(grid, (2, 1))
         self.campaign = self._campaign()
@@ -172,7 +172,9 @@ class Bench:
     def _nominal_readings(self) -> Array:
         return self.model.readings({}, self.campaign)
 
-    def readings(self, values: dict[str, float]) -> tuple[Array, pss.ReadingFit, pss.ReadingFit]:
+    def readings(
+        self, values: dict[str, float]
+    ) -> tuple[Array, reduction.ReadingFit, reduction.ReadingFit]:
         """What the effect does to the readings less datums, and the reduction's two fits of them:
         the best there is, and the one an identification with priors finds.
         """
@@ -185,7 +187,7 @@ class Bench:
         change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
         own = np.repeat([tolerance["joint_offset"], tolerance["leg_length"]], len(LEGS))
         fits = [
-            pss.fit_readings(
+            reduction.fit_readings(
                 c.command,
                 c.leg,
                 [c.setups[k].axis for k in c.setup],

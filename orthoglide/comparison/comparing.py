@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.comparison.bench import Bench, Circumstances, cube, fit_tcp, reduced
 from orthoglide.comparison.rows import Row
 from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, family_of, is_dial
@@ -88,7 +88,7 @@ def slices(
     planes = []
     for normal in range(3):
         p = np.insert(np.stack(np.meshgrid(side, side, indexing="ij"), -1), normal, 0.0, -1)
-        rho = pss.inverse(p.reshape(-1, 3), geometry=bench.geometry)
+        rho = reduction.inverse(p.reshape(-1, 3), geometry=bench.geometry)
         twice = bench.visits(rho)
         apart = bench.model.outputs(values, twice).p - reduced(twice.command, six, bench.geometry)
         size = np.linalg.norm(apart, axis=1).reshape(2, points, points).max(axis=0)

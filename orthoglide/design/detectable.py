@@ -13,8 +13,8 @@ from orthoglide.diagnosis.ranking import CLASS_WIDTH
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.effects import BASE_FAMILIES, family_of
+from orthoglide.fit import Estimate, solve
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 

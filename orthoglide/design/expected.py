@@ -10,10 +10,10 @@ import numpy as np
 from orthoglide.design.bench import Bench, Scatter
 from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, expand, is_dial
 from orthoglide.errors import InputError
+from orthoglide.fit import Noise, Problem, build_problem, noise_of
+from orthoglide.fit.least_squares import Linearised, linearise, normal, nuisances
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
 from orthoglide.geometry import Array
-from orthoglide.identification import Noise, Problem, build_problem, noise_of
-from orthoglide.identification.least_squares import Linearised, linearise, normal, nuisances
-from orthoglide.identification.noise import PUBLISHED_REPEATABILITY, common_rounding
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 

@@ -10,9 +10,9 @@ import numpy as np
 from orthoglide.diagnosis.ranking import extend
 from orthoglide.effects import BASE_FAMILIES, family_of, is_dial
 from orthoglide.errors import InputError
+from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, normal
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, Problem
-from orthoglide.identification.least_squares import Linearised, Nuisances, linearise, normal
 from orthoglide.machine import elementary
 
 Values = Mapping[str, float]

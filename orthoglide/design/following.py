@@ -17,8 +17,8 @@ from orthoglide.design.objectives import Narrow, Separate
 from orthoglide.design.pool import reading_pool, sheet
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.effects import is_dial
+from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, WeakDirection
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.design.expected import expected
+from orthoglide.fit import Noise
 from orthoglide.geometry import Array
-from orthoglide.identification import Noise
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 

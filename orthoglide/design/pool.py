@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
 
@@ -73,7 +73,7 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
 
 
 def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> list[Station]:
-    rho = np.round(pss.inverse(p, geometry=geometry), _GRID)
+    rho = np.round(reduction.inverse(p, geometry=geometry), _GRID)
     return [
         Station(label, rho, p, side)
         for side in sides

@@ -12,9 +12,9 @@ from orthoglide.design.bench import Scatter
 from orthoglide.design.expected import Expected, expected, expected_noise, scatter_of
 from orthoglide.effects import is_dial
 from orthoglide.errors import InputError
+from orthoglide.fit import Noise
+from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
-from orthoglide.identification import Noise
-from orthoglide.identification.noise import station_table
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions

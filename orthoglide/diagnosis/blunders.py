@@ -20,8 +20,8 @@ from orthoglide.diagnosis.repeat_faults import repeat_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
+from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, Noise, Problem, noise_of, solve
 from orthoglide.observations import Campaign
 
 _REFITS = 3

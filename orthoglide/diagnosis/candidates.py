@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.effects import BASE_FAMILIES, CATALOGUE, family_of, structured
+from orthoglide.fit import Problem
 from orthoglide.geometry import Array
-from orthoglide.identification import Problem
 from orthoglide.observations import Campaign
 
 

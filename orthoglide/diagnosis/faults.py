@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
-from orthoglide.identification import Problem
 
 Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck"]
 Rows = NDArray[np.int64]

@@ -19,8 +19,8 @@ from orthoglide.diagnosis.repeat_faults import EVIDENCE, Within, scatter
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.significance import within_groups
 from orthoglide.errors import NumericsError
+from orthoglide.fit import Problem, solve
 from orthoglide.geometry import Array
-from orthoglide.identification import Problem, solve
 
 MARGIN = 5.0
 """Log Bayes factor by which a fault must beat the best effect of the catalogue."""

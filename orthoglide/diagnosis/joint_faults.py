@@ -28,8 +28,8 @@ from orthoglide.diagnosis.fit_faults import (
 )
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.errors import NumericsError
+from orthoglide.fit import Problem, solve
 from orthoglide.geometry import Array
-from orthoglide.identification import Problem, solve
 
 MARGIN = 12.0
 """Log Bayes factor, the number of hypotheses discounted, by which the readings must be beaten."""

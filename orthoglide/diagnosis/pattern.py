@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.faults import setup_names
+from orthoglide.fit import Estimate
+from orthoglide.fit.scores import leverage_basis
 from orthoglide.geometry import LEGS, Array
-from orthoglide.identification import Estimate
-from orthoglide.identification.scores import leverage_basis
 
 ALPHA = 0.005
 """Probability of saying something of a structureless residual, for each contrast."""

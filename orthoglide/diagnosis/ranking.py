@@ -19,10 +19,10 @@ from orthoglide.diagnosis.significance import (
 )
 from orthoglide.effects import CATALOGUE, family_of
 from orthoglide.errors import InputError, NumericsError
+from orthoglide.fit import Estimate, Problem, solve
+from orthoglide.fit.least_squares import normal
+from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, Problem, solve
-from orthoglide.identification.least_squares import normal
-from orthoglide.identification.problem import build_unknowns
 from orthoglide.observations import Campaign
 
 CLASS_WIDTH = 4.0

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.diagnosis.faults import Fault, Rows, in_order
+from orthoglide.fit import Estimate, Problem
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, Problem
 
 EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates, excited_families
 from orthoglide.errors import InputError
+from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.least_squares import linearise
+from orthoglide.fit.problem import build_problem
 from orthoglide.geometry import Array
-from orthoglide.identification import Estimate, Problem
-from orthoglide.identification.least_squares import linearise
-from orthoglide.identification.problem import build_problem
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
 _VISIBLE = 0.3

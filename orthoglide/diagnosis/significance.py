@@ -16,10 +16,10 @@ import numpy as np
 
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.fit import Problem
+from orthoglide.fit.least_squares import normal
+from orthoglide.fit.noise import repeat_variance
 from orthoglide.geometry import Array
-from orthoglide.identification import Problem
-from orthoglide.identification.least_squares import normal
-from orthoglide.identification.noise import repeat_variance
 from orthoglide.observations import Campaign
 
 DRAWS = 1999

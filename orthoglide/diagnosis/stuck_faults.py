@@ -11,7 +11,7 @@ from orthoglide.diagnosis.faults import Fault, Rows, in_order
 from orthoglide.diagnosis.fit_faults import MARGIN
 from orthoglide.diagnosis.repeat_faults import EVIDENCE, Within, scatter, span
 from orthoglide.diagnosis.signatures import Signatures
-from orthoglide.identification import Problem
+from orthoglide.fit import Problem
 
 _EQUAL = 4  # readings one after the other
 _MOVES, _SIGMAS = 5.0, 6.0  # steps of the dial and sigmas that they must have missed

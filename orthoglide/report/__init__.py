@@ -11,7 +11,7 @@ from orthoglide.report.run import InputFile, Run, read_input
 
 if TYPE_CHECKING:
     from orthoglide.closing import Verdict
-    from orthoglide.identification import Estimate
+    from orthoglide.fit import Estimate
     from orthoglide.report.verdict_view import View
 
 __all__ = [

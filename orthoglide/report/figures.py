@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from orthoglide.identification import Estimate
+    from orthoglide.fit import Estimate
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; each hex stands for its name.
 PALETTE = {

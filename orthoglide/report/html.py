@@ -19,7 +19,7 @@ from orthoglide.report.run import Run
 from orthoglide.report.wording import explained_by, headline, listed, sentence, weak_sentences
 
 if TYPE_CHECKING:
-    from orthoglide.identification import Estimate
+    from orthoglide.fit import Estimate
 
 Data = Mapping[str, Any]
 

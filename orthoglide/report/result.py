@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from orthoglide.effects import family_of
+from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
 from orthoglide.geometry import LEGS
-from orthoglide.identification import CrossCheck, Estimate, Scores, WeakDirection
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text, nominal_machine_file
 from orthoglide.report.run import Run

@@ -10,7 +10,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.report.numbers import compact, decimals_for, plain, probability, signed
 
 if TYPE_CHECKING:
-    from orthoglide.identification import Estimate
+    from orthoglide.fit import Estimate
     from orthoglide.machine import Machine
 
 

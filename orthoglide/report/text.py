@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from orthoglide.identification import Estimate
+    from orthoglide.fit import Estimate
 
 _WIDTH = 100  # where the output goes to a file
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from orthoglide.accuracy import Map
     from orthoglide.closing import Effect, Tried, Verdict
     from orthoglide.design import Suggestion
-    from orthoglide.identification import Estimate
+    from orthoglide.fit import Estimate
 
 _FEEDS = 3
 _PROPOSED = 12

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from orthoglide.effects import BASE_FAMILIES, family_of
-from orthoglide.identification import Estimate, WeakDirection
+from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.report.numbers import compact, decimals_for, signed
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped

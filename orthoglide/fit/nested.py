@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import ClosureError, SolverError
-from orthoglide.geometry import Array
-from orthoglide.identification.least_squares import (
+from orthoglide.fit.least_squares import (
     Linearised,
     Normal,
     Nuisances,
@@ -21,7 +20,8 @@ from orthoglide.identification.least_squares import (
     normal,
     predict,
 )
-from orthoglide.identification.problem import Problem
+from orthoglide.fit.problem import Problem
+from orthoglide.geometry import Array
 
 _MOST_STEPS = 60
 _SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown

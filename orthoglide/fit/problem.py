@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import CATALOGUE, expand, family_of, is_dial
 from orthoglide.errors import InputError
+from orthoglide.fit.noise import Noise, station_table
 from orthoglide.geometry import Array
-from orthoglide.identification.noise import Noise, station_table
 from orthoglide.machine import Machine, elementary
 from orthoglide.observations import Campaign
 

@@ -13,7 +13,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import Geometry
 
@@ -58,21 +58,21 @@ def sphere_error(p, rho, offsets=0.0, lengths=0.0):
 @given(travels, shifts, shifts)
 def test_forward_meets_the_spheres_and_inverse_undoes_it(travel, offsets, lengths):
     rho = L + travel
-    p = pss.forward(rho, offsets, lengths)
+    p = reduction.forward(rho, offsets, lengths)
     np.testing.assert_allclose(sphere_error(p, rho, offsets, lengths), 0, atol=2e-15)
-    np.testing.assert_allclose(pss.inverse(p, offsets, lengths), rho, atol=2e-15)
+    np.testing.assert_allclose(reduction.inverse(p, offsets, lengths), rho, atol=2e-15)
 
 
 @properties
 @given(arrays(float, 3, elements=st.floats(-0.12, 0.12)), shifts, shifts)
 def test_all_eight_configurations_hold_the_same_tcp(p, offsets, lengths):
-    rho = pss.inverse(p, offsets, lengths, signs=pss.CONFIGURATIONS)
+    rho = reduction.inverse(p, offsets, lengths, signs=reduction.CONFIGURATIONS)
     assert rho.shape == (8, 3)
     assert len({tuple(np.round(r, 6)) for r in rho}) == 8
     np.testing.assert_allclose(sphere_error(p, rho, offsets, lengths), 0, atol=2e-15)
-    np.testing.assert_array_equal(np.sign(rho + offsets - p), pss.CONFIGURATIONS)
+    np.testing.assert_array_equal(np.sign(rho + offsets - p), reduction.CONFIGURATIONS)
     assume(np.all(np.abs(rho + offsets) > 1e-3))
-    both = [pss.forward(rho, offsets, lengths, mode=mode) for mode in ("machine", "other")]
+    both = [reduction.forward(rho, offsets, lengths, mode=mode) for mode in ("machine", "other")]
     nearest = np.min([np.linalg.norm(q - p, axis=-1) for q in both], axis=0)
     assert nearest.max() < 1e-10
 
@@ -81,8 +81,8 @@ def test_all_eight_configurations_hold_the_same_tcp(p, offsets, lengths):
 @given(travels, shifts, shifts)
 def test_the_two_assembly_modes_mirror_in_the_plane_of_the_carriages(travel, offsets, lengths):
     carriage = L + travel + offsets
-    machine = pss.forward(L + travel, offsets, lengths)
-    other = pss.forward(L + travel, offsets, lengths, mode="other")
+    machine = reduction.forward(L + travel, offsets, lengths)
+    other = reduction.forward(L + travel, offsets, lengths, mode="other")
     np.testing.assert_allclose(sphere_error(other, carriage, 0, lengths), 0, atol=5e-15)
     # Signed distance from the plane sum x_i / R_i = 1; the machine is on the origin's side.
     side, opposite = (np.sum(q / carriage) - 1 for q in (machine, other))
@@ -93,15 +93,15 @@ def test_the_two_assembly_modes_mirror_in_the_plane_of_the_carriages(travel, off
 
 
 def test_root_at_mechanical_zero():
-    np.testing.assert_array_equal(pss.forward(MACHINE.zero), np.zeros(3))
-    plus = pss.forward(MACHINE.zero, mode="other")
+    np.testing.assert_array_equal(reduction.forward(MACHINE.zero), np.zeros(3))
+    plus = reduction.forward(MACHINE.zero, mode="other")
     np.testing.assert_allclose(plus, 2 * L / 3, rtol=1e-15)
 
 
 @pytest.mark.parametrize("tiny", [1e-6, 1e-9, 1e-12, 1e-15])
 def test_no_cancellation_near_zero(tiny):
     # p = offset - length + O(tiny^2): eq. (7), to the last digits however small.
-    p = pss.forward(MACHINE.zero + tiny * np.array([1.0, -2.0, 3.0]))
+    p = reduction.forward(MACHINE.zero + tiny * np.array([1.0, -2.0, 3.0]))
     given = (MACHINE.zero + tiny * np.array([1.0, -2.0, 3.0])) - MACHINE.zero
     np.testing.assert_allclose(p, given, rtol=30 * tiny + 1e-14)
 
@@ -109,8 +109,8 @@ def test_no_cancellation_near_zero(tiny):
 @properties
 @given(travels, shifts, shifts)
 def test_cyclic_relabelling(travel, offsets, lengths):
-    p = pss.forward(L + travel, offsets, lengths)
-    again = pss.forward(cycle(L + travel), cycle(offsets), cycle(lengths))
+    p = reduction.forward(L + travel, offsets, lengths)
+    again = reduction.forward(cycle(L + travel), cycle(offsets), cycle(lengths))
     np.testing.assert_allclose(again, cycle(p), atol=1e-15)
 
 
@@ -118,27 +118,27 @@ def test_cyclic_relabelling(travel, offsets, lengths):
 @given(inner, shifts, shifts)
 def test_jacobians_are_the_derivatives(travel, offsets, lengths):
     rho = L + travel
-    p = pss.forward(rho, offsets, lengths)
-    j_rho, j_lengths = pss.jacobians(p, rho, offsets, lengths)
+    p = reduction.forward(rho, offsets, lengths)
+    j_rho, j_lengths = reduction.jacobians(p, rho, offsets, lengths)
     np.testing.assert_allclose(
-        j_rho, differences(lambda x: pss.forward(rho, x, lengths), offsets), atol=2e-10
+        j_rho, differences(lambda x: reduction.forward(rho, x, lengths), offsets), atol=2e-10
     )
     np.testing.assert_allclose(
-        j_lengths, differences(lambda x: pss.forward(rho, offsets, x), lengths), atol=2e-10
+        j_lengths, differences(lambda x: reduction.forward(rho, offsets, x), lengths), atol=2e-10
     )
-    np.testing.assert_array_equal(pss.velocity_jacobian(p, rho, offsets), j_rho)
+    np.testing.assert_array_equal(reduction.velocity_jacobian(p, rho, offsets), j_rho)
     printed = (p - np.diag(rho + offsets)) / (p - rho - offsets)[:, None]
     np.testing.assert_allclose(j_rho @ printed, np.eye(3), atol=1e-12)
 
 
 def test_jacobians_of_the_special_postures_are_the_printed_ones():
-    zero = np.hstack(pss.jacobians(np.zeros(3), MACHINE.zero))
+    zero = np.hstack(reduction.jacobians(np.zeros(3), MACHINE.zero))
     np.testing.assert_allclose(zero, np.hstack([np.eye(3), -np.eye(3)]), atol=1e-15)
-    for posture, angle in zip(("xmax", "xmin"), pss.stroke_angles(), strict=True):
+    for posture, angle in zip(("xmax", "xmin"), reduction.stroke_angles(), strict=True):
         rho = MACHINE.command(posture)
         t, c = np.tan(angle), 1 / np.cos(angle)
         expected = [[1, 0, 0, -1, 0, 0], [t, 1, 0, -t, -c, 0], [t, 0, 1, -t, 0, -c]]
-        found = np.hstack(pss.jacobians(pss.forward(rho), rho))
+        found = np.hstack(reduction.jacobians(reduction.forward(rho), rho))
         np.testing.assert_allclose(found, expected, atol=1e-14)  # eq. (8)
 
 
@@ -146,22 +146,22 @@ def test_batches_are_the_single_poses():
     rng = np.random.default_rng(1)
     rho = L + rng.uniform(-0.1, 0.06, (5000, 2, 3))  # more than one block
     offsets, lengths = rng.normal(0, 1e-3, (2, 3)), rng.normal(0, 1e-4, (5000, 1, 3))
-    p = pss.forward(rho, offsets, lengths)
+    p = reduction.forward(rho, offsets, lengths)
     assert p.shape == rho.shape
     for i, j in ((0, 0), (4095, 1), (4999, 0)):
         np.testing.assert_allclose(
-            p[i, j], pss.forward(rho[i, j], offsets[j], lengths[i, 0]), atol=1e-16
+            p[i, j], reduction.forward(rho[i, j], offsets[j], lengths[i, 0]), atol=1e-16
         )
-        single = pss.jacobians(p[i, j], rho[i, j], offsets[j], lengths[i, 0])
-        for whole, one in zip(pss.jacobians(p, rho, offsets, lengths), single, strict=True):
+        single = reduction.jacobians(p[i, j], rho[i, j], offsets[j], lengths[i, 0])
+        for whole, one in zip(reduction.jacobians(p, rho, offsets, lengths), single, strict=True):
             np.testing.assert_allclose(whole[i, j], one, atol=1e-15)
-    np.testing.assert_allclose(pss.inverse(p, offsets, lengths), rho, atol=2e-15)
-    assert pss.forward(np.empty((0, 3))).shape == (0, 3)
+    np.testing.assert_allclose(reduction.inverse(p, offsets, lengths), rho, atol=2e-15)
+    assert reduction.forward(np.empty((0, 3))).shape == (0, 3)
 
 
 def test_forward_is_quick_on_large_batches():
     rho = L + np.random.default_rng(2).uniform(-0.1, 0.06, (100_000, 3))
-    best = min(_seconds(lambda: pss.forward(rho)) for _ in range(5))
+    best = min(_seconds(lambda: reduction.forward(rho)) for _ in range(5))
     # The aim is 0.15 us a pose; the margin is for a shared machine.
     assert best / len(rho) < 0.5e-6
 
@@ -180,7 +180,7 @@ def test_a_pose_out_of_reach_names_leg_amount_and_place(leg):
     p = np.zeros((4, 2, 3))
     p[2, 1, (leg + 1) % 3] = L + 0.012
     with pytest.raises(UnreachableError, match=r"12 mm") as caught:
-        pss.inverse(p)
+        reduction.inverse(p)
     # Two legs miss by the same: both stand across that axis.
     assert caught.value.leg in {"xyz"[leg], "xyz"[(leg + 2) % 3]}
     assert caught.value.excess == pytest.approx(0.012)
@@ -188,7 +188,7 @@ def test_a_pose_out_of_reach_names_leg_amount_and_place(leg):
     near = np.zeros(3)
     near[(leg + 1) % 3], near[(leg + 2) % 3] = L, 0.05
     with pytest.raises(UnreachableError) as caught:
-        pss.inverse(near)
+        reduction.inverse(near)
     assert caught.value.leg == "xyz"[leg]
     assert caught.value.excess == pytest.approx(np.hypot(L, 0.05) - L)
 
@@ -198,27 +198,27 @@ def test_an_unreachable_command_names_leg_amount_and_place(leg):
     rho = np.tile(MACHINE.zero, (3, 2, 1))
     rho[1, 0, leg] = 3 * L
     with pytest.raises(UnreachableError, match=f"leg {'xyz'[leg]}") as caught:
-        pss.forward(rho)
+        reduction.forward(rho)
     assert caught.value.leg == "xyz"[leg]
     assert caught.value.index == (1, 0)
     # By how much: with that leg so much longer the legs just meet.
     lengths = np.zeros(3)
     lengths[leg] = caught.value.excess
-    p = pss.forward(rho[1, 0], 0.0, lengths * (1 + 1e-9))
+    p = reduction.forward(rho[1, 0], 0.0, lengths * (1 + 1e-9))
     np.testing.assert_allclose(sphere_error(p, rho[1, 0], 0.0, lengths), 0, atol=1e-8)
     with pytest.raises(UnreachableError):
-        pss.forward(rho[1, 0], 0.0, lengths * (1 - 1e-9))
+        reduction.forward(rho[1, 0], 0.0, lengths * (1 - 1e-9))
 
 
 def test_a_leg_too_long_and_legs_that_all_miss():
     lengths = np.array([0.6, 0.0, 0.0])
     with pytest.raises(UnreachableError, match="too long") as caught:
-        pss.forward(MACHINE.zero, 0.0, lengths)
+        reduction.forward(MACHINE.zero, 0.0, lengths)
     assert caught.value.leg == "x"
     lengths[0] -= caught.value.excess + 1e-9
-    assert np.isfinite(pss.forward(MACHINE.zero, 0.0, lengths)).all()
+    assert np.isfinite(reduction.forward(MACHINE.zero, 0.0, lengths)).all()
     with pytest.raises(UnreachableError, match="no two legs meet") as caught:
-        pss.forward(np.full(3, 1.0))
+        reduction.forward(np.full(3, 1.0))
     assert caught.value.leg == ""
     assert caught.value.excess == pytest.approx(np.sqrt(2) - 2 * L)
 
@@ -227,32 +227,34 @@ def test_legs_that_just_touch_are_reachable():
     # The largest equal command: the TCP in the plane of the carriages.
     lengths = np.linspace(-0.05, 0.05, 301)[:, None] * np.ones(3)
     rho = np.sqrt(1.5) * (L + lengths)
-    np.testing.assert_allclose(pss.forward(rho, 0.0, lengths), rho / 3, atol=1e-7)
+    np.testing.assert_allclose(reduction.forward(rho, 0.0, lengths), rho / 3, atol=1e-7)
     centres = rho[..., None] * np.eye(3)
-    np.testing.assert_allclose(pss.intersect_spheres(centres, L + lengths), rho / 3, atol=1e-7)
+    np.testing.assert_allclose(
+        reduction.intersect_spheres(centres, L + lengths), rho / 3, atol=1e-7
+    )
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: pss.forward(np.zeros(2)),
-        lambda: pss.forward([np.nan, L, L]),
-        lambda: pss.forward([0.0, L, L]),
-        lambda: pss.forward(MACHINE.zero, mode="plus"),
-        lambda: pss.inverse([np.nan, 0, 0]),
-        lambda: pss.inverse(np.zeros(3), signs=(1, 0, 1)),
-        lambda: pss.intersect_spheres(np.zeros((3, 3)), np.ones(3)),
-        lambda: pss.intersect_spheres(np.zeros((3, 2)), np.ones(3)),
-        lambda: pss.readings(MACHINE.zero, 0, 0, L / 2),
-        lambda: pss.readings(np.tile(MACHINE.zero, (2, 1)), [0, 1, 2], 1, L / 2),
-        lambda: pss.solve(pss.system11(), np.zeros(11)),
-        lambda: pss.system11().select("axis_tilt"),
-        lambda: pss.system11().ordered({"x_y+": 0.0}),
-        lambda: pss.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 0.0),
-        lambda: pss.fit_readings(MACHINE.zero, 0, 1, L / 2, [np.nan], 1.0),
-        lambda: pss.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 1.0, group=[1]),
-        lambda: pss.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 1.0, nuisance=[1.0]),
-        lambda: pss.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 1.0, maps=np.eye(6)),
+        lambda: reduction.forward(np.zeros(2)),
+        lambda: reduction.forward([np.nan, L, L]),
+        lambda: reduction.forward([0.0, L, L]),
+        lambda: reduction.forward(MACHINE.zero, mode="plus"),
+        lambda: reduction.inverse([np.nan, 0, 0]),
+        lambda: reduction.inverse(np.zeros(3), signs=(1, 0, 1)),
+        lambda: reduction.intersect_spheres(np.zeros((3, 3)), np.ones(3)),
+        lambda: reduction.intersect_spheres(np.zeros((3, 2)), np.ones(3)),
+        lambda: reduction.readings(MACHINE.zero, 0, 0, L / 2),
+        lambda: reduction.readings(np.tile(MACHINE.zero, (2, 1)), [0, 1, 2], 1, L / 2),
+        lambda: reduction.solve(reduction.system11(), np.zeros(11)),
+        lambda: reduction.system11().select("axis_tilt"),
+        lambda: reduction.system11().ordered({"x_y+": 0.0}),
+        lambda: reduction.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 0.0),
+        lambda: reduction.fit_readings(MACHINE.zero, 0, 1, L / 2, [np.nan], 1.0),
+        lambda: reduction.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 1.0, group=[1]),
+        lambda: reduction.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 1.0, nuisance=[1.0]),
+        lambda: reduction.fit_readings(MACHINE.zero, 0, 1, L / 2, [0.0], 1.0, maps=np.eye(6)),
     ],
 )
 def test_bad_input_is_an_input_error_with_a_message(call):
@@ -266,9 +268,9 @@ def test_singular_postures_have_no_jacobian():
     rho = np.full(3, np.sqrt(1.5) * L)
     p = rho / 3
     with pytest.raises(NumericsError, match="plane of the carriages"):
-        pss.jacobians(p, rho)
+        reduction.jacobians(p, rho)
     with pytest.raises(NumericsError, match="plane of the carriages"):
-        pss.sphere_derivatives(np.diag(rho), np.full(3, L), p)
+        reduction.sphere_derivatives(np.diag(rho), np.full(3, L), p)
 
 
 # --- three spheres ------------------------------------------------------------------------------
@@ -279,8 +281,8 @@ def test_singular_postures_have_no_jacobian():
 def test_spheres_about_the_carriages_are_the_quadratic(travel, offsets, lengths, mode):
     centres = np.diag(L + travel + offsets)
     np.testing.assert_allclose(
-        pss.intersect_spheres(centres, L + lengths, mode),
-        pss.forward(L + travel, offsets, lengths, mode=mode),
+        reduction.intersect_spheres(centres, L + lengths, mode),
+        reduction.forward(L + travel, offsets, lengths, mode=mode),
         atol=5e-15,
     )
 
@@ -296,14 +298,14 @@ def test_spheres_about_the_carriages_are_the_quadratic(travel, offsets, lengths,
 )
 def test_sphere_and_reading_derivatives(wander, travel, lengths, leg, turn, gauge):
     centres, bars = np.diag(L + travel) + wander, L + lengths
-    p = pss.intersect_spheres(centres, bars)
+    p = reduction.intersect_spheres(centres, bars)
     np.testing.assert_allclose(np.linalg.norm(p - centres, axis=-1), bars, atol=2e-15)
-    found = pss.sphere_derivatives(centres, bars, p)
+    found = reduction.sphere_derivatives(centres, bars, p)
     by_centres = differences(
-        lambda x: pss.intersect_spheres(x.reshape(3, 3), bars), centres.ravel()
+        lambda x: reduction.intersect_spheres(x.reshape(3, 3), bars), centres.ravel()
     )
     np.testing.assert_allclose(found.centres.reshape(3, 9), by_centres, atol=3e-10)
-    by_lengths = differences(lambda x: pss.intersect_spheres(centres, x), bars)
+    by_lengths = differences(lambda x: reduction.intersect_spheres(centres, x), bars)
     np.testing.assert_allclose(found.lengths, by_lengths, atol=3e-10)
 
     paths = np.eye(3) + wander  # any directions will do
@@ -311,9 +313,11 @@ def test_sphere_and_reading_derivatives(wander, travel, lengths, leg, turn, gaug
 
     def read(x):
         moved = centres + x[:3, None] * paths
-        return pss.reading(moved, pss.intersect_spheres(moved, bars + x[3:]), leg, direction, gauge)
+        return reduction.reading(
+            moved, reduction.intersect_spheres(moved, bars + x[3:]), leg, direction, gauge
+        )
 
-    gradient = pss.reading_derivatives(centres, bars, p, leg, direction, gauge, paths)
+    gradient = reduction.reading_derivatives(centres, bars, p, leg, direction, gauge, paths)
     np.testing.assert_allclose(gradient, differences(read, np.zeros(6)), atol=3e-10)
 
 
@@ -321,9 +325,9 @@ def test_spheres_in_a_batch_name_the_failure():
     centres = np.tile(np.diag(MACHINE.zero), (4, 1, 1))
     centres[3, 1, 1] = 3 * L
     with pytest.raises(UnreachableError, match="leg y") as caught:
-        pss.intersect_spheres(centres, L)
+        reduction.intersect_spheres(centres, L)
     assert caught.value.index == (3,)
-    np.testing.assert_allclose(pss.intersect_spheres(centres[:3], L), 0, atol=1e-16)
+    np.testing.assert_allclose(reduction.intersect_spheres(centres[:3], L), 0, atol=1e-16)
 
 
 # --- readings -----------------------------------------------------------------------------------
@@ -341,21 +345,21 @@ def test_readings_are_those_of_the_general_form():
     commands, leg, axes, gauges = _list(rng, 50)
     offsets, lengths = rng.normal(0, 2e-3, 3), rng.normal(0, 2e-3, 3)
     centres = (commands + offsets)[..., None] * np.eye(3)
-    p = pss.intersect_spheres(centres, L + lengths)
+    p = reduction.intersect_spheres(centres, L + lengths)
     np.testing.assert_allclose(
-        pss.readings(commands, leg, axes, gauges, offsets, lengths),
-        pss.reading(centres, p, leg, axes, gauges),
+        reduction.readings(commands, leg, axes, gauges, offsets, lengths),
+        reduction.reading(centres, p, leg, axes, gauges),
         atol=1e-15,
     )
     np.testing.assert_allclose(
-        pss.reading_jacobian(commands, leg, axes, gauges, offsets, lengths),
-        pss.reading_derivatives(centres, L + lengths, p, leg, axes, gauges),
+        reduction.reading_jacobian(commands, leg, axes, gauges, offsets, lengths),
+        reduction.reading_derivatives(centres, L + lengths, p, leg, axes, gauges),
         atol=1e-13,
     )
 
 
 def test_reading_jacobian_and_curvature_are_the_derivatives():
-    from orthoglide.pss.deviations import Readings, observe
+    from orthoglide.reduction.deviations import Readings, observe
 
     rng = np.random.default_rng(4)
     commands, leg, axes, gauges = _list(rng, 20)
@@ -381,7 +385,7 @@ def test_system_11_is_the_small_error_limit_of_the_nonlinear_deviations(
     high, low, offsets, lengths
 ):
     machine = Geometry(stroke=(low, high))
-    system = pss.system11(machine)
+    system = reduction.system11(machine)
     direction = np.concatenate([offsets, lengths])
     assume(np.linalg.norm(direction) > 1e-4)
     direction = direction / np.linalg.norm(direction)
@@ -408,22 +412,24 @@ def _deviations(rows, machine):
 
     def function(six):
         return np.subtract(
-            *(pss.readings(c, leg, axes, L / 2, six[:3], six[3:]) for c in (ends, zeros))
+            *(reduction.readings(c, leg, axes, L / 2, six[:3], six[3:]) for c in (ends, zeros))
         )
 
     return function
 
 
 def test_reading_jacobian_gives_system_11_exactly():
-    system = pss.system11()
+    system = reduction.system11()
     ends, zeros, leg, axes = _postures(system.rows, MACHINE)
-    matrix = np.subtract(*(pss.reading_jacobian(c, leg, axes, L / 2) for c in (ends, zeros)))
+    matrix = np.subtract(*(reduction.reading_jacobian(c, leg, axes, L / 2) for c in (ends, zeros)))
     np.testing.assert_allclose(matrix, system.matrix, atol=1e-15)
 
 
 def test_system_11_is_laid_out_as_printed():
-    (a1, b1, c1), (a2, b2, c2) = (pss.coefficients(angle) for angle in pss.stroke_angles())
-    system = pss.system11()
+    (a1, b1, c1), (a2, b2, c2) = (
+        reduction.coefficients(angle) for angle in reduction.stroke_angles()
+    )
+    system = reduction.system11()
     np.testing.assert_array_equal(system.matrix[0], [a1, b1, 0, -c1, -b1, 0])
     np.testing.assert_array_equal(system.matrix[7], [0, b2, a2, 0, -b2, -c2])
     np.testing.assert_array_equal(system.matrix[9], [b1, 0, a1, -b1, 0, -c1])
@@ -433,7 +439,7 @@ def test_system_11_is_laid_out_as_printed():
         for sign in "+-"
         for row in pair
     )
-    assert system.columns == pss.COLUMNS
+    assert system.columns == reduction.COLUMNS
     singular = np.linalg.svd(system.matrix)[1]
     np.testing.assert_allclose(singular, [1.012, 0.683, 0.683, 0.0166, 0.0164, 0.0164], rtol=4e-3)
 
@@ -441,8 +447,8 @@ def test_system_11_is_laid_out_as_printed():
 @properties
 @given(st.floats(-0.4, 0.4), shifts, shifts)
 def test_leg_deviations_are_the_rows_of_11(angle, offsets, lengths):
-    system = pss.system11(angles=(angle, -angle))
-    table = pss.leg_deviations(angle, offsets, lengths)
+    system = reduction.system11(angles=(angle, -angle))
+    table = reduction.leg_deviations(angle, offsets, lengths)
     assert sum(row.endswith("+") for row in system.rows) == 6
     for row, value in zip(system.rows, system.matrix @ np.r_[offsets, lengths], strict=True):
         if row.endswith("+"):
@@ -452,7 +458,7 @@ def test_leg_deviations_are_the_rows_of_11(angle, offsets, lengths):
 
 
 def test_reduced_and_offset_systems_follow_from_11():
-    full, reduced, offsets = pss.system11(), pss.reduced_system(), pss.system8()
+    full, reduced, offsets = reduction.system11(), reduction.reduced_system(), reduction.system8()
     for i, row in enumerate(reduced.rows):
         plus, minus = (full.matrix[full.rows.index(row + sign)] for sign in "+-")
         np.testing.assert_array_equal(reduced.matrix[i], plus - minus)
@@ -463,14 +469,14 @@ def test_reduced_and_offset_systems_follow_from_11():
 
 def test_covariance_is_that_of_simulated_readings():
     rng = np.random.default_rng(5)
-    system, sigma, count = pss.system8(), 0.01, 20_000
+    system, sigma, count = reduction.system8(), 0.01, 20_000
     sign = {"+": 0, "-": 1}
     setups = {row[:3]: rng.normal(0, sigma, (3, count)) for row in system.rows}
     noise = np.array([setups[r[:3]][sign[r[3]]] - setups[r[:3]][2] for r in system.rows])
     estimates = np.linalg.pinv(system.matrix) @ noise
-    found, expected = np.cov(estimates), pss.covariance(system, sigma)
+    found, expected = np.cov(estimates), reduction.covariance(system, sigma)
     np.testing.assert_allclose(found, expected, atol=0.04 * expected.max())
-    both = np.sqrt(np.diag(pss.covariance(pss.system11(), 0.01)))
+    both = np.sqrt(np.diag(reduction.covariance(reduction.system11(), 0.01)))
     np.testing.assert_allclose(both, 0.727, atol=2e-3)
 
 
@@ -480,8 +486,8 @@ def test_covariance_is_that_of_simulated_readings():
 @pytest.mark.parametrize("which", ["offsets", "lengths", "offsets+lengths"])
 def test_table_3(which):
     published = MISPRINTS["published"]()["table3_mm"][which]
-    system = pss.system11().select(MISPRINTS["SETS"][which])
-    fit = pss.solve(system, system.ordered(MISPRINTS["table2"]("2")))
+    system = reduction.system11().select(MISPRINTS["SETS"][which])
+    fit = reduction.solve(system, system.ordered(MISPRINTS["table2"]("2")))
     expected = published.get("joint_offset", []) + published.get("leg_length", [])
     # All six together: the weak directions amplify the rounding of the data sixtyfold.
     np.testing.assert_allclose(fit.values, expected, atol=0.35 if "+" in which else 0.01)
@@ -515,8 +521,8 @@ def test_table_1(experiment):
     if experiment == "1":
         data["x_z"] = 1.48
     expected = MISPRINTS["published"]()["table1_expected_residual_mm"][experiment]
-    system = pss.reduced_system().select("joint_offset")
-    fit = pss.solve(system, system.ordered(data))
+    system = reduction.reduced_system().select("joint_offset")
+    fit = reduction.solve(system, system.ordered(data))
     for row, residual in zip(system.rows, fit.residuals, strict=True):
         assert residual == pytest.approx(expected[row.replace("_", "")], abs=0.006)
     assert fit.rms == pytest.approx(expected["rms"], abs=0.006)
@@ -538,8 +544,8 @@ def test_fit_recovers_a_planted_machine(seed):
     commands, leg, axes, gauges, datum = _campaign(rng, 36, 6)
     six, z = rng.normal(0, 2e-3, 6), rng.normal(0, 1e-2, 6)
     signs = rng.choice([-1.0, 1.0], 36)
-    y = signs * pss.readings(commands, leg, axes, gauges, six[:3], six[3:]) + datum @ z
-    fit = pss.fit_readings(
+    y = signs * reduction.readings(commands, leg, axes, gauges, six[:3], six[3:]) + datum @ z
+    fit = reduction.fit_readings(
         commands, leg, axes, gauges, y, 1e-5, signs=signs, nuisance=datum, geometry=MACHINE
     )
     assert fit.converged
@@ -554,7 +560,7 @@ def _objective(data, sigma, prior, datum, precision):
 
     def function(v):
         x, z = v[:6], v[6:]
-        r = y - pss.readings(commands, leg, axes, gauges, x[:3], x[3:]) - datum @ z
+        r = y - reduction.readings(commands, leg, axes, gauges, x[:3], x[3:]) - datum @ z
         return np.concatenate([r / sigma, x / prior, np.sqrt(precision) * z])
 
     return function
@@ -568,10 +574,10 @@ def test_fit_is_stationary_to_a_picometre_with_lack_of_fit(prior, precision):
     rng = np.random.default_rng(6)
     commands, leg, axes, gauges, datum = _campaign(rng, 36, 6)
     true = rng.normal(0, 1e-3, 6)
-    y = pss.readings(commands, leg, axes, gauges, true[:3], true[3:])
+    y = reduction.readings(commands, leg, axes, gauges, true[:3], true[3:])
     y = y + rng.normal(0, 1e-4, 36)
     sigma, known = rng.uniform(1e-5, 3e-5, 36), np.full(6, precision)
-    fit = pss.fit_readings(
+    fit = reduction.fit_readings(
         commands, leg, axes, gauges, y, sigma, prior_sd=prior, nuisance=datum, precision=known
     )
     assert fit.converged
@@ -586,7 +592,7 @@ def test_fit_is_stationary_to_a_picometre_with_lack_of_fit(prior, precision):
     # From elsewhere it comes back to the same point.
     call = {"prior_sd": prior, "nuisance": datum, "precision": known}
     start = rng.normal(0, 5e-3, 6)
-    again = pss.fit_readings(commands, leg, axes, gauges, y, sigma, x0=start, **call)
+    again = reduction.fit_readings(commands, leg, axes, gauges, y, sigma, x0=start, **call)
     np.testing.assert_allclose(again.values, fit.values, atol=1e-12)
     # Covariance: the inverse of J^T J with the datums among the unknowns.
     jacobian = differences(function, v, step=1e-5)
@@ -615,7 +621,7 @@ def _experiment(name):
 def test_weak_directions_converge_on_the_published_data(name):
     data = _experiment(name)
     fits = [
-        pss.fit_readings(**data, sigma=2e-5, x0=x0)
+        reduction.fit_readings(**data, sigma=2e-5, x0=x0)
         for x0 in (0.0, np.r_[np.full(3, 3e-3), np.zeros(3)], np.full(6, -2e-3))
     ]
     assert all(fit.converged and fit.rank == 6 for fit in fits)
@@ -632,27 +638,27 @@ def test_linear_fit_is_weighted_system_11():
     data["commands"] = np.array(
         [MACHINE.command_on_axis(i, s) for i, s in zip(data["legs"], travel, strict=True)]
     )
-    fit = pss.fit_readings(**data, sigma=2e-5, linear=True)
-    system = pss.system11()
+    fit = reduction.fit_readings(**data, sigma=2e-5, linear=True)
+    system = reduction.system11()
     measured = system.ordered(MISPRINTS["table2"]("2"))
     # Generalised least squares with the noise of (14).
     root = np.linalg.inv(np.linalg.cholesky(system.noise))
     values = np.linalg.lstsq(root @ system.matrix, root @ measured, rcond=None)[0]
     np.testing.assert_allclose(fit.values * 1e3, values, atol=1e-9)
-    offsets = pss.fit_readings(**data, sigma=2e-5, linear=True, free=[1, 1, 1, 0, 0, 0])
-    nonlinear = pss.fit_readings(**data, sigma=2e-5, free=[1, 1, 1, 0, 0, 0])
+    offsets = reduction.fit_readings(**data, sigma=2e-5, linear=True, free=[1, 1, 1, 0, 0, 0])
+    nonlinear = reduction.fit_readings(**data, sigma=2e-5, free=[1, 1, 1, 0, 0, 0])
     assert 0 < np.max(np.abs(offsets.values - nonlinear.values)) < 2e-5  # second order
 
 
 def test_cyclic_relabelling_of_a_campaign_relabels_the_fit():
     data = _experiment("experiment2.csv")
-    fit = pss.fit_readings(**data, sigma=2e-5)
+    fit = reduction.fit_readings(**data, sigma=2e-5)
     turned = data | {
         "commands": cycle(data["commands"]),
         "legs": (data["legs"] + 1) % 3,
         "axes": (data["axes"] + 1) % 3,
     }
-    again = pss.fit_readings(**turned, sigma=2e-5)
+    again = reduction.fit_readings(**turned, sigma=2e-5)
     np.testing.assert_allclose(again.six, cycle(fit.six.reshape(2, 3)).reshape(1, 6), atol=1e-12)
 
 
@@ -670,8 +676,8 @@ def test_campaigns_share_some_parameters_and_own_others():
         maps[g, 3:, 6:] = np.eye(3)
     x = rng.normal(0, 1e-3, 9)
     six = maps @ x
-    y = pss.readings(commands, leg, axes, gauges, six[group, :3], six[group, 3:])
-    fit = pss.fit_readings(
+    y = reduction.readings(commands, leg, axes, gauges, six[group, :3], six[group, 3:])
+    fit = reduction.fit_readings(
         commands, leg, axes, gauges, y, 1e-5, group=group, maps=maps, nuisance=datum
     )
     assert fit.converged
@@ -680,7 +686,7 @@ def test_campaigns_share_some_parameters_and_own_others():
     noisy = y + rng.normal(0, 5e-5, 60)
     call = {"group": group, "maps": maps, "nuisance": datum}
     near, far = (
-        pss.fit_readings(commands, leg, axes, gauges, noisy, 1e-5, x0=x0, **call)
+        reduction.fit_readings(commands, leg, axes, gauges, noisy, 1e-5, x0=x0, **call)
         for x0 in (0.0, 2e-3)
     )
     assert near.converged
@@ -691,13 +697,13 @@ def test_held_parameters_stay_and_invisible_ones_show_in_the_rank():
     data = _experiment("experiment2.csv")
     start = np.array([0, 0, 0, 1e-4, 2e-4, 3e-4])
     free = np.array([1, 1, 1, 0, 0, 0], dtype=bool)
-    fit = pss.fit_readings(**data, sigma=2e-5, free=free, x0=start)
+    fit = reduction.fit_readings(**data, sigma=2e-5, free=free, x0=start)
     np.testing.assert_array_equal(fit.values[3:], start[3:])
     np.testing.assert_array_equal(fit.covariance[3:], 0)
     one = data["legs"] == 0
     few = {k: v[one] for k, v in data.items()} | {"nuisance": data["nuisance"][one][:, :2]}
-    assert pss.fit_readings(**few, sigma=2e-5).rank < 6
-    nothing = pss.fit_readings(**data, sigma=2e-5, free=False)
+    assert reduction.fit_readings(**few, sigma=2e-5).rank < 6
+    nothing = reduction.fit_readings(**data, sigma=2e-5, free=False)
     assert nothing.converged
     assert nothing.rank == 0
 
@@ -707,7 +713,8 @@ def test_fit_of_twelve_readings_is_quick():
     data["nuisance"] = data["nuisance"][:, :4]
     prior = np.r_[np.full(3, 2e-3), np.full(3, 5e-5)]
     best = min(
-        _seconds(lambda: pss.fit_readings(**data, sigma=2e-5, prior_sd=prior)) for _ in range(10)
+        _seconds(lambda: reduction.fit_readings(**data, sigma=2e-5, prior_sd=prior))
+        for _ in range(10)
     )
     # The aim is 2 ms; the margin is for a shared machine.
     assert best < 6e-3
@@ -734,7 +741,7 @@ def test_every_sign_slip_and_misprint_is_on_the_page():
 
 def test_the_reduction_knows_nothing_of_the_mechanism():
     allowed = {"__future__", "collections", "dataclasses", "typing", "numpy"}
-    paths = list((ROOT / "orthoglide" / "pss").glob("*.py"))
+    paths = list((ROOT / "orthoglide" / "reduction").glob("*.py"))
     assert paths
     for path in paths:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -743,6 +750,6 @@ def test_the_reduction_knows_nothing_of_the_mechanism():
                 names = [node.module or ""]
             for name in names:
                 inside = name.startswith(
-                    ("orthoglide.pss", "orthoglide.errors", "orthoglide.geometry")
+                    ("orthoglide.reduction", "orthoglide.errors", "orthoglide.geometry")
                 )
                 assert inside or name.split(".")[0] in allowed, (path.name, name)

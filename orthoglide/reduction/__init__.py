@@ -6,9 +6,9 @@ same without linearising; ``intersect_spheres`` the general form, with carriages
 derivation of its own: nothing here knows the general mechanism.
 """
 
-from orthoglide.pss.deviations import reading_jacobian, readings
-from orthoglide.pss.fit import ReadingFit, fit_readings
-from orthoglide.pss.kinematics import (
+from orthoglide.reduction.deviations import reading_jacobian, readings
+from orthoglide.reduction.fit import ReadingFit, fit_readings
+from orthoglide.reduction.kinematics import (
     CONFIGURATIONS,
     NOMINAL,
     Jacobians,
@@ -17,7 +17,7 @@ from orthoglide.pss.kinematics import (
     jacobians,
     velocity_jacobian,
 )
-from orthoglide.pss.linear import (
+from orthoglide.reduction.linear import (
     COLUMNS,
     Coefficients,
     G,
@@ -32,7 +32,7 @@ from orthoglide.pss.linear import (
     system8,
     system11,
 )
-from orthoglide.pss.spheres import (
+from orthoglide.reduction.spheres import (
     Mode,
     SphereDerivatives,
     intersect_spheres,

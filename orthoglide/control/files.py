@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.controller.compensation import Compensation
-from orthoglide.controller.numbers import controller_numbers
-from orthoglide.controller.urdf import calibrated_urdf
+from orthoglide.control.compensation import Compensation
+from orthoglide.control.numbers import controller_numbers
+from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.observations.reading import APPROACH, MM, POINT, RHO, TRAVEL

@@ -14,9 +14,9 @@ import numpy as np
 
 from orthoglide.effects import BASE_FAMILIES, family_of, is_dial
 from orthoglide.errors import InputError, SolverError, UnidentifiableError
+from orthoglide.fit.least_squares import covariance
+from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array
-from orthoglide.identification.least_squares import covariance
-from orthoglide.identification.problem import build_unknowns
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints, protocol
 from orthoglide.prediction import Conditions

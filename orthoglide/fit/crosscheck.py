@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide import pss
+from orthoglide import reduction
 from orthoglide.errors import CrossCheckError
+from orthoglide.fit.least_squares import Nuisances
+from orthoglide.fit.problem import Problem
 from orthoglide.geometry import LEGS, Array
-from orthoglide.identification.least_squares import Nuisances
-from orthoglide.identification.problem import Problem
 
 AGREEMENT = 1e-9
 """Metres: two derivations of one model that disagree by more have an error."""
@@ -50,7 +50,7 @@ def reduction_fit(
     linear: bool = False,
     start: Array | None = None,
     held: NDArray[np.bool_] | None = None,
-) -> pss.ReadingFit:
+) -> reduction.ReadingFit:
     """The reduction's fit of the same problem: same noise, priors, datums and placements.
 
     Args:
@@ -74,7 +74,7 @@ def reduction_fit(
             maps[k, _SIX.index(name), -1] += value
     free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
     # The last parameter is held at one: it carries what the machine file already says.
-    return pss.fit_readings(
+    return reduction.fit_readings(
         np.concatenate([c.command for c in problem.campaigns]),
         np.array([s.leg for s in setups])[rows],
         np.array([s.axis for s in setups])[rows],
@@ -146,7 +146,7 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
     setups = [s for c in problem.campaigns for s in c.setups]
     rows = problem.setup_of_row
     sign = np.array([float(s.sign) for s in setups])[rows]
-    by_six = sign[:, None] * pss.reading_jacobian(
+    by_six = sign[:, None] * reduction.reading_jacobian(
         commands,
         np.array([s.leg for s in setups])[rows],
         np.array([s.axis for s in setups])[rows],

@@ -10,10 +10,9 @@ import numpy as np
 
 from orthoglide.effects import BASE_FAMILIES
 from orthoglide.errors import InputError, SolverError, UnidentifiableError
-from orthoglide.geometry import Array
-from orthoglide.identification.crosscheck import cross_check, reduction_fit
-from orthoglide.identification.estimate import Estimate
-from orthoglide.identification.least_squares import (
+from orthoglide.fit.crosscheck import cross_check, reduction_fit
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.least_squares import (
     Linearised,
     Nuisances,
     covariance,
@@ -21,11 +20,12 @@ from orthoglide.identification.least_squares import (
     normal,
     nuisances,
 )
-from orthoglide.identification.nested import solve_nested
-from orthoglide.identification.noise import noise_of
-from orthoglide.identification.problem import Problem, build_problem
-from orthoglide.identification.scores import Scores, score
-from orthoglide.identification.weakness import sparse_basis, weak_directions
+from orthoglide.fit.nested import solve_nested
+from orthoglide.fit.noise import noise_of
+from orthoglide.fit.problem import Problem, build_problem
+from orthoglide.fit.scores import Scores, score
+from orthoglide.fit.weakness import sparse_basis, weak_directions
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions
@@ -175,7 +175,7 @@ def _solved(
     if method == "nested" or (method == "auto" and (large or elastic)):
         nested = solve_nested(problem, nuisance, near)
         return nested.at, nested.iterations + 1, "nested"
-    from orthoglide.identification.nlp import Nlp
+    from orthoglide.fit.nlp import Nlp
 
     here = normal(problem, first, nuisance)
     programme = Nlp(problem, nuisance, 1 / np.sqrt(np.diag(here.information)))

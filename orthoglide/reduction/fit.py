@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.pss.deviations import Indices, Observed, Readings, observe
-from orthoglide.pss.kinematics import NOMINAL
+from orthoglide.reduction.deviations import Indices, Observed, Readings, observe
+from orthoglide.reduction.kinematics import NOMINAL
 
 RANK_TOLERANCE = 1e-9
 """Directions seen less than this (relative, columns scaled) are left where they started."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.pss.kinematics import NOMINAL, vectors
+from orthoglide.reduction.kinematics import NOMINAL, vectors
 
 COLUMNS: tuple[str, ...] = tuple(
     f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS

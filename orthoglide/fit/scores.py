@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.fit.least_squares import Linearised, Nuisances
+from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
-from orthoglide.identification.least_squares import Linearised, Nuisances
-from orthoglide.identification.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,18 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.effects import family_of, is_dial
+from orthoglide.fit.crosscheck import CrossCheck
+from orthoglide.fit.least_squares import Linearised, Nuisances
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.scores import Scores
+from orthoglide.fit.weakness import WeakDirection
 from orthoglide.geometry import Array
-from orthoglide.identification.crosscheck import CrossCheck
-from orthoglide.identification.least_squares import Linearised, Nuisances
-from orthoglide.identification.problem import Problem
-from orthoglide.identification.scores import Scores
-from orthoglide.identification.weakness import WeakDirection
 from orthoglide.machine import Machine
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Result of :func:`~orthoglide.identification.identify`.
+    """Result of :func:`~orthoglide.fit.identify`.
 
     Attributes:
         problem: what was asked of which readings.
@@ -109,7 +109,7 @@ class Estimate:
     @cached_property
     def predicted_before(self) -> Array:
         """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
-        from orthoglide.identification.least_squares import predict
+        from orthoglide.fit.least_squares import predict
 
         value = predict(self.problem, np.zeros(len(self.x)))
         return np.asarray(

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import MACHINE_PARAMETERS
 from orthoglide.errors import SolverError
+from orthoglide.fit.least_squares import Nuisances
+from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
-from orthoglide.identification.least_squares import Nuisances
-from orthoglide.identification.problem import Problem
 from orthoglide.mechanism.functions import LINES, closure_functions
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.dial import DIAL_FAMILIES, mountings

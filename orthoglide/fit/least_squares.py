@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
-from orthoglide.identification.problem import Problem
 
 
 @dataclass(frozen=True)

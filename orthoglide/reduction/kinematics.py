@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.pss.spheres import DEGENERATE, TOUCH, Mode, check_mode, explain_miss
+from orthoglide.reduction.spheres import DEGENERATE, TOUCH, Mode, check_mode, explain_miss
 
 NOMINAL = Geometry()
 """The prototype's dimensions, the default of every function here."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.pss.kinematics import NOMINAL, meet, row_inverse, vectors
+from orthoglide.reduction.kinematics import NOMINAL, meet, row_inverse, vectors
 
 Indices = NDArray[np.intp]
 

@@ -2,16 +2,16 @@
 files that a controller or another program takes of a calibrated machine.
 """
 
-from orthoglide.controller.compensation import (
+from orthoglide.control.compensation import (
     NOT_COVERED,
     Compensation,
     Covariance,
     compensate,
     tcp_sigma,
 )
-from orthoglide.controller.files import PathPoints, commands_text, export_files, read_path
-from orthoglide.controller.numbers import ControllerNumbers, DriveNumbers, controller_numbers
-from orthoglide.controller.urdf import HELD_BY_URDF, calibrated_urdf
+from orthoglide.control.files import PathPoints, commands_text, export_files, read_path
+from orthoglide.control.numbers import ControllerNumbers, DriveNumbers, controller_numbers
+from orthoglide.control.urdf import HELD_BY_URDF, calibrated_urdf
 
 __all__ = [
     "HELD_BY_URDF",
