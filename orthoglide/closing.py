@@ -18,7 +18,8 @@ from orthoglide.fit.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
-from orthoglide.searching import DETECTION, NAMING, Effect, Progress, Search, Tried
+from orthoglide.progress import Progress, Step, silent
+from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
 
 __all__ = ["DETECTION", "LACK", "NAMING", "Effect", "Tried", "Verdict", "close_loop", "judge"]
 
@@ -164,7 +165,7 @@ def close_loop(
         holdout: a campaign that only judges the finished result.
         tcp: measured points that only judge the finished result.
         seed: of every random draw; the same seed gives the same answer.
-        progress: told what is going on.
+        progress: called with each step; any callable will do.
 
     Raises:
         InputError: where the campaigns cannot be used.
@@ -172,26 +173,26 @@ def close_loop(
     """
     several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
     machine = machine or Machine.nominal()
-    tell = progress or (lambda _: None)
-    tell("identifying joint offsets and leg lengths")
+    progress = progress or silent
+    progress(Step("identifying", "joint offsets and leg lengths"))
     level = noise_of(several, machine.spec.dial, noise)
     problem = build_problem(machine, several, BASE_FAMILIES, level, own=own)
     base = solve(problem)
     from orthoglide.diagnosis.blunders import find_blunders, without
 
-    tell("looking for faults of the data")
+    progress(Step("faults"))
     blunders = find_blunders(base, np.random.default_rng([seed, 0]))
     faulty = None
     if blunders:
         faulty, problem = base, without(problem, blunders)
         base = solve(problem)
     verdict = replace(
-        _search(problem, base, seed, tell, tuple(own)),
+        _search(problem, base, seed, progress, tuple(own)),
         blunders=blunders,
         faulty=faulty,
         seed=seed,
     )
-    tell("judging")
+    progress(Step("judging"))
     return judge(verdict, holdout, tcp)
 
 
@@ -210,11 +211,11 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
 
 
 def _search(
-    problem: Problem, base: Estimate, seed: int, tell: Progress, own: tuple[str, ...]
+    problem: Problem, base: Estimate, seed: int, progress: Progress, own: tuple[str, ...]
 ) -> Verdict:
-    search = Search(problem, tell, np.random.default_rng([seed, 1]))
+    search = Search(problem, progress, np.random.default_rng([seed, 1]))
     fit, left, stopped = search.run(base)
-    tell("allowing for everything else")
+    progress(Step("allowing"))
     effects = tuple(search.effects)
     return Verdict(
         _word(effects, left),

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from orthoglide.cli.options import PATH, Names, load_machine, machine_option, noise_metres
-from orthoglide.cli.progress import Step, progress
+from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
+from orthoglide.progress import Progress, Step
 
 if TYPE_CHECKING:
     from orthoglide.design import Repeats
@@ -79,9 +80,9 @@ def design(
     families = free or (BASE_FAMILIES if criterion == "d-optimal" else ())
     wanted = _wanted(want)
     with progress(quiet) as step:
-        step("choosing readings")
+        step(Step("computing", "choosing readings"))
         found = choose(machine, families, count, criterion, noise=noise)  # type: ignore[arg-type]
-        step("comparing")
+        step(Step("computing", "comparing"))
         sheets = _sheets(machine, campaigns)
         compared = [
             (name, observability(machine, c, found.names, expected_noise(machine, c, noise)))
@@ -95,7 +96,7 @@ def design(
         ]
         small = []
         for name, c in sheets.items() if detect else ():
-            step(f"smallest effects: {name}")
+            step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
         if out is not None:
             write_file(out, campaign_text(found.campaign))
@@ -145,12 +146,12 @@ def _repeats(
     names: tuple[str, ...],
     wanted: dict[str, float],
     noise: float | None,
-    step: Step,
+    step: Progress,
 ) -> list[Repeats]:
     from orthoglide.design import repeats_needed
 
     found = []
     for what, sigma in wanted.items():
-        step(f"how often to repeat {campaign.name}")
+        step(Step("computing", f"how often to repeat {campaign.name}"))
         found.append(repeats_needed(machine, campaign, names, what, sigma, noise))
     return found
