@@ -17,7 +17,7 @@ from orthoglide.fit import Estimate, Problem, noise_of, solve
 from orthoglide.fit.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
 
@@ -145,12 +145,12 @@ class Verdict:
 
 
 def close_loop(
-    campaigns: Campaign | Sequence[Campaign],
+    campaigns: Given | Sequence[Given],
     machine: Machine | None = None,
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Campaign | None = None,
+    holdout: Given | None = None,
     tcp: TcpPoints | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -158,7 +158,7 @@ def close_loop(
     """Identify, ask what is left, trace it to a cause, add it, and judge.
 
     Args:
-        campaigns: one or several.
+        campaigns: one or several; paths are read as by ``read_campaign``.
         machine: dimensions, tolerances, dial; nominal where absent.
         own: families or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
@@ -171,8 +171,9 @@ def close_loop(
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
     machine = machine or Machine.nominal()
+    several = as_campaigns(campaigns, machine.spec)
+    holdout = None if holdout is None else as_campaigns(holdout, machine.spec)[0]
     progress = progress or silent
     progress(Step("identifying", "joint offsets and leg lengths"))
     level = noise_of(several, machine.spec.dial, noise)
