@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"diagnosis"}),
     frozenset({"accuracy", "judging", "searching"}),
     frozenset({"closing"}),
-    frozenset({"design"}),
+    frozenset({"planning"}),
     frozenset({"report"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),

@@ -14,9 +14,9 @@ from orthoglide.errors import InputError
 from orthoglide.progress import Progress, Step
 
 if TYPE_CHECKING:
-    from orthoglide.design import Repeats
     from orthoglide.machine import Machine
     from orthoglide.observations import Campaign
+    from orthoglide.planning import Repeats
 
 KINDS = ("standard", "sweep", "two-gauges")
 
@@ -63,12 +63,12 @@ def design(
     quiet: bool,
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
-    from orthoglide.design import design as choose
-    from orthoglide.design import observability, reading_pool, report_design, smallest_effects
-    from orthoglide.design.expected import expected_noise
     from orthoglide.effects import BASE_FAMILIES
     from orthoglide.files import check_new
     from orthoglide.observations import campaign_text
+    from orthoglide.planning import design as choose
+    from orthoglide.planning import observability, reading_pool, report_design, smallest_effects
+    from orthoglide.planning.expected import expected_noise
 
     if out is not None:
         check_new(out)
@@ -148,7 +148,7 @@ def _repeats(
     noise: float | None,
     step: Progress,
 ) -> list[Repeats]:
-    from orthoglide.design import repeats_needed
+    from orthoglide.planning import repeats_needed
 
     found = []
     for what, sigma in wanted.items():
