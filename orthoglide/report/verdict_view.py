@@ -13,8 +13,8 @@ from orthoglide.geometry import Array
 if TYPE_CHECKING:
     from orthoglide.accuracy import Map
     from orthoglide.closing import Effect, Tried, Verdict
-    from orthoglide.design import Suggestion
     from orthoglide.fit import Estimate
+    from orthoglide.planning import Suggestion
 
 _FEEDS = 3
 _PROPOSED = 12
@@ -137,7 +137,7 @@ class View:
     @cached_property
     def following(self) -> tuple[Suggestion, ...]:
         """What to measure next."""
-        from orthoglide.design import next_measurements
+        from orthoglide.planning import next_measurements
 
         return next_measurements(self.verdict.fit, self.explanations, count=_PROPOSED)
 
