@@ -94,7 +94,10 @@ class View:
             others = [p for e in verdict.effects if e is not effect for p in e.parameters]
             base = verdict.base
             without = refit(base.problem, others, verdict.fit) if others else base
-            words = cause(effect.name, {p: verdict.fit.values[p] for p in effect.parameters})
+            values = {p: verdict.fit.values[p] for p in effect.parameters}
+            if "@" not in effect.name:  # of what campaigns have for themselves: the last one's
+                values = {p.partition("@")[0]: value for p, value in values.items()}
+            words = cause(effect.name, values)
             found.append(Explained(effect, words, without))
         return tuple(found)
 
