@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import ClosureError, FileError, InputError
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
     ParameterValue,
@@ -184,9 +184,10 @@ class Machine:
 
         Raises:
             ClosureError: where a posture does not close.
-            InputError: for commands that are not numbers or have the wrong shape.
+            InputError: for commands that are not numbers, have the wrong shape, or are so large
+                that they must be millimetres.
         """
-        commands = _vectors(rho, "rho")
+        commands = self.geometry.commands(rho)
         closure, given = self.model.closing(
             self._machine_values, self._conditions(commands, **seen)
         )
@@ -204,7 +205,7 @@ class Machine:
         of the machine file; bars are rigid and legs free to twist where it gives none. Arguments
         as for :meth:`pose`.
         """
-        commands = _vectors(rho, "rho")
+        commands = self.geometry.commands(rho)
         conditions = self._conditions(commands, **seen)
         found = self.model.deformation(self._machine_values, conditions)
         return found.reshaped(commands.shape[:-1])
@@ -219,7 +220,7 @@ class Machine:
 
     def jacobian(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """dp/drho ``(..., 3, 3)``: how the TCP follows the command, all errors included."""
-        commands = _vectors(rho, "rho")
+        commands = self.geometry.commands(rho)
         conditions = self._conditions(commands, **seen)
         found = self.model.jacobian(self._machine_values, conditions)
         return found.reshape(*commands.shape[:-1], 3, 3)
@@ -234,7 +235,7 @@ class Machine:
             UnreachableError: naming the leg that is too short.
             ClosureError: where the drives do not converge.
         """
-        goal = _vectors(p, "p")
+        goal = vectors(p, "p")
         rho = self.model.mechanism.inverse(goal)
         slope = self.jacobian(rho, **seen)
         for _ in range(30):
@@ -249,12 +250,3 @@ class Machine:
     def readings(self, campaign: Campaign) -> Array:
         """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
         return self.model.readings(self.values, campaign)
-
-
-def _vectors(values: ArrayLike, name: str) -> Array:
-    array = np.asarray(values, dtype=float)
-    if array.ndim == 0 or array.shape[-1] != 3:
-        raise InputError(f"{name} must have shape (..., 3), not {array.shape}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite numbers, in metres")
-    return array

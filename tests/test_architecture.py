@@ -15,7 +15,7 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "parameters"}),
+    frozenset({"errors", "parameters", "progress"}),
     frozenset({"geometry", "files", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"diagnosis"}),
     frozenset({"accuracy", "judging", "searching"}),
     frozenset({"closing"}),
-    frozenset({"design"}),
+    frozenset({"planning"}),
     frozenset({"report"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),

@@ -77,6 +77,11 @@ class Model:
         self._compile = compile
         self._mapped: dict[tuple[str, int], Any] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What it was made with: CasADi functions do not travel and are built again."""
+        built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
+        return {n: v for n, v in vars(self).items() if n not in built} | {"_mapped": {}}
+
     @cached_property
     def elastic(self) -> ElasticClosure:
         """Elastic equilibrium of the mechanism with this machine's stiffness."""

@@ -36,7 +36,7 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
         view: of the verdict.
         run: what was asked.
     """
-    from orthoglide.design import as_result
+    from orthoglide.planning import as_result
 
     verdict = view.verdict
     fit, base = verdict.fit, verdict.base

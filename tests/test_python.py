@@ -1,0 +1,138 @@
+"""The package as Python sees it: what is exported, travels between processes, and is shown."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.mechanism import Mechanism
+
+RIG = Path(__file__).parent / "data" / "rig"
+ERRORS = {"joint_offset.x": 1e-3, "axis_tilt.y.z": 2e-3, "backlash.z": 5e-5}
+RHO = og.Geometry().L + np.random.default_rng(0).uniform(-0.1, 0.06, (5, 3))
+
+COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
+copied = pytest.mark.parametrize("travel", list(COPIES.values()), ids=list(COPIES))
+Travel = Callable[[Any], Any]
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+@pytest.fixture(scope="module")
+def campaign(machine: og.Machine) -> og.Campaign:
+    return og.read_campaign(RIG / "rig-3.csv", machine.spec)
+
+
+@pytest.fixture(scope="module")
+def estimate(campaign: og.Campaign, machine: og.Machine) -> og.Estimate:
+    return og.identify(campaign, machine)
+
+
+@pytest.fixture(scope="module")
+def verdict(campaign: og.Campaign, machine: og.Machine) -> og.Verdict:
+    return og.close_loop(campaign, machine)
+
+
+@copied
+def test_a_used_machine_travels(travel: Travel) -> None:
+    machine = og.Machine.nominal().with_parameters(ERRORS)
+    before = machine.forward(RHO)
+    arrived = travel(machine)
+    assert arrived == machine
+    assert np.array_equal(arrived.forward(RHO), before)
+    assert np.array_equal(arrived.jacobian(RHO), machine.jacobian(RHO))
+
+
+@copied
+def test_a_used_mechanism_travels(travel: Travel) -> None:
+    mechanism = Mechanism()
+    assert np.array_equal(travel(mechanism).forward(RHO), mechanism.forward(RHO))
+
+
+@copied
+def test_machines_that_share_a_model_still_share_it(travel: Travel) -> None:
+    one = og.Machine.nominal()
+    one.forward(RHO)
+    two = one.with_parameters(ERRORS)
+    assert two.model is one.model
+    first, second = travel((one, two))
+    assert second.model is first.model
+
+
+@copied
+def test_a_campaign_travels(travel: Travel, campaign: og.Campaign) -> None:
+    assert travel(campaign).same_as(campaign)
+
+
+@copied
+def test_an_estimate_travels(travel: Travel, estimate: og.Estimate) -> None:
+    arrived = travel(estimate)
+    assert arrived.values == estimate.values
+    assert arrived.sigmas == estimate.sigmas
+    assert str(arrived) == str(estimate)
+    assert np.array_equal(arrived.residuals, estimate.residuals)
+    assert np.array_equal(arrived.machine.forward(RHO), estimate.machine.forward(RHO))
+
+
+@copied
+def test_a_verdict_travels(travel: Travel, verdict: og.Verdict) -> None:
+    arrived = travel(verdict)
+    assert arrived.word == verdict.word
+    assert arrived.values == verdict.values
+    assert [e.name for e in arrived.effects] == [e.name for e in verdict.effects]
+    assert arrived.machine.values == verdict.machine.values
+    assert np.array_equal(arrived.machine.forward(RHO), verdict.machine.forward(RHO))
+
+
+@pytest.mark.parametrize("method", ["forward", "jacobian", "pose", "deformation"])
+def test_commands_in_millimetres_are_refused(method: str) -> None:
+    with pytest.raises(og.InputError, match="in metres, not millimetres"):
+        getattr(og.Machine.nominal(), method)([320, 310, 300])
+    with pytest.raises(og.InputError, match="in metres, not millimetres"):
+        Mechanism().forward([320, 310, 300])
+
+
+def test_points_in_millimetres_are_said_to_be_far() -> None:
+    with pytest.raises(og.UnreachableError, match="for a point 36 m away"):
+        og.Machine.nominal().inverse([-12, 24, 24])
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_campaigns_are_read_where_paths_are_given(
+    kind: Callable[[Path], Any],
+    machine: og.Machine,
+    estimate: og.Estimate,
+    verdict: og.Verdict,
+) -> None:
+    path = kind(RIG / "rig-3.csv")
+    assert og.identify(path, machine).values == estimate.values
+    assert og.identify([path], machine).values == estimate.values
+    assert og.close_loop(path, machine).values == verdict.values
+
+
+def test_no_campaign_is_refused(tmp_path: Path) -> None:
+    for ask in (og.identify, og.close_loop):
+        with pytest.raises(og.InputError, match="no campaign"):
+            ask([])
+        with pytest.raises(og.FileError, match=r"none\.csv"):
+            ask(tmp_path / "none.csv")
+
+
+def test_types_are_shipped(tmp_path: Path) -> None:
+    """Where the build tool is at hand, in the wheel itself."""
+    root = Path(og.__file__).parent
+    assert (root / "py.typed").is_file()
+    build = pytest.importorskip("hatchling.builders.wheel")
+    (wheel,) = build.WheelBuilder(str(root.parent)).build(directory=str(tmp_path))
+    assert "orthoglide/py.typed" in zipfile.ZipFile(wheel).namelist()
