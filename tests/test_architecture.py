@@ -24,7 +24,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"machine"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"accuracy", "judging", "searching"}),
+    frozenset({"accuracy", "judging", "searching", "simulation"}),
     frozenset({"closing"}),
     frozenset({"planning"}),
     frozenset({"report"}),
