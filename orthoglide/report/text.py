@@ -1,32 +1,67 @@
-"""Results for the terminal."""
+"""A result for the terminal, and as a short piece of HTML for notebooks."""
 
 from __future__ import annotations
 
+import html
 import io
 import shutil
 import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import headline, weak_sentences
+from orthoglide.numerals import compact, probability, signed
+from orthoglide.report.phrases import sentence, weak_sentences
+from orthoglide.report.rows import ParameterRow, parameter_rows, score_rows
+from orthoglide.report.wording import MEANINGS, headline
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from orthoglide.fit import Estimate
+    from orthoglide.result import Result
 
 _WIDTH = 100  # where the output goes to a file
 
 
-def summary(estimate: Estimate) -> str:
-    """What a person wants to see at the end of a run: the sentence, the tables, the remarks."""
+def summary(result: Result, ranked: bool = False) -> str:
+    """What a person wants to see at the end of a run.
+
+    Args:
+        result: what was found.
+        ranked: with all causes that were tried.
+    """
     from rich.text import Text
 
-    remarks = [Text(f"- {r}") for r in (*estimate.warnings, *weak_sentences(estimate.weak))]
-    head = Text(f"{headline(estimate)}\n", style="bold")
-    return console_text([head, _parameters(estimate), _scores(estimate), *remarks])
+    parts: list[Text | Table] = [Text(headline(result), style="bold"), Text(f"{_verdict(result)}\n")]
+    parts += [Text(f"- data: {b.message}") for b in result.blunders]
+    if result.causes:
+        parts.append(_causes(result))
+    if ranked and result.candidates:
+        parts.append(_tried(result))
+    searches = result.request.searches
+    parts += [_scores(result)] if searches else [_parameters(result), _scores(result)]
+    remarks = [f"The search ended: {result.stopped}."] if searches else []
+    remarks += [] if searches else weak_sentences(result.after.weak)
+    remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
+    parts += [Text(f"- {line}") for line in remarks]
+    parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
+    return console_text(parts)
+
+
+def summary_html(result: Result) -> str:
+    """The verdict, its sentences and what was identified, for a notebook."""
+    rows = "".join(
+        f"<tr><td>{html.escape(row.name)}</td><td>{row.value} ± {row.sigma}</td>"
+        f"<td>{row.unit}</td></tr>"
+        for row in parameter_rows(result)
+    )
+    said = [_verdict(result), headline(result), *result.cautions]
+    text = "".join(f"<p>{html.escape(line)}</p>" for line in said)
+    return f"{text}<table><tr><th>parameter</th><th>value</th><th>unit</th></tr>{rows}</table>"
+
+
+def _verdict(result: Result) -> str:
+    return f"Verdict {result.word}: {MEANINGS[result.word]}."
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
@@ -44,7 +79,7 @@ def console_text(parts: Iterable[RenderableType]) -> str:
     return stream.getvalue().rstrip("\n")
 
 
-def table(*columns: str) -> Table:
+def _table(*columns: str) -> Table:
     """A table whose first column is a name and whose others are numbers."""
     from rich import box
     from rich.table import Table
@@ -55,16 +90,41 @@ def table(*columns: str) -> Table:
     return made
 
 
-def _parameters(estimate: Estimate) -> Table:
-    shown = table("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
-    for row in parameter_rows(estimate):
+def _parameters(result: Result) -> Table:
+    shown = _table("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
+    rows: list[ParameterRow] = parameter_rows(result)
+    for row in rows:
         interval = f"{row.low} to {row.high}"
         shown.add_row(row.name, row.value, row.sigma, interval, row.tolerance, row.unit)
     return shown
 
 
-def _scores(estimate: Estimate) -> Table:
-    shown = table("", "before", "after")
-    for row in score_rows(estimate):
-        shown.add_row(row.what, row.before, row.after)
+def _causes(result: Result) -> Table:
+    shown = _table("cause", "probability", "p of structureless", "in words")
+    for cause in result.causes:
+        one, p = cause.chosen, probability(cause.effect.naming_p)
+        shown.add_row(one.name, f"{one.probability:.2f}", p, one.words)
+        for rival in cause.rivals:
+            shown.add_row(f"or {rival.name}", f"{rival.probability:.2f}", "", rival.words)
+    return shown
+
+
+def _tried(result: Result) -> Table:
+    shown = _table("tried", "round", "evidence", "p alone", "left out, mm", "plausible")
+    for tried in result.candidates:
+        shown.add_row(
+            tried.name,
+            str(tried.round),
+            signed(tried.evidence, 1),
+            probability(tried.p_value),
+            compact(tried.cv_rms * 1e3, 3),
+            "yes" if tried.plausible else "no",
+        )
+    return shown
+
+
+def _scores(result: Result) -> Table:
+    shown = _table("", "nominal", "before", "after")
+    for row in score_rows(result):
+        shown.add_row(row.what, *row.cells)
     return shown
