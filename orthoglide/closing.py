@@ -5,25 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from orthoglide.accuracy import knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round, budget, look
-from orthoglide.effects import BASE_FAMILIES
+from orthoglide.effects import Effect as Declared
 from orthoglide.fit import Estimate, Problem, identify, noise_of, solve
 from orthoglide.fit.problem import build_problem
+from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
+from orthoglide.observations import Given, TcpPoints, as_campaigns
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word
 from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = ["DETECTION", "NAMING", "Effect", "Tried", "Verdict", "close_loop", "judge", "run"]
 
@@ -52,16 +49,6 @@ class Verdict(Result):
 
         write_report(self, folder, overwrite=overwrite)
 
-    def to_frame(self) -> pd.DataFrame:
-        """What was identified, a row a parameter: value, sigma, unit, tolerance, as in files.
-
-        Raises:
-            InputError: without pandas.
-        """
-        from orthoglide.report import parameter_frame
-
-        return parameter_frame(self)
-
     def __repr__(self) -> str:
         found = ", ".join(e.name for e in self.effects) or "no cause"
         return f"<Verdict {self.word}: {found}; {self.request.command}>"
@@ -72,9 +59,9 @@ class Verdict(Result):
         return summary(self)
 
     def _repr_html_(self) -> str:
-        from orthoglide.report import summary_html
+        from orthoglide.report.wording import headline
 
-        return summary_html(self)
+        return html_table(headline(self), self.columns)
 
 
 def close_loop(
@@ -85,6 +72,7 @@ def close_loop(
     noise: float | None = None,
     holdout: Given | None = None,
     tcp: TcpPoints | None = None,
+    effects: Sequence[Declared] = (),
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Verdict:
@@ -97,6 +85,7 @@ def close_loop(
         noise: standard deviation of one reading, metres.
         holdout: a campaign that only judges the finished result.
         tcp: measured points that only judge the finished result.
+        effects: of one's own, weighed beside those of the machine's catalogue.
         seed: of every random draw; the same seed gives the same answer.
         progress: called with each step; any callable will do.
 
@@ -104,7 +93,7 @@ def close_loop(
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    machine = machine or Machine.nominal()
+    machine = (machine or Machine.nominal()).with_effects(effects)
     several = as_campaigns(campaigns, machine.spec)
     held = None if holdout is None else as_campaigns(holdout, machine.spec)[0]
     request = Request("close-loop", several, machine, tuple(own), noise, seed, held, tcp)
@@ -128,7 +117,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine, campaigns = request.machine, request.campaigns
     level = noise_of(campaigns, machine.spec.dial, request.noise)
-    problem = build_problem(machine, campaigns, BASE_FAMILIES, level, own=request.own)
+    problem = build_problem(machine, campaigns, machine.catalogue.base, level, own=request.own)
     before = solve(problem)
     from orthoglide.diagnosis.blunders import find_blunders, without
 

@@ -184,7 +184,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     def fail(*_: object, **__: object) -> None:
         raise SolverError("no solver reached an answer")
 
-    monkeypatch.setattr("orthoglide.closing.close_loop", fail)
+    monkeypatch.setattr("orthoglide.closing.run", fail)
     before = tree(here)
     result = run("close-loop", "experiment2.csv", "--out", "out")
     assert (result.exit_code, result.stdout) == (3, "")
@@ -408,7 +408,7 @@ def test_rerun_of_a_spoilt_result(here: Path) -> None:
         assert result.exit_code == 2, (key, value, result.output)
         return result.stderr
 
-    assert "this version runs" in spoilt("schema", 2)
+    assert "this version runs" in spoilt("schema", 3)
     assert "this version runs" in spoilt("command", "compare")
     assert "not as it was written" in spoilt("inputs", [{"file": "a.csv"}])
     assert "not as it was written" in spoilt("machine", {"toml": "x"})

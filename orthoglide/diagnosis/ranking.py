@@ -75,7 +75,7 @@ def extend(problem: Problem, names: Sequence[str]) -> Problem:
     unknowns = list(problem.unknowns)
     for name in names:
         plain, _, stem = name.partition("@")
-        for unknown in build_unknowns(problem.machine, problem.campaigns, [plain]):
+        for unknown in build_unknowns(problem.machine, problem.campaigns, [plain], problem.own):
             if unknown.name == name or not stem:
                 unknowns.append(unknown)
     held = tuple(

@@ -79,9 +79,18 @@ def identify(
     several = as_campaigns(campaigns, machine.spec)
     level = noise_of(several, machine.spec.dial, noise)
     problem = build_problem(machine, several, free, level, own=own, priors=priors, bounds=bounds)
+    _check_own(problem)
     if weighting == "deviations":
         problem = _anchored(problem)
     return solve(problem, method=method)
+
+
+def _check_own(problem: Problem) -> None:
+    for name in problem.own:
+        plain = name.partition("@")[0]
+        free = (u.partition("@")[0] for u in problem.names)
+        if not any(n == plain or n.startswith(f"{plain}.") for n in free):
+            raise InputError(f"{name} is own to each campaign but not free: free it too")
 
 
 def _averaged(campaign: Campaign) -> Campaign:

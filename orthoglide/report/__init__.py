@@ -12,19 +12,16 @@ from typing import TYPE_CHECKING
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.report.folder import check_folder, write_folder
 from orthoglide.report.result_json import result_text
-from orthoglide.report.tables import parameter_frame
-from orthoglide.report.text import summary, summary_html
+from orthoglide.report.text import summary
 
 if TYPE_CHECKING:
     from orthoglide.result import Result
 
 __all__ = [
     "check_folder",
-    "parameter_frame",
     "report_files",
     "result_text",
     "summary",
-    "summary_html",
     "write_folder",
     "write_report",
 ]

@@ -11,7 +11,6 @@ from pathlib import Path
 from orthoglide.errors import FileError
 from orthoglide.files import writing
 
-
 _REPORT = {
     "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv", "report.html",
     "residuals.csv", "result.json",

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.effects import family_of, is_dial
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, plain
 from orthoglide.report.embed import panels, whole
@@ -117,13 +116,10 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
 
 def values(result: Result, figures: Figures) -> Data:
     """What was identified, with both kinds of sigma."""
-    fit = result.after
-    freed = {family_of(n).name for n in fit.names}
-    others = dict.fromkeys(
-        family_of(n).name.replace("_", " ")
-        for n, entry in result.machine.spec.parameters.items()
-        if family_of(n).name not in freed and entry.value
-    )
+    fit, of = result.after, result.catalogue.effect_of
+    freed = {of(n).name for n in fit.names}
+    held = (of(n).name for n, value in result.machine.values.items() if value)
+    others = dict.fromkeys(name.replace("_", " ") for name in held if name not in freed)
     return {
         "rows": parameter_rows(result),
         "figure": whole(figures["parameters"]) if "parameters" in figures else "",
@@ -131,7 +127,7 @@ def values(result: Result, figures: Figures) -> Data:
         "priors": fit.problem.priors,
         "averaged": result.averaged,
         "others": listed(others),
-        "dials": any(is_dial(n) for n in fit.names),
+        "dials": any(of(n).of_dial for n in fit.names),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
     }
 
@@ -140,10 +136,11 @@ def unseen(result: Result, figures: Figures) -> Data:
     """What the readings cannot tell apart, and what they would not show."""
     by_effect: dict[str, list[str]] = {}
     for name in result.invisible:
-        by_effect.setdefault(family_of(name).name, []).append(name.partition(".")[2])
+        effect = result.catalogue.effect_of(name).name
+        by_effect.setdefault(effect, []).append(name.removeprefix(f"{effect}."))
     figure = figures.get("correlations") if len(result.after.names) > 1 else None
     return {
-        "sentences": weak_sentences(result.after.weak),
+        "sentences": weak_sentences(result.after.weak, result.catalogue),
         "effects": [(f.replace("_", " "), listed(members)) for f, members in by_effect.items()],
         "unexcited": [f.replace("_", " ") for f in result.unexcited],
         "figure": whole(figure) if figure else "",

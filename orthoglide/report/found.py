@@ -136,7 +136,7 @@ def causes(result: Result, figures: Figures) -> Data:
     rows = [
         {
             "name": t.name,
-            "words": t.words,
+            "words": result.short(t.name),
             "round": t.round,
             "evidence": signed(t.evidence, 1),
             "p": probability(t.p_value),

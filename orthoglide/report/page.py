@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
-from orthoglide.report import found, follows
+from orthoglide.report import follows, found
 from orthoglide.report.figures import Drawing
 from orthoglide.report.phrases import listed
 
@@ -63,9 +63,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     )
 
 
-def _sections(
-    result: Result, figures: Mapping[str, Drawing], sheet: str
-) -> Iterator[Section]:
+def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
     searches = result.request.searches
     yield Section("finding", "", found.finding(result))
     if result.blunders:

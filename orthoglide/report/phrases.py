@@ -1,65 +1,57 @@
-"""Names of parameters, weak directions and lists in words."""
+"""Weak directions, sentences and lists in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from orthoglide.effects import BASE_FAMILIES
+from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import compact, signed
 
 if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
 
 
-def parameter_words(name: str) -> str:
-    """``axis_tilt.y.z`` as ``axis tilt of leg y toward z``."""
-    plain, _, campaign = name.partition("@")
-    family, _, member = plain.partition(".")
-    words, place = family.replace("_", " "), member.split(".")
-    where = f" ({campaign})" if campaign else ""
-    if family.startswith("gauge_"):
-        return f"{words} of setup {member}{where}"
-    if place[0] not in ("x", "y", "z"):
-        return f"{words}, {member.replace('.', ' ')}{where}"
-    if len(place) == 2 and place[1] in ("x", "y", "z"):
-        return f"{words} of leg {place[0]} toward {place[1]}{where}"
-    tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
-    return f"{words} of leg {place[0]}{tail.get('.'.join(place[1:]), '')}{where}"
+def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
+    """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence.
 
-
-def weak_sentences(weak: Iterable[WeakDirection]) -> list[str]:
-    """Weak directions for somebody who never saw an eigenvector; alike ones in one sentence."""
+    Args:
+        weak: directions.
+        catalogue: that has their effects.
+    """
     every = list(weak)
-    legs = [_offset_and_length(w) for w in every]
-    alike = [w for w, leg in zip(every, legs, strict=True) if leg]
-    said = [_general(w) for w, leg in zip(every, legs, strict=True) if not leg]
-    if alike:
-        said.insert(0, _together(alike, sorted(leg for leg in legs if leg)))
+    legs = [_offset_and_length(w, catalogue) for w in every]
+    similar = [w for w, leg in zip(every, legs, strict=True) if leg]
+    said = [_general(w, catalogue) for w, leg in zip(every, legs, strict=True) if not leg]
+    if similar:
+        said.insert(0, _together(similar, sorted(leg for leg in legs if leg)))
     return said
 
 
-def _offset_and_length(weak: WeakDirection) -> str:
+def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
     """The leg (and campaign) whose offset and length change together; empty for anything else."""
-    if len(weak.parameters) != 2 or len({share > 0 for share in weak.parameters.values()}) != 1:
+    names = [catalogue.parameter(name) for name in weak.parameters]
+    same = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
+    both = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
+    if not (same and both) or len({share > 0 for share in weak.parameters.values()}) != 1:
         return ""
-    (family, leg), (other, same) = (name.split(".", 1) for name in weak.parameters)
-    return leg if {family, other} == set(BASE_FAMILIES) and leg == same else ""
+    return f"{names[0].leg} of {names[0].campaign}" if names[0].campaign else names[0].leg
 
 
 def _together(weak: list[WeakDirection], legs: list[str]) -> str:
     widest = max(weak, key=lambda w: w.sigma)
-    words = [leg.replace("@", " of ") for leg in legs]
     text = (
-        f"The readings cannot tell the joint offset from the leg length of leg {listed(words)}: "
-        f"where both grow alike, by as much as {compact(widest.sigma, 2)} {widest.unit} (one "
-        f"sigma), hardly a reading changes. Their difference is what is seen."
+        f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
+        f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
+        f"{widest.unit} (one sigma), hardly a reading changes. Their difference is what is seen."
     )
     return text + _narrowed(widest)
 
 
-def _general(weak: WeakDirection) -> str:
-    names = listed([parameter_words(name) for name in weak.parameters])
+def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
+    every = [parameter_words(catalogue.parameter(name)) for name in weak.parameters]
+    names = listed(every)
     if len(weak.parameters) > 1:
         text = f"The readings cannot tell {names} apart"
     else:

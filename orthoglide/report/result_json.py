@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
-from orthoglide.effects import family_of
 from orthoglide.machine_file import machine_text
 from orthoglide.report.wording import headline
 
@@ -171,19 +170,19 @@ def _explanation(one: Explanation) -> dict[str, Any]:
 
 def _parameters(result: Result) -> dict[str, Any]:
     """Values of the chosen explanation, in the units of files; sigmas of both kinds."""
-    found, fit = {}, result.after
-    for name, tolerance in zip(fit.names, fit.problem.tolerance, strict=True):
-        unit = family_of(name).unit
-        low, high = fit.interval(name)
-        found[name] = {
-            "value": number(fit.values[name] / unit.si),
-            "sigma": number(result.sigmas[name] / unit.si),
-            "sigma_alone": number(fit.sigmas[name] / unit.si),
-            "unit": unit.name,
-            "interval_95": [number(low / unit.si), number(high / unit.si)],
-            "tolerance": number(tolerance / unit.si),
+    return {
+        name: {
+            "value": number(value),
+            "sigma": number(sigma),
+            "sigma_alone": number(alone),
+            "unit": unit,
+            "interval_95": [number(low), number(high)],
+            "tolerance": number(tolerance),
         }
-    return found
+        for name, value, sigma, alone, low, high, tolerance, unit in zip(
+            *result.columns.values(), strict=True
+        )
+    }
 
 
 def _correlations(result: Result) -> dict[str, Any]:
@@ -198,7 +197,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
     """Parameters of ``calibrated.toml``: averaged over what fits as well."""
     found = {}
     for name, entry in result.machine.spec.parameters.items():
-        unit = family_of(name).unit
+        unit = result.catalogue.effect_of(name).unit
         value, sigma = number(entry.value / unit.si), number(entry.sigma / unit.si)
         found[name] = {"value": value, "sigma": sigma, "unit": unit.name}
     return found
@@ -240,17 +239,25 @@ def _weak(weak: WeakDirection) -> dict[str, Any]:
 
 def _check(check: CrossCheck | None) -> dict[str, Any] | None:
     """The cross-check; null where the reduction cannot represent what was asked."""
-    return check and {
-        "reduction_max_difference_mm": _mm(check.reduction, _FEW),
-        "linear_system_max_difference_mm": _mm(check.linear, _FEW),
-        "linear_system_rms_difference_mm": _mm(check.linear_size, _FEW),
-        "linear_system_rms_bound_mm": _mm(check.linear_bound, _FEW),
-    }
+    return (
+        None
+        if check is None
+        else {
+            "reduction_max_difference_mm": _mm(check.reduction, _FEW),
+            "linear_system_max_difference_mm": _mm(check.linear, _FEW),
+            "linear_system_rms_difference_mm": _mm(check.linear_size, _FEW),
+            "linear_system_rms_bound_mm": _mm(check.linear_bound, _FEW),
+        }
+    )
 
 
 def _workspace(result: Result) -> dict[str, Any] | None:
     """The predicted TCP error over the workspace, best translation removed, mean and largest."""
-    return result.workspace and {
-        name: {"mean_mm": _mm(values.mean(), _SHORT), "max_mm": _mm(values.max(), _SHORT)}
-        for name, values in result.workspace.figures().items()
-    }
+    return (
+        None
+        if result.workspace is None
+        else {
+            name: {"mean_mm": _mm(values.mean(), _SHORT), "max_mm": _mm(values.max(), _SHORT)}
+            for name, values in result.workspace.figures().items()
+        }
+    )

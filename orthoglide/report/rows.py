@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 
@@ -45,23 +44,22 @@ class ParameterRow:
 
 def parameter_rows(result: Result) -> list[ParameterRow]:
     """One row an unknown."""
-    rows, fit = [], result.after
-    for name, tolerance in zip(fit.names, fit.problem.tolerance, strict=True):
-        unit = family_of(name).unit
-        sigma = result.sigmas[name] / unit.si
+    rows, columns = [], result.columns
+    for name, value, sigma, alone, low, high, tolerance, unit in zip(
+        *columns.values(), strict=True
+    ):
         places = decimals_for(sigma, most=9)
-        low, high = (signed(end / unit.si, places) for end in fit.interval(name))
         rows.append(
             ParameterRow(
                 name,
-                signed(fit.values[name] / unit.si, places),
+                signed(value, places),
                 f"{sigma:.{places}f}",
-                compact(fit.sigmas[name] / unit.si, 2),
-                low,
-                high,
-                compact(tolerance / unit.si),
-                unit.name,
-                name in fit.on_bound,
+                compact(alone, 2),
+                signed(low, places),
+                signed(high, places),
+                compact(tolerance),
+                unit,
+                name in result.after.on_bound,
             )
         )
     return rows
@@ -154,7 +152,8 @@ def controller_rows(machine: Machine) -> list[ControllerRow]:
         machine: calibrated.
     """
     spec = machine.spec
-    offsets = [spec.parameters.get(f"joint_offset.{leg}") for leg in LEGS]
+    zeros = [p for e in machine.catalogue.effects if e.controller == "zero" for p in e.motions]
+    offsets = [next((spec.parameters.get(p) for p in zeros if p.leg == leg), None) for leg in LEGS]
     if not any(offsets):
         return []
     rows = []

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide import __version__
-from orthoglide.effects import family_of
-from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 
@@ -62,26 +60,6 @@ def _origin(request: Request) -> dict[str, Any]:
     if spec.file:
         found["machine"] = {"file": Path(spec.file).name, "sha256": spec.sha256}
     return found
-
-
-def parameter_frame(result: Result) -> Any:
-    """What was identified as a data frame, in the units of files; see ``Verdict.to_frame``.
-
-    Raises:
-        InputError: without pandas.
-    """
-    try:
-        import pandas as pd
-    except ImportError:
-        raise InputError("to_frame needs pandas: install it") from None
-    fit, rows = result.after, {}
-    for name, tolerance in zip(fit.names, fit.problem.tolerance, strict=True):
-        unit = family_of(name).unit
-        values = (fit.values[name], result.sigmas[name], fit.sigmas[name], tolerance)
-        rows[str(name)] = (*(float(v) / unit.si for v in values), unit.name)
-    columns = ["value", "sigma", "sigma_alone", "tolerance", "unit"]
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
-    return frame.rename_axis("parameter")
 
 
 def residual_table(result: Result) -> str:

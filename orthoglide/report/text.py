@@ -1,8 +1,7 @@
-"""A result for the terminal, and as a short piece of HTML for notebooks."""
+"""A result for the terminal."""
 
 from __future__ import annotations
 
-import html
 import io
 import shutil
 import sys
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, probability, signed
 from orthoglide.report.phrases import sentence, weak_sentences
-from orthoglide.report.rows import ParameterRow, parameter_rows, score_rows
+from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline
 
 if TYPE_CHECKING:
@@ -32,7 +31,10 @@ def summary(result: Result, ranked: bool = False) -> str:
     """
     from rich.text import Text
 
-    parts: list[Text | Table] = [Text(headline(result), style="bold"), Text(f"{_verdict(result)}\n")]
+    parts: list[Text | Table] = [
+        Text(headline(result), style="bold"),
+        Text(f"Verdict {result.word}: {MEANINGS[result.word]}.\n"),
+    ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
     if result.causes:
         parts.append(_causes(result))
@@ -41,27 +43,11 @@ def summary(result: Result, ranked: bool = False) -> str:
     searches = result.request.searches
     parts += [_scores(result)] if searches else [_parameters(result), _scores(result)]
     remarks = [f"The search ended: {result.stopped}."] if searches else []
-    remarks += [] if searches else weak_sentences(result.after.weak)
+    remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
     remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
-
-
-def summary_html(result: Result) -> str:
-    """The verdict, its sentences and what was identified, for a notebook."""
-    rows = "".join(
-        f"<tr><td>{html.escape(row.name)}</td><td>{row.value} ± {row.sigma}</td>"
-        f"<td>{row.unit}</td></tr>"
-        for row in parameter_rows(result)
-    )
-    said = [_verdict(result), headline(result), *result.cautions]
-    text = "".join(f"<p>{html.escape(line)}</p>" for line in said)
-    return f"{text}<table><tr><th>parameter</th><th>value</th><th>unit</th></tr>{rows}</table>"
-
-
-def _verdict(result: Result) -> str:
-    return f"Verdict {result.word}: {MEANINGS[result.word]}."
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
@@ -92,8 +78,7 @@ def _table(*columns: str) -> Table:
 
 def _parameters(result: Result) -> Table:
     shown = _table("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
-    rows: list[ParameterRow] = parameter_rows(result)
-    for row in rows:
+    for row in parameter_rows(result):
         interval = f"{row.low} to {row.high}"
         shown.add_row(row.name, row.value, row.sigma, interval, row.tolerance, row.unit)
     return shown

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from orthoglide.effects import BASE_FAMILIES, family_of
+from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import compact, decimals_for, signed
-from orthoglide.report.phrases import listed, parameter_words, sentence
+from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
     from orthoglide.fit import Estimate
+    from orthoglide.parameters import Parameter
     from orthoglide.result import Cause, Explanation, Result
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
@@ -134,8 +135,10 @@ def look_at(result: Result) -> list[tuple[str, str]]:
 
 def _found(fit: Estimate) -> str:
     """The values, as the subject of the sentence."""
-    parts = [text for effect in BASE_FAMILIES for text in _by_leg(fit, effect)]
-    others = [n for n in fit.names if family_of(n).name not in BASE_FAMILIES]
+    catalogue = fit.problem.machine.catalogue
+    names = [catalogue.parameter(name) for name in fit.names]
+    parts = [text for effect in catalogue.base for text in _by_leg(fit, names, effect)]
+    others = [name for name in names if name.effect not in catalogue.base]
     parts += [f"{parameter_words(n)} {_value(fit, n)}" for n in others[:_MOST_NAMED]]
     if len(others) > _MOST_NAMED:
         parts.append(f"{len(others) - _MOST_NAMED} further parameters")
@@ -170,16 +173,17 @@ def _rest(fit: Estimate) -> str:
 
 def effects_named(fit: Estimate) -> str:
     """The effects that were free, in the plural."""
-    names = dict.fromkeys(family_of(name).name for name in fit.names)
+    of = fit.problem.machine.catalogue.effect_of
+    names = dict.fromkeys(of(name).name for name in fit.names)
     return listed([f"{name.replace('_', ' ')}s" for name in names])
 
 
-def _by_leg(fit: Estimate, effect: str) -> list[str]:
+def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]:
     """One phrase an effect and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
-    groups: dict[str, list[str]] = {}
-    for name in fit.names:
-        if family_of(name).name == effect:
-            groups.setdefault(name.partition("@")[2], []).append(name)
+    groups: dict[str, list[Parameter]] = {}
+    for name in every:
+        if name.effect == effect:
+            groups.setdefault(name.campaign, []).append(name)
     phrases, noise = [], fit.problem.noise.typical
     for campaign, names in groups.items():
         largest = max(abs(fit.values[name]) for name in names)
@@ -188,18 +192,15 @@ def _by_leg(fit: Estimate, effect: str) -> list[str]:
         if largest <= noise:
             phrases.append(f"{what} nominal to {compact(noise * 1e3, 1)} mm{where}")
             continue
-        values = ", ".join(f"{_member(name)} {_value(fit, name, '')}" for name in names)
-        phrases.append(f"{what} {values} {family_of(effect).unit.name}{where}")
+        values = ", ".join(f"{n.member or n.leg} {_value(fit, n, False)}" for n in names)
+        unit = fit.problem.machine.catalogue[effect].unit.name
+        phrases.append(f"{what} {values} {unit}{where}")
     return phrases
 
 
-def _value(fit: Estimate, name: str, unit: str | None = None) -> str:
-    of = family_of(name).unit
+def _value(fit: Estimate, name: Parameter, with_unit: bool = True) -> str:
+    unit = fit.problem.machine.catalogue.effect_of(name).unit
     # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
-    places = 2 if of.name == "mm" else decimals_for(fit.sigmas[name] / of.si, 9)
-    text = signed(fit.values[name] / of.si, places)
-    return f"{text} {of.name}" if unit is None else text
-
-
-def _member(name: str) -> str:
-    return name.partition("@")[0].partition(".")[2]
+    places = 2 if unit.name == "mm" else decimals_for(fit.sigmas[name] / unit.si, 9)
+    text = signed(fit.values[name] / unit.si, places)
+    return f"{text} {unit.name}" if with_unit else text

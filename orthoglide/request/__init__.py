@@ -1,6 +1,6 @@
 """What was asked of the program: kept with every result, so that it can be done again."""
 
 from orthoglide.request.reading import request_of
-from orthoglide.request.request import COMMANDS, NOISE_MM, Request, noise_metres
+from orthoglide.request.request import COMMANDS, Command, Request
 
-__all__ = ["COMMANDS", "NOISE_MM", "Request", "noise_metres", "request_of"]
+__all__ = ["COMMANDS", "Command", "Request", "request_of"]

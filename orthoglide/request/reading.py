@@ -10,8 +10,9 @@ from typing import Any
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
-from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
-from orthoglide.request.request import Request, noise_metres
+from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.request.request import Request
+from orthoglide.request.rows import campaign_from_rows, tcp_from_rows
 
 _ROLES = ("campaign", "holdout", "tcp")
 _LAST_LINE = 1_000_000
@@ -36,7 +37,7 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
         # Nothing is drawn to identify, and any seed went.
         if not isinstance(seed, int) or isinstance(seed, bool) or (seed < 0 and not single):
             raise ValueError("seed is no number that counts")
-        noise = noise_metres(told["noise_mm"])
+        noise = told["noise_mm"]
         machine = _machine(result["machine"])
     except FileError:  # of the machine file
         raise
@@ -51,7 +52,7 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
         tuple(_campaign(i, machine) for i in by_role["campaign"]),
         machine,
         own=tuple(told["own"]),
-        noise=noise,
+        noise=None if noise is None else noise * 1e-3,
         seed=seed,
         holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
         tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
@@ -98,7 +99,7 @@ def _check_arguments(told: Mapping[str, Any], single: bool) -> None:
         return isinstance(value, list) and all(isinstance(n, str) for n in value)
 
     def number(value: Any) -> bool:
-        return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+        return value is None or (type(value) in (int, float) and 0 < value < float("inf"))
 
     checks: dict[str, Callable[[Any], bool]] = {
         "campaigns": names,

@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from orthoglide.effects import BASE_FAMILIES
-from orthoglide.errors import InputError
 from orthoglide.files import sha256
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints, campaign_rows, tcp_rows
+from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.request.rows import campaign_rows, tcp_rows
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = ("identify", "close-loop", "diagnose", "demo")
 """Whose results can be run again."""
-
-NOISE_MM = (1e-6, 1e3)
-"""Bounds of a declared noise, millimetres: an atom, and more than any dial shows."""
 
 _AGAIN = "orthoglide rerun result.json --out DIR"
 
@@ -132,20 +129,3 @@ def _input(given: Campaign | TcpPoints, role: str, rows: list[dict[str, str]]) -
     if lines != list(range(2, len(rows) + 2)):
         found["lines"] = lines
     return found | {"rows": rows}
-
-
-def noise_metres(noise_mm: float | None) -> float | None:
-    """A declared noise in metres.
-
-    Raises:
-        InputError: where no dial can have it.
-    """
-    if noise_mm is None:
-        return None
-    low, high = NOISE_MM
-    if not low <= noise_mm <= high:
-        raise InputError(
-            f"--noise must be a positive number of millimetres from {low:g} to {high:g}, "
-            f"not {noise_mm:g}"
-        )
-    return noise_mm * 1e-3

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from orthoglide.diagnosis.ranking import CLASS_WIDTH, Trial, lack_scale, log_evidence, refit
-from orthoglide.effects import family_of
-from orthoglide.effects.causes import cause, short
+from orthoglide.effects import Catalogue
+from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.fit import Estimate
 from orthoglide.searching import Effect, Tried
 
@@ -39,31 +39,38 @@ class Explanation:
         return {name: self.fit.sigmas[name] for name in self.parameters}
 
     @property
+    def _catalogue(self) -> Catalogue:
+        return self.fit.problem.machine.catalogue
+
+    @property
     def unit(self) -> str:
         """Of its parameters, as files name it."""
-        return family_of(self.name).unit.name
+        return self._catalogue.effect_of(self.name).unit.name
 
     @property
     def words(self) -> str:
         """What is wrong, with size and sign, as a clause."""
-        return cause(self.name, self.values)
+        values: dict[str, float] = self.values
+        if "@" not in self.name:  # of what campaigns have for themselves: the last one's
+            values = {self._catalogue.parameter(n).plain: v for n, v in values.items()}
+        return cause_words(self._catalogue, self.name, values)
 
     @property
     def short(self) -> str:
         """What is wrong, without size, as a clause."""
-        return short(self.name)
+        return cause_short(self._catalogue, self.name)
 
     @property
     def look_at(self) -> str:
         """Where to look for it on the machine."""
-        return family_of(self.name).look_at
+        return self._catalogue.effect_of(self.name).look_at
 
     @property
     def in_unit(self) -> tuple[float, float] | None:
         """Value and sigma in its unit; ``None`` where it has several parameters."""
         if len(self.parameters) != 1:
             return None
-        (name,), si = self.parameters, family_of(self.name).unit.si
+        (name,), si = self.parameters, self._catalogue.effect_of(self.name).unit.si
         return self.values[name] / si, self.sigmas[name] / si
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from orthoglide.accuracy import Knowledge, Map, tcp_map
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.ranking import Round
-from orthoglide.effects import is_dial
-from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+from orthoglide.effects import Catalogue
+from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
+from orthoglide.frames import data_frame
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
 from orthoglide.request import Request
@@ -22,6 +23,8 @@ from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_
 from orthoglide.searching import Effect, Tried
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from orthoglide.planning import Suggestion
 
 Word = Literal["adequate", "explained", "ambiguous", "partial", "unexplained"]
@@ -70,6 +73,15 @@ class Result:
         return self.before.nominal
 
     @property
+    def catalogue(self) -> Catalogue:
+        """Of the machine: the effects that were weighed."""
+        return self.request.machine.catalogue
+
+    def short(self, name: str) -> str:
+        """A candidate's cause without its size, as a clause."""
+        return cause_short(self.catalogue, name)
+
+    @property
     def first(self) -> Estimate:
         """The base fit to all readings, faulty ones included."""
         return self.faulty or self.before
@@ -100,7 +112,8 @@ class Result:
             for name in dict.fromkeys((*chosen, *other)):
                 change = other.get(name, 0.0) - chosen.get(name, 0.0)
                 averaged[name] = averaged.get(name, 0.0) + weight * change
-        return {n: v for n, v in averaged.items() if not is_dial(n)}
+        of_dial = {n: self.catalogue.effect_of(n).of_dial for n in averaged}
+        return {n: v for n, v in averaged.items() if not of_dial[n]}
 
     @cached_property
     def values_before(self) -> dict[str, float]:
@@ -117,17 +130,43 @@ class Result:
     def _sigmas(self, known: Knowledge) -> dict[str, float]:
         """Sigmas of the second kind of the machine's parameters, what fits as well in them."""
         weights, mean = known.weights, self.values
+        names = self.catalogue.parameters
         variance = np.einsum("pe,ef,pf->p", weights, known.covariance, weights)
         variance += (weights @ known.shift) ** 2
         for share, other in self.explanations:
-            apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in MACHINE_PARAMETERS]
+            apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in names]
             variance += share * np.square(apart)
-        return dict(zip(MACHINE_PARAMETERS, np.sqrt(variance).tolist(), strict=True))
+        return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
 
     @property
     def sigmas(self) -> dict[str, float]:
         """Sigmas of what was identified, SI: everything else allowed but by ``identify``."""
         return self.after.sigmas if self.known is None else self.known.sigmas
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """What was identified in the units of files, a row a parameter.
+
+        ``sigma`` allows everything else but by ``identify``, ``sigma_alone`` and the 95 % interval
+        from ``lower`` to ``upper`` count the noise alone.
+        """
+        fit, found = self.after, []
+        for name, tolerance in zip(fit.names, fit.problem.tolerance, strict=True):
+            unit = self.catalogue.effect_of(name).unit
+            sigmas = self.sigmas[name], fit.sigmas[name]
+            figures = (fit.values[name], *sigmas, *fit.interval(name), float(tolerance))
+            found.append((name, *(figure / unit.si for figure in figures), unit.name))
+        names = ("parameter", "value", "sigma", "sigma_alone", "lower", "upper", "tolerance",
+                 "unit")  # fmt: skip
+        return dict(zip(names, map(list, zip(*found, strict=True)), strict=True))
+
+    def to_frame(self) -> pd.DataFrame:
+        """What was identified as a data frame; see :attr:`columns`.
+
+        Raises:
+            InputError: where pandas is not installed.
+        """
+        return data_frame(self.columns, index="parameter")
 
     # --- Causes, and what is left -----------------------------------------------------------
 
@@ -150,10 +189,9 @@ class Result:
     def unexcited(self) -> tuple[str, ...]:
         """Effects whose conditions the campaigns do not vary at all."""
         from orthoglide.diagnosis.candidates import excited_families
-        from orthoglide.effects import BASE_FAMILIES, CATALOGUE
 
-        excited = excited_families(self.after.problem)
-        return tuple(f for f in CATALOGUE if f not in excited and f not in BASE_FAMILIES)
+        excited = {*excited_families(self.after.problem), *self.catalogue.base}
+        return tuple(name for name in self.catalogue if name not in excited)
 
     @cached_property
     def pattern(self) -> tuple[str, ...]:
@@ -186,7 +224,9 @@ class Result:
     @cached_property
     def workspace(self) -> Workspace | None:
         """The TCP's errors over the workspace; ``None`` of ``identify``."""
-        return self.map and workspace_of(self.before, self.values_before, self.map)
+        if self.map is None:
+            return None
+        return workspace_of(self.before, self.values_before, self.map)
 
     @cached_property
     def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
@@ -198,8 +238,8 @@ class Result:
     @cached_property
     def offsets_alone(self) -> float:
         """How far the TCP is off at Zero, Max and Min if only joint offsets are set, metres."""
-        machine = self.machine
-        offsets = {n: v for n, v in machine.values.items() if n.startswith("joint_offset.")}
+        machine, of = self.machine, self.catalogue.effect_of
+        offsets = {n: v for n, v in machine.values.items() if of(n).controller == "zero"}
         if len(offsets) == len(machine.values):
             return 0.0
         geometry = machine.spec.geometry

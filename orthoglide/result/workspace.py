@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
-from orthoglide.effects import family_of, is_dial
-from orthoglide.effects.catalogue import MACHINE_PARAMETERS
 from orthoglide.fit import Estimate
 from orthoglide.geometry import Array
 from orthoglide.prediction import Conditions
@@ -79,13 +77,13 @@ def uncertain_effects(
         known: what the readings say with everything else allowed.
         commands: ``(g, 3)``, metres.
     """
-    model = after.problem.machine.model
-    _, by_theta = model.sensitivities(values, Conditions.at(commands), MACHINE_PARAMETERS)
+    catalogue, model = after.problem.machine.catalogue, after.problem.machine.model
+    _, by_theta = model.sensitivities(values, Conditions.at(commands), catalogue.parameters)
     slope = by_theta[:, :3] @ known.weights
     slope = slope - slope.mean(axis=0)
-    names = [family_of(n).name for n in known.names]
+    names = [catalogue.effect_of(n).name for n in known.names]
     shares: dict[str, float] = {}
-    for name in dict.fromkeys(n for n in names if not is_dial(n)):
+    for name in dict.fromkeys(n for n in names if not catalogue[n].of_dial):
         members = np.array([n == name for n in names])
         part = slope[:, :, members]
         block = known.covariance[np.ix_(members, members)]

@@ -127,7 +127,9 @@ def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(up, steps=[1, 2, 2.5, 5, 10]))
 
 
-def sheet(count: int, height: float, strip: float = 0.0) -> tuple[Figure, list[tuple[float, float]]]:
+def sheet(
+    count: int, height: float, strip: float = 0.0
+) -> tuple[Figure, list[tuple[float, float]]]:
     """A figure of small multiples, three abreast.
 
     Args:

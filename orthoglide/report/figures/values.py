@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orthoglide.effects import family_of
 from orthoglide.numerals import signed
 from orthoglide.report.figures.style import (
     BAND,
@@ -25,24 +24,26 @@ from orthoglide.report.figures.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from orthoglide.effects import Effect
     from orthoglide.fit import Estimate
 
 _MOST_CELLS = 8  # unknowns up to which correlations are printed as numbers
 
 
 def draw_parameters(estimate: Estimate) -> Drawing:
-    """Values with their 95 % intervals against the tolerances, a strip a family."""
-    families: dict[str, list[int]] = {}
+    """Values with their 95 % intervals against the tolerances, a strip an effect."""
+    of = estimate.problem.machine.catalogue.effect_of
+    strips: dict[Effect, list[int]] = {}
     for k, name in enumerate(estimate.names):
-        families.setdefault(family_of(name).name, []).append(k)
-    heights = [0.72 + 0.24 * len(members) for members in families.values()]
+        strips.setdefault(of(name), []).append(k)
+    heights = [0.72 + 0.24 * len(members) for members in strips.values()]
     figure = new_figure(SINGLE, sum(heights) + 0.3)
-    short = [name.partition(".")[2] for name in estimate.names]
+    short = [name.removeprefix(f"{of(name).name}.") for name in estimate.names]
     margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
     top = 0.3
-    for (family, members), height in zip(families.items(), heights, strict=True):
+    for (effect, members), height in zip(strips.items(), heights, strict=True):
         axes = place_axes(figure, margin, top + 0.2, SINGLE - margin - 0.12, height - 0.58)
-        handles = _draw_family(axes, estimate, family, members)
+        handles = _draw_strip(axes, estimate, effect, members)
         axes.set_yticks(range(len(members)), [short[k] for k in members], color=INK)
         top += height
     figure.legend(
@@ -52,8 +53,8 @@ def draw_parameters(estimate: Estimate) -> Drawing:
     return Drawing("parameters", "Identified values against their tolerances", svg_text(figure))
 
 
-def _draw_family(axes: Axes, estimate: Estimate, family: str, members: list[int]) -> list[Any]:
-    unit = family_of(family).unit
+def _draw_strip(axes: Axes, estimate: Estimate, effect: Effect, members: list[int]) -> list[Any]:
+    unit = effect.unit
     value = estimate.x[members] / unit.si
     half = estimate.coverage_factor * np.sqrt(np.diag(estimate.covariance))[members] / unit.si
     tolerance = float(estimate.problem.tolerance[members[0]]) / unit.si
@@ -67,7 +68,7 @@ def _draw_family(axes: Axes, estimate: Estimate, family: str, members: list[int]
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(members) - 0.5, -0.5)
     few_ticks(axes, across=5)
-    axes.set_title(f"{family.replace('_', ' ')}, {unit.name}", pad=3)
+    axes.set_title(f"{effect.name.replace('_', ' ')}, {unit.name}", pad=3)
     return [dots, band]
 
 
