@@ -107,6 +107,21 @@ def test_the_rules_look_at_something() -> None:
     )
 
 
+# What draws a result computes nothing of it: the page, the file and Python cannot differ.
+COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "searching", "prediction",
+             "mechanism", "reduction", "closing")  # fmt: skip
+
+
+def test_reports_only_draw() -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sorted((PACKAGE / "report").rglob("*.py"))
+        for name in imports(path)
+        if name.startswith(("scipy", *(f"orthoglide.{room}" for room in COMPUTING)))
+    ]
+    assert not wrong
+
+
 def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
     assert not {("reduction", "mechanism"), ("mechanism", "reduction")} & set(edges())
     assert not {pair: edges()[pair] for pair in NEVER & set(edges())}

@@ -191,15 +191,61 @@ def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) 
 def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     text = headline(verdict_of("ambiguous"))
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
-    assert "(or the y rail leans toward z and its carriage with it: these readings cannot" in text
+    said = "(or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
+    assert said in text
     assert "0.043 to 0.003 mm rms, which is the noise of the dial" in text
-    assert "no cause known to this program explains" in headline(verdict_of("unexplained"))
+    assert "no effect of the catalogue explains" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
     assert "This is not all" in partial
     assert partial.count(" or ") >= 2
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
+
+
+def test_a_rival_is_said_with_its_own_value_and_sign() -> None:
+    """Fitted in the cause's place, it may have the other sign."""
+    machine = rig_machine()
+    verdict = close_loop(og.read_campaign(RIG / "rig-4.csv", machine.spec), machine)
+    (cause_found,) = verdict.causes
+    rivals = {rival.name: rival for rival in cause_found.rivals}
+    rival = rivals["axis_offset.y.x"]
+    assert rival.values["axis_offset.y.x"] == pytest.approx(-4.12e-4, abs=2e-6)
+    text = "the y rail stands 0.41 mm beside its place, toward −x"
+    assert rival.words == text
+    files = report_files(verdict)
+    (effect,) = json.loads(files["result.json"])["effects"]
+    kept = {r["name"]: r for r in effect["rivals"]}["axis_offset.y.x"]
+    assert kept["value"] == pytest.approx(-0.412, abs=2e-3)
+    assert 0 < kept["sigma"] < 0.1
+    assert (kept["unit"], kept["words"]) == ("mm", text)
+    assert f"or {text}" in headline(verdict)
+    assert text in words(files["report.html"])
+    assert "toward x:" not in headline(verdict)
+    assert text in " ".join(summary(verdict).split())
+
+
+def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
+    """A verdict by pattern does not pretend that a size exceeds the noise."""
+    verdict = verdict_of("partial")
+    scores = replace(verdict.after.scores, rms=0.8 * verdict.after.problem.noise.typical)
+    text = headline(replace(verdict, after=replace(verdict.after, scores=scores)))
+    assert "no larger than the dial's noise" in text
+    assert "by its pattern" in text
+    assert "by its pattern" not in headline(verdict)
+
+
+def test_the_tcp_tile_says_what_was_removed() -> None:
+    tile = next(t for t in tiles(verdict_of("ambiguous")) if t.what.startswith("TCP"))
+    assert tile.what == "TCP, best shift removed"
+
+
+def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
+    page = files_of("partial")["report.html"]
+    section = words(page[page.index('id="controller"') : page.index('id="judged"')])
+    assert "No numbers are given to enter" in section
+    assert "add to the display" not in section
+    assert "add to the display" in words(files_of("ambiguous")["report.html"])
 
 
 def test_a_machine_with_nothing_wrong() -> None:
@@ -233,14 +279,14 @@ def test_every_parameter_can_be_said(name: str) -> None:
         ("parallelogram_width.y", -1e-3, "is 1 mm narrower than the one at the carriage"),
         ("encoder_scale.y", -3e-3, "drive y moves 0.3 % less than it is told"),
         ("axis_tilt.x.y", -2e-3, "toward −y by 2 mrad (0.2 mm over 100 mm)"),
-        ("axis_tilt.cyclic", 1e-3, "each toward its two neighbours in turn (x toward y and −z)"),
+        ("axis_tilt.cyclic", 1e-3, "in a threefold pattern (x toward y and −z"),
         ("axis_offset.zx.symmetric", -1e-3, "z toward −x and x toward −z by 1 mm"),
         ("axis_offset.zx.antisymmetric", 1e-3, "z toward x and x toward −z by 1 mm"),
-        ("backlash.common", 5e-5, "the drives have lost motion, all alike, by 0.05 mm"),
-        ("mount_tilt.b.common", -2e-3, "all alike about its pivots, by −2 mrad"),
+        ("backlash.common", 5e-5, "the drives have lost motion, all by 0.05 mm"),
+        ("mount_tilt.b.common", -2e-3, "all by −2 mrad about their pivots"),
         ("backlash.x@day-2", 5e-5, "drive x has 0.05 mm of lost motion (day-2)"),
         ("gauge_scale.left", 0.02, "the dial of left shows 2 % more"),
-        ("gauge_drift.left", 1e-8, "the stand of left creeps by 0.036 mm an hour"),
+        ("gauge_drift.left", 1e-8, "its reading grows by 0.036 mm an hour"),
     ],
 )
 def test_size_and_direction(name: str, value: float, said: str) -> None:
@@ -252,7 +298,7 @@ def test_blocks_are_said_by_their_size() -> None:
     assert "drive x runs 0.05 mm ahead and behind" in cause("screw_error.x", both)
     many = {"backlash.x": 1e-5, "backlash.y": -4e-5}
     assert cause("backlash", many) == "the drives have lost motion, from 0.01 mm to 0.04 mm"
-    assert short("axis_tilt.cyclic", "rail_tilt.cyclic").endswith("out of square in the same way")
+    assert short("axis_tilt.cyclic").endswith("out of square, in a threefold pattern")
 
 
 # --- result.json and its neighbours ---------------------------------------------------------
@@ -404,6 +450,26 @@ def test_a_verdict_writes_its_report(tmp_path: Path) -> None:
         assert (tmp_path / "out" / name).read_text(encoding="utf-8") == text
     with pytest.raises(FileError, match="is not empty"):
         verdict.report(str(tmp_path / "out"))
+    verdict_of("faulty").report(tmp_path / "out", overwrite=True)
+    kept = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*.*")}
+    assert kept == set(files_of("faulty"))
+    (tmp_path / "out" / "thesis.tex").write_text("dear")
+    with pytest.raises(FileError, match=r"thesis\.tex, which is no part of a report"):
+        verdict.report(tmp_path / "out", overwrite=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+
+
+def test_a_verdict_shows_itself() -> None:
+    verdict = verdict_of("ambiguous")
+    assert len(repr(verdict)) < 100
+    assert "ambiguous" in repr(verdict)
+    assert "axis_tilt.y.z" in repr(verdict)
+    assert headline(verdict)[:60] in " ".join(str(verdict).split())
+    assert "axis_tilt.y.z" in verdict._repr_html_()
+    frame = verdict.to_frame()
+    assert frame.loc["axis_tilt.y.z", "value"] == pytest.approx(2.4e-3, abs=2e-4)
+    assert frame.loc["joint_offset.x", "unit"] == "mm"
+    assert list(frame.index) == list(verdict.after.names)
 
 
 # --- The workspace --------------------------------------------------------------------------

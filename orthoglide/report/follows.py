@@ -29,7 +29,7 @@ def controller(result: Result) -> Data:
     off = result.offsets_alone
     return {
         "rows": controller_rows(result.machine),
-        "withheld": result.cautions,
+        "withheld": bool(result.cautions),
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "length": plain(spec.geometry.L * 1e3, 3),
         "effect": compact(off * 1e3, 2) if off else "",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.effects.wording import parameter_words
-from orthoglide.numerals import compact, decimals_for, signed
+from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helpe
 _SLIGHT = 0.9  # the same of a cause that was added
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
-_CLOSE = 1.5  # times the noise: what is left is said to be about as large
 
 MEANINGS: Mapping[str, str] = {
     "adequate": "nothing significant is left, and nothing was added",
@@ -57,7 +56,7 @@ def _adequate(result: Result) -> str:
 
 def _unexplained(result: Result) -> str:
     return (
-        f"Something is wrong that no cause known to this program explains: with the "
+        f"Something is wrong that no effect of the catalogue explains: with the "
         f"{effects_named(result.before)} set right, {_fall(result)}. {_why_significant(result)}"
     )
 
@@ -71,21 +70,25 @@ def _explained(result: Result) -> str:
 
 def _partial(result: Result) -> str:
     return (
-        f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and no cause "
-        f"known to this program explains the rest. {_why_significant(result)}"
+        f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and no effect "
+        f"of the catalogue explains the rest. {_why_significant(result)}"
     )
 
 
 def _why_significant(result: Result) -> str:
-    """What is left against the noise: its size, or its shape where it is no larger."""
-    fit = result.after
+    """What is left against the noise: its size, or its pattern where it is no larger."""
+    fit, test = result.after, result.left.detection
     noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
-    if left > _CLOSE * noise:
-        return f"The dial's noise is {compact(noise, 2)} mm a reading."
+    if left > noise:
+        return (
+            f"Single readings are left with {compact(left, 2)} mm rms, where the dial's noise is "
+            f"{compact(noise, 2)} mm."
+        )
+    p = min(test.p_value, test.lack_of_fit_p, test.bare_lack_of_fit_p)
     return (
-        f"Single readings are left with {compact(left, 2)} mm rms, no more than the dial's noise "
-        f"of {compact(noise, 2)} mm would make; what is left is significant by its pattern: it "
-        f"repeats where the dial returns to a posture."
+        f"What is left of single readings ({compact(left, 2)} mm rms) is no larger than the dial's "
+        f"noise of {compact(noise, 2)} mm; it is significant by its pattern over setups and "
+        f"postures, which noise alone would show with probability {probability(p)}."
     )
 
 

@@ -255,9 +255,9 @@ class Result:
         if self.word == "partial":
             causes = "causes named explain" if len(self.effects) > 1 else "cause named explains"
             found.append(
-                f"The {causes} only part of what is wrong, and may stand in for something that "
-                f"this program does not know: do not act on it, nor put its numbers in a "
-                f"controller, before it is confirmed."
+                f"The {causes} only part of what is wrong, and may stand in for something that is "
+                f"not in the catalogue: do not act on it, nor put its numbers in a controller, "
+                f"before it is confirmed."
             )
         held = self.hold_out
         if self.effects and held is not None and held.after_rms > held.before_rms:
