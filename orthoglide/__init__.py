@@ -32,7 +32,6 @@ if TYPE_CHECKING:
         read_campaign,
         read_tcp,
         write_campaign,
-        write_protocol,
     )
 
 __version__ = "0.1.0"
@@ -50,7 +49,6 @@ _WHERE = {
     "mechanism": ("Mechanism",),
     "observations": (
         "Campaign", "Setup", "TcpPoints", "read_campaign", "read_tcp", "write_campaign",
-        "write_protocol",
     ),
 }  # fmt: skip
 _MODULE = {name: module for module, names in _WHERE.items() for name in names}
@@ -79,7 +77,6 @@ __all__ = [
     "read_campaign",
     "read_tcp",
     "write_campaign",
-    "write_protocol",
 ]
 
 

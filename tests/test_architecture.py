@@ -15,7 +15,7 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors"}),
+    frozenset({"errors", "notes"}),
     frozenset({"geometry", "files", "units"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),

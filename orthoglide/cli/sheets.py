@@ -42,11 +42,12 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     from orthoglide.observations import campaign_text
     from orthoglide.observations import protocol as make
 
-    sheet = make(kind, load_machine(machine_path).geometry)  # type: ignore[arg-type]
-    write_file(out, campaign_text(sheet))
+    machine = load_machine(machine_path)
+    sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
+    write_file(out, campaign_text(sheet, machine.spec))
     click.echo(
         f"{click.format_filename(out)}: {len(sheet)} readings in {len(sheet.setups)} setups, to be "
-        f"filled in as reading_mm"
+        f"filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing"
     )
 
 
@@ -153,20 +154,18 @@ def _noise(machine: Machine, noise_mm: float | None) -> float:
 
 def _tcp_text(machine: Machine, rng: np.random.Generator) -> str:
     """Commands over the whole stroke and where the TCP is, in the middle of any dead band."""
-    import csv
-    import io
-
     import numpy as np
 
-    from orthoglide.observations.reading import POINT, RHO
+    from orthoglide.observations import TcpPoints, csv_text, tcp_rows
 
     low, high = machine.geometry.stroke
     travel = rng.uniform(low, high, (TCP_POINTS, 3))
     rho = np.round(machine.geometry.L + travel, 9)
-    p = machine.forward(rho)
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*RHO, *POINT])
-    for row in np.hstack([rho, p]) * 1e3:
-        writer.writerow([f"{value:.6f}" for value in row])
-    return stream.getvalue()
+    points = TcpPoints(
+        command=rho,
+        p=np.round(machine.forward(rho), 9),
+        sigma=np.full(TCP_POINTS, np.nan),
+        approach=np.zeros((TCP_POINTS, 3)),
+        line=np.arange(TCP_POINTS) + 2,
+    )
+    return csv_text(tcp_rows(points))

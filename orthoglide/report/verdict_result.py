@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -261,21 +260,10 @@ def next_table(view: View) -> str:
 
     A visit that serves two purposes stands once; visits to a station are numbered through.
     """
-    rows: list[dict[str, str]] = []
-    seen: list[Mapping[str, str]] = []
-    for suggestion in view.following:
-        for row in suggestion.rows:
-            key = {k: v for k, v in row.items() if k != "order"}
-            if key not in seen:
-                seen.append(key)
-                rows.append(dict(row))
-    if not rows:
+    from orthoglide.design import next_sheet
+    from orthoglide.observations import campaign_text
+
+    sheet = next_sheet(view.following)
+    if sheet is None:
         return ""
-    names = list(dict.fromkeys(k for row in rows for k in row))
-    for place, row in enumerate(rows, start=1):
-        row["order"] = str(place)
-    stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, [*names, "reading_mm"], restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
+    return campaign_text(sheet, view.verdict.fit.problem.machine.spec)
