@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.effects import is_dial
-from orthoglide.effects.catalogue import CATALOGUE, MACHINE_PARAMETERS, family_of
+from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, family_of, is_dial
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import linearise, normal
-from orthoglide.fit.problem import build_problem
+from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array, Geometry
 from orthoglide.prediction import Conditions
 
@@ -94,10 +93,8 @@ def _with_everything(problem: Problem) -> Problem:
     families = [
         f for f in CATALOGUE if f != "screw_error" or problem.machine.spec.screw_pitch is not None
     ]
-    everything = build_problem(problem.machine, problem.campaigns, families, problem.noise)
-    others = tuple(
-        u for u in everything.unknowns if not any(p in taken for parts in u.parts for p in parts)
-    )
+    everything = build_unknowns(problem.machine, problem.campaigns, families, problem.own)
+    others = tuple(u for u in everything if not any(p in taken for parts in u.parts for p in parts))
     # Without a load, drifting time or warmth in the question, their effects do not move the TCP.
     quiet = {"drive_compliance", "thermal_growth", "thermal_drift"}
     kept = tuple(

@@ -11,14 +11,14 @@ import numpy as np
 
 from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round
-from orthoglide.effects import BASE_FAMILIES, is_dial
-from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, is_dial
 from orthoglide.fit import Estimate, Problem, noise_of, solve
 from orthoglide.fit.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints
-from orthoglide.searching import DETECTION, NAMING, Effect, Progress, Search, Tried
+from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
+from orthoglide.progress import Progress, Step, silent
+from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
 
 __all__ = ["DETECTION", "LACK", "NAMING", "Effect", "Tried", "Verdict", "close_loop", "judge"]
 
@@ -144,12 +144,12 @@ class Verdict:
 
 
 def close_loop(
-    campaigns: Campaign | Sequence[Campaign],
+    campaigns: Given | Sequence[Given],
     machine: Machine | None = None,
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Campaign | None = None,
+    holdout: Given | None = None,
     tcp: TcpPoints | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -157,41 +157,42 @@ def close_loop(
     """Identify, ask what is left, trace it to a cause, add it, and judge.
 
     Args:
-        campaigns: one or several.
+        campaigns: one or several; paths are read as by ``read_campaign``.
         machine: dimensions, tolerances, dial; nominal where absent.
         own: families or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
         holdout: a campaign that only judges the finished result.
         tcp: measured points that only judge the finished result.
         seed: of every random draw; the same seed gives the same answer.
-        progress: told what is going on.
+        progress: called with each step; any callable will do.
 
     Raises:
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
     machine = machine or Machine.nominal()
-    tell = progress or (lambda _: None)
-    tell("identifying joint offsets and leg lengths")
+    several = as_campaigns(campaigns, machine.spec)
+    holdout = None if holdout is None else as_campaigns(holdout, machine.spec)[0]
+    progress = progress or silent
+    progress(Step("identifying", "joint offsets and leg lengths"))
     level = noise_of(several, machine.spec.dial, noise)
     problem = build_problem(machine, several, BASE_FAMILIES, level, own=own)
     base = solve(problem)
     from orthoglide.diagnosis.blunders import find_blunders, without
 
-    tell("looking for faults of the data")
+    progress(Step("faults"))
     blunders = find_blunders(base, np.random.default_rng([seed, 0]))
     faulty = None
     if blunders:
         faulty, problem = base, without(problem, blunders)
         base = solve(problem)
     verdict = replace(
-        _search(problem, base, seed, tell, tuple(own)),
+        _search(problem, base, seed, progress, tuple(own)),
         blunders=blunders,
         faulty=faulty,
         seed=seed,
     )
-    tell("judging")
+    progress(Step("judging"))
     return judge(verdict, holdout, tcp)
 
 
@@ -210,11 +211,11 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
 
 
 def _search(
-    problem: Problem, base: Estimate, seed: int, tell: Progress, own: tuple[str, ...]
+    problem: Problem, base: Estimate, seed: int, progress: Progress, own: tuple[str, ...]
 ) -> Verdict:
-    search = Search(problem, tell, np.random.default_rng([seed, 1]))
+    search = Search(problem, progress, np.random.default_rng([seed, 1]))
     fit, left, stopped = search.run(base)
-    tell("allowing for everything else")
+    progress(Step("allowing"))
     effects = tuple(search.effects)
     return Verdict(
         _word(effects, left),

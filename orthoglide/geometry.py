@@ -22,6 +22,27 @@ LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
 """The legs, and the base axes: leg i slides along base axis i."""
 
 
+_FAR = 10.0  # bars' lengths; the longest command within a machine's reach is two
+
+
+def vectors(values: ArrayLike, name: str) -> Array:
+    """Points or commands ``(..., 3)``, metres.
+
+    Args:
+        values: numbers.
+        name: what they are called where they are refused.
+
+    Raises:
+        InputError: where the shape is another, or a number is not finite.
+    """
+    array = np.asarray(values, dtype=float)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InputError(f"{name} must have shape (..., 3), not {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite numbers, in metres")
+    return array
+
+
 def axis_index(name: str) -> int:
     """Index of a leg or base axis.
 
@@ -81,6 +102,21 @@ class Geometry:
     def zero(self) -> Array:
         """Command ``(3,)`` at mechanical zero: rho = (L, L, L), where p = 0."""
         return np.full(3, self.L)
+
+    def commands(self, values: ArrayLike, name: str = "rho") -> Array:
+        """Commands ``(..., 3)``, metres, checked as by :func:`vectors`.
+
+        Raises:
+            InputError: also where they lie so far from any reach that they must be millimetres.
+        """
+        rho = vectors(values, name)
+        largest = float(np.abs(rho).max(initial=0.0))
+        if largest > _FAR * self.L:
+            raise InputError(
+                f"{name}: {largest:g} m is far from any reach of a machine whose bars are "
+                f"{self.L:g} m long: give commands in metres, not millimetres"
+            )
+        return rho
 
     def command_on_axis(self, leg: int, travel: ArrayLike) -> Array:
         """Commands that move the nominal TCP along a base axis (2008, section 2.4).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,8 +20,7 @@ from orthoglide.diagnosis.ranking import (
     try_out,
 )
 from orthoglide.fit import Estimate, Problem
-
-Progress = Callable[[str], None]
+from orthoglide.progress import Progress, Step
 
 DETECTION = 0.01
 """Family-wise probability of finding a cause where there is none, in one round."""
@@ -100,7 +98,7 @@ class Search:
 
     Attributes:
         problem: without any effect.
-        tell: told what is being tried.
+        progress: called with each step.
         rng: of all draws.
         effects: added so far.
         tried: all that were identified.
@@ -108,7 +106,7 @@ class Search:
     """
 
     problem: Problem
-    tell: Progress
+    progress: Progress
     rng: np.random.Generator
     effects: list[Effect] = field(default_factory=list)
     tried: list[Tried] = field(default_factory=list)
@@ -124,7 +122,7 @@ class Search:
         Returns:
             The last fit, what it leaves, and why the search ended, in a sentence.
         """
-        self.tell("testing what is left")
+        self.progress(Step("testing"))
         self.limit = budget(look(base, 0, self.rng).signatures)
         fit, stopped = base, ""
         while not stopped:
@@ -141,7 +139,7 @@ class Search:
             return fit, "nothing in the catalogue explains more of the residual than chance"
         if room < 1 or len(self.effects) >= _MOST_EFFECTS:
             return fit, "these readings are too few to tell a further cause"
-        trials = try_out(self.problem, self.added(), found, self.tell, least=3)
+        trials = try_out(self.problem, self.added(), found, self.progress, least=3)
         if not trials:
             return fit, "no further cause could be identified"
         best = self._unmasked(trials, found, room)
@@ -171,7 +169,7 @@ class Search:
             return best
         if pair.evidence < found.evidences[names.index(best.candidate.name)] + _PAIRS:
             return best
-        self.tell("trying two causes at once")
+        self.progress(Step("trying", "two causes at once"))
         first, second = sorted(pair.members, key=lambda k: -found.evidences[k])
         one, other = (found.scoring.candidates[k] for k in (first, second))
         trial = attempt(self.problem, self.added(), one, found.estimate)
@@ -215,7 +213,7 @@ class Search:
         others = self.added(but=effect)
         fit = refit(self.problem, [*others, *effect.parameters], effect.trial.estimate)
         trial = Trial(effect.trial.candidate, fit, log_evidence(fit))
-        probability, near = rivals(self.problem, others, trial, self.tell)
+        probability, near = rivals(self.problem, others, trial, self.progress)
         # A rival that needs another bar than the one taken for touched is none to exchange for.
         better = [
             r.trial

@@ -15,8 +15,8 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "notes"}),
-    frozenset({"geometry", "files", "units"}),
+    frozenset({"errors", "notes", "parameters", "progress"}),
+    frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
     frozenset({"observations"}),
@@ -24,9 +24,9 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"machine"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"accuracy", "judging", "searching"}),
+    frozenset({"accuracy", "judging", "searching", "simulation"}),
     frozenset({"closing"}),
-    frozenset({"design"}),
+    frozenset({"planning"}),
     frozenset({"report"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),

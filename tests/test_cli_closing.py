@@ -18,8 +18,10 @@ from typing import Any
 import pytest
 
 import orthoglide as og
+from orthoglide.cli.progress import progress, share
 from orthoglide.cli.rerun import compare
 from orthoglide.errors import SolverError
+from orthoglide.progress import Step
 from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"
@@ -55,7 +57,8 @@ def flat(text: str) -> str:
 
 def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     first = process("demo", cwd=tmp_path)
-    assert (first.returncode, first.stderr) == (0, "")
+    assert first.returncode == 0
+    assert all(re.fullmatch(r" *\d+ s  [a-z].*", line) for line in first.stderr.splitlines())
     assert "readings held out, rms" in first.stdout
     assert "these readings cannot tell" in flat(first.stdout)
     assert set(tree(tmp_path / "orthoglide-demo")) >= FILES
@@ -247,21 +250,34 @@ def test_a_bar_from_the_first_second(here: Path) -> None:
 
 
 def test_the_bar_never_goes_back() -> None:
-    from rich.progress import Progress
-
-    from orthoglide.cli.progress import _share
-
-    shown = Progress()
-    task = shown.add_task("", total=100)
-    seen = []
-    stages = ("reading", "identifying from 12 readings", "trying a", "trying b", "testing",
-              "comparing with c", "trying d", "drawing", "something new", "writing")  # fmt: skip
-    for text in stages:
-        shown.update(task, completed=_share(text, shown))
-        seen.append(shown.tasks[0].completed)
+    stages = ("reading", "identifying", "trying", "trying", "testing", "comparing", "trying",
+              "drawing", "computing", "writing")  # fmt: skip
+    seen = [0.0]
+    for stage in stages:
+        seen.append(share(Step(stage), seen[-1]))  # type: ignore[arg-type]
     assert seen == sorted(seen)
-    assert seen[2] < seen[3]
+    assert seen[3] < seen[4]
     assert 90 < seen[-1] < 100
+
+
+def test_progress_is_shown_when_piped(capsys: pytest.CaptureFixture[str]) -> None:
+    """Plain lines, at most one a second, none of a run that is over at once."""
+    with progress(quiet=False) as show:
+        show(Step("reading"))
+        assert capsys.readouterr().err == ""
+        time.sleep(1.1)
+        show(Step("trying", "axis_tilt.y.z"))
+        show(Step("trying", "axis_tilt.z.y"))
+    assert capsys.readouterr().err == "   1 s  trying axis_tilt.y.z\n"
+
+
+def test_any_callable_hears_of_progress(here: Path) -> None:
+    heard: list[str] = []
+    og.close_loop(
+        og.read_campaign("experiment2.csv"), progress=lambda step: heard.append(f"{step}")
+    )
+    assert heard[0] == "identifying joint offsets and leg lengths"
+    assert heard[-1] == "judging"
 
 
 # --- rerun ----------------------------------------------------------------------------------

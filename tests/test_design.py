@@ -14,32 +14,6 @@ from scipy.stats import ncx2
 
 import orthoglide as og
 from orthoglide.cli.design import design as design_command
-from orthoglide.design import (
-    design,
-    next_measurements,
-    observability,
-    reading_pool,
-    repeats_needed,
-    report_design,
-    smallest_effects,
-)
-from orthoglide.design.alike import groups
-from orthoglide.design.bench import Bench, Scatter
-from orthoglide.design.choosing import choose, replayed
-from orthoglide.design.detectable import noncentrality, separation
-from orthoglide.design.expected import bench_of, expected
-from orthoglide.design.objectives import (
-    Determinant,
-    Discriminate,
-    Narrow,
-    Separate,
-    gram,
-    separations,
-)
-from orthoglide.design.observability import indices
-from orthoglide.design.planning import is_elementary
-from orthoglide.design.pool import DIAL_TRAVEL, sheet
-from orthoglide.design.precision import accuracy_of
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
@@ -48,6 +22,32 @@ from orthoglide.effects.effect import relabelled
 from orthoglide.errors import InputError
 from orthoglide.fit import build_problem, noise_of
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
+from orthoglide.planning import (
+    design,
+    next_measurements,
+    observability,
+    reading_pool,
+    repeats_needed,
+    report_design,
+    smallest_effects,
+)
+from orthoglide.planning.alike import groups
+from orthoglide.planning.bench import Bench, Scatter
+from orthoglide.planning.choosing import choose, replayed
+from orthoglide.planning.designs import is_elementary
+from orthoglide.planning.detectable import noncentrality, separation
+from orthoglide.planning.expected import bench_of, expected
+from orthoglide.planning.objectives import (
+    Determinant,
+    Discriminate,
+    Narrow,
+    Separate,
+    gram,
+    separations,
+)
+from orthoglide.planning.observability import indices
+from orthoglide.planning.pool import DIAL_TRAVEL, sheet
+from orthoglide.planning.precision import accuracy_of
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, simulate, write_csv
 

@@ -24,11 +24,11 @@ import pytest
 import orthoglide as og
 from orthoglide.fit import Estimate, WeakDirection, identify
 from orthoglide.machine_file import Controller
+from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol
 from orthoglide.report import Run, identification_files, read_input
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures import PALETTE, draw
-from orthoglide.report.numbers import compact, decimals_for, plain, probability, signed
 from orthoglide.report.rows import controller_rows
 from orthoglide.report.wording import headline, listed, parameter_words, weak_sentences
 

@@ -18,9 +18,10 @@ from orthoglide.cli.options import (
     out_option,
     run_options,
 )
-from orthoglide.cli.progress import Step, bar
+from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
+from orthoglide.progress import Progress, Step
 
 if TYPE_CHECKING:
     from orthoglide.closing import Verdict
@@ -87,7 +88,7 @@ class Asked:
             words += [option, value] if value else []
         return shlex.join(words)
 
-    def verdict(self, step: Step) -> Verdict:
+    def verdict(self, step: Progress) -> Verdict:
         """Read the files and close the loop."""
         from orthoglide.observations import read_campaign, read_tcp
 
@@ -98,7 +99,7 @@ class Asked:
         campaigns = [read_campaign(path, machine.spec) for path in self.campaigns]
         held = None if self.holdout is None else read_campaign(self.holdout, machine.spec)
         points = None if self.tcp is None else read_tcp(self.tcp, machine.spec)
-        step(f"identifying from {sum(map(len, campaigns))} readings")
+        step(Step("identifying", f"from {sum(map(len, campaigns))} readings"))
         from orthoglide.closing import close_loop
 
         return close_loop(
@@ -221,8 +222,8 @@ def run_close_loop(
 
     if out is not None:
         check_folder(out)
-    with bar(quiet or as_json) as step:
-        step("reading")
+    with progress(quiet or as_json) as step:
+        step(Step("reading"))
         run = asked.run(command, again)
         verdict = asked.verdict(step)
         from orthoglide.report import result_text, verdict_files
@@ -235,7 +236,7 @@ def run_close_loop(
             write_results(out, files)
             result = files["result.json"]
         elif as_json:
-            step("choosing what to measure next")
+            step(Step("suggesting"))
             result = result_text(view, run)
     if as_json:
         click.echo(result, nl=False)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from orthoglide.cli.options import Names, load_machine, machine_option, out_option
-from orthoglide.cli.progress import Step, progress
+from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
+from orthoglide.progress import Progress, Step
 
 if TYPE_CHECKING:
     from orthoglide.comparison import Row
@@ -59,7 +60,7 @@ COMMANDS = (compare,)
 
 
 def _files(
-    machine: Machine, names: tuple[str, ...], draw: bool, step: Step
+    machine: Machine, names: tuple[str, ...], draw: bool, step: Progress
 ) -> tuple[dict[str, str], tuple[Row, ...], tuple[Row, ...]]:
     from orthoglide.comparison import (
         LEGEND,
@@ -72,7 +73,7 @@ def _files(
         worst_of_families,
     )
 
-    step("comparing effects")
+    step(Step("computing", "comparing effects"))
     rows = compare_effects(machine, names or None)
     calibrated = compare_machine(machine) if any(machine.values.values()) else ()
     sections = [("Every effect at its tolerance", rows)]
@@ -93,7 +94,7 @@ def _files(
 
 
 def _figures(
-    machine: Machine, worst: tuple[Row, ...], calibrated: bool, step: Step
+    machine: Machine, worst: tuple[Row, ...], calibrated: bool, step: Progress
 ) -> dict[str, str]:
     """The machine as identified, and each family the reduction cannot follow, at its worst."""
     from dataclasses import replace
@@ -103,12 +104,12 @@ def _figures(
 
     figures = {}
     if calibrated:
-        step("drawing the machine")
+        step(Step("computing", "drawing the machine"))
         figures["machine"] = slice_figure(machine.spec.name, slices(machine))
     plain = Machine(replace(machine.spec, parameters={}))
     for row in worst:
         if not row.good_enough and row.fitted.max > 0:
-            step(f"drawing {row.name}")
+            step(Step("computing", f"drawing {row.name}"))
             planes = slices(plain.with_parameters({row.name: row.value}))
             figures[row.name] = slice_figure(f"{row.name} at its tolerance", planes)
     return figures

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 import click
 
 from orthoglide.cli.options import PATH, Names, load_machine, machine_option, noise_metres
-from orthoglide.cli.progress import Step, progress
+from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
+from orthoglide.progress import Progress, Step
 
 if TYPE_CHECKING:
-    from orthoglide.design import Repeats
     from orthoglide.machine import Machine
     from orthoglide.observations import Campaign
+    from orthoglide.planning import Repeats
 
 KINDS = ("standard", "sweep", "two-gauges")
 
@@ -62,12 +63,17 @@ def design(
     quiet: bool,
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
-    from orthoglide.design import design as choose
-    from orthoglide.design import observability, reading_pool, report_design, smallest_effects
-    from orthoglide.design.expected import expected_noise
     from orthoglide.effects import BASE_FAMILIES
     from orthoglide.files import check_new
     from orthoglide.observations import campaign_text
+    from orthoglide.planning import (
+        design as choose,
+        observability,
+        reading_pool,
+        report_design,
+        smallest_effects,
+    )
+    from orthoglide.planning.expected import expected_noise
 
     if out is not None:
         check_new(out)
@@ -79,9 +85,9 @@ def design(
     families = free or (BASE_FAMILIES if criterion == "d-optimal" else ())
     wanted = _wanted(want)
     with progress(quiet) as step:
-        step("choosing readings")
+        step(Step("computing", "choosing readings"))
         found = choose(machine, families, count, criterion, noise=noise)  # type: ignore[arg-type]
-        step("comparing")
+        step(Step("computing", "comparing"))
         sheets = _sheets(machine, campaigns)
         compared = [
             (name, observability(machine, c, found.names, expected_noise(machine, c, noise)))
@@ -95,7 +101,7 @@ def design(
         ]
         small = []
         for name, c in sheets.items() if detect else ():
-            step(f"smallest effects: {name}")
+            step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
         if out is not None:
             write_file(out, campaign_text(found.campaign, machine.spec))
@@ -145,12 +151,12 @@ def _repeats(
     names: tuple[str, ...],
     wanted: dict[str, float],
     noise: float | None,
-    step: Step,
+    step: Progress,
 ) -> list[Repeats]:
-    from orthoglide.design import repeats_needed
+    from orthoglide.planning import repeats_needed
 
     found = []
     for what, sigma in wanted.items():
-        step(f"how often to repeat {campaign.name}")
+        step(Step("computing", f"how often to repeat {campaign.name}"))
         found.append(repeats_needed(machine, campaign, names, what, sigma, noise))
     return found

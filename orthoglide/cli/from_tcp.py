@@ -14,6 +14,7 @@ import click
 from orthoglide.cli.options import load_machine, noise_metres
 from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
+from orthoglide.progress import Step
 
 if TYPE_CHECKING:
     from orthoglide.fit.from_tcp import Frame, TcpEstimate
@@ -42,10 +43,10 @@ def run_fit_tcp(
     noise = noise_metres(noise_mm)
     check_folder(out)
     with progress(quiet or as_json) as step:
-        step("reading")
+        step(Step("reading"))
         machine = load_machine(machine_path)
         points = read_tcp(path, machine.spec)
-        step(f"identifying from {len(points)} TCP points")
+        step(Step("identifying", f"from {len(points)} TCP points"))
         from orthoglide.fit.from_tcp import identify_tcp
 
         estimate = identify_tcp(

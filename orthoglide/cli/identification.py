@@ -22,6 +22,7 @@ from orthoglide.cli.options import (
 )
 from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
+from orthoglide.progress import Step
 
 if TYPE_CHECKING:
     from orthoglide.fit import Estimate
@@ -157,10 +158,10 @@ def run_identify(
 
     check_folder(out)
     with progress(quiet or as_json) as step:
-        step("reading")
+        step(Step("reading"))
         run = _run_of(paths, asked, command, again or asked.command_line(paths))
         estimate = _identified(paths, asked, step)
-        step("writing the report")
+        step(Step("writing"))
         from orthoglide.report import identification_files
 
         files = identification_files(estimate, run)
@@ -193,7 +194,7 @@ def _identified(paths: Sequence[Path], asked: Asked, step: Any) -> Estimate:
     noise = noise_metres(asked.noise_mm)
     machine = load_machine(asked.machine)
     campaigns = [read_campaign(path, machine.spec) for path in paths]
-    step(f"identifying from {sum(map(len, campaigns))} readings")
+    step(Step("identifying", f"from {sum(map(len, campaigns))} readings"))
     from orthoglide.fit import identify
 
     return identify(

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide.cli.kept_checks import check_arguments, check_inputs, check_name
 from orthoglide.cli.options import noise_metres
-from orthoglide.cli.progress import Step
 from orthoglide.errors import FileError
+from orthoglide.progress import Progress, Step
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
@@ -125,7 +125,7 @@ class Kept:
             ) from None
         return cls(result["command"], result["arguments"], seed, inputs, Machine(spec), str(path))
 
-    def files(self, step: Step, whole: bool) -> dict[str, str]:
+    def files(self, step: Progress, whole: bool) -> dict[str, str]:
         """The files of the run; only ``result.json`` where not asked for whole."""
         run = self._run()
         if self.command == "identify":
@@ -148,12 +148,12 @@ class Kept:
         view = View(verdict)
         return verdict_files(view, run, step) if whole else {"result.json": result_text(view, run)}
 
-    def _identified(self, run: Run, step: Step) -> dict[str, str]:
+    def _identified(self, run: Run, step: Progress) -> dict[str, str]:
         from orthoglide.fit import identify
         from orthoglide.report import identification_files
 
         campaigns, arguments = self._campaigns("campaign"), self.arguments
-        step(f"identifying from {sum(map(len, campaigns))} readings")
+        step(Step("identifying", f"from {sum(map(len, campaigns))} readings"))
         estimate = identify(
             campaigns,
             self.machine,

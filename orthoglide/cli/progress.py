@@ -1,78 +1,80 @@
-"""Progress on the error stream: what is being done now, where somebody is looking."""
+"""Progress on the error stream: a bar on a terminal, a line now and then where it is piped."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+
+import click
 
 from orthoglide.cli.run import stop_if_asked
+from orthoglide.progress import Progress, Step
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-Step = Callable[[str], None]
-"""Says what begins now."""
+_CREEP = 0.15  # of what is left of a stage, each time that the stage comes again
+_BETWEEN = 1.0  # seconds between two lines
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Step]:
-    """Show steps while they run; silent where asked for, or where nobody is looking."""
-    if quiet or not sys.stderr.isatty():
-        yield _go_on
-        return
-    from rich.console import Console
+def progress(quiet: bool) -> Iterator[Progress]:
+    """Show steps while they run.
 
-    with Console(stderr=True).status("starting") as status:
-        yield lambda text: status.update(text)
+    A stop that compiled code swallowed is heeded at every step, shown or not.
+
+    Args:
+        quiet: show nothing.
+    """
+    if quiet:
+        yield lambda _: stop_if_asked()
+    elif not sys.stderr.isatty():
+        yield Lines().show
+    else:
+        with _bar() as shown:
+            yield shown
 
 
-# Where each stage of a closed loop stands when it begins, in per cent of the whole; stages that
-# come again and again creep toward the next.
-_STAGES = {
-    "reading": 2,
-    "identifying": 8,
-    "looking for faults": 20,
-    "testing": 30,
-    "trying": 36,
-    "comparing": 50,
-    "had the dials": 56,
-    "allowing": 62,
-    "judging": 66,
-    "choosing": 70,
-    "drawing": 78,
-    "writing": 94,
-}
-_CREEP = 0.15
+@dataclass
+class Lines:
+    """Plain lines, at most one a second; a run that is over sooner prints none."""
+
+    begun: float = field(default_factory=time.monotonic)
+    last: float = field(default_factory=time.monotonic)
+
+    def show(self, step: Step) -> None:
+        """Print a step, unless a line was printed just now."""
+        stop_if_asked()
+        now = time.monotonic()
+        if now - self.last >= _BETWEEN:
+            self.last = now
+            click.echo(f"{now - self.begun:4.0f} s  {step}", err=True)
 
 
 @contextmanager
-def bar(quiet: bool) -> Iterator[Step]:
-    """Show a bar that fills as the stages of a closed loop go by; silent as `progress`."""
-    if quiet or not sys.stderr.isatty():
-        yield _go_on
-        return
+def _bar() -> Iterator[Progress]:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
 
     columns = (BarColumn(24), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+    with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task("starting", total=100)
-        yield lambda text: shown.update(task, description=text, completed=_share(text, shown))
+
+        def show(step: Step) -> None:
+            stop_if_asked()
+            done = share(step, shown.tasks[0].completed)
+            shown.update(task, description=str(step), completed=done)
+
+        yield show
 
 
-def _go_on(_: str) -> None:
-    """Nothing to show; a stop that compiled code swallowed is heeded at the next stage."""
-    stop_if_asked()
+def share(step: Step, now: float) -> float:
+    """How far a run is when a step begins, per cent; never less than before.
 
-
-def _share(text: str, shown: Progress) -> float:
-    """How far it is in per cent; never less than before."""
-    now = shown.tasks[0].completed
-    begun = [(at, name) for name, at in _STAGES.items() if text.startswith(name)]
-    if not begun:
-        return now
-    at, _ = begun[0]
-    later = min((a for a in _STAGES.values() if a > at), default=100)
-    return at if now < at else now + max(later - now, 0) * _CREEP
+    Args:
+        step: that begins.
+        now: how far it was, per cent.
+    """
+    if now < step.begins:
+        return step.begins
+    return now + max(step.ends - now, 0) * _CREEP

@@ -12,9 +12,10 @@ import click
 
 from orthoglide.cli.kept import Kept, read_result
 from orthoglide.cli.options import PATH, out_option
-from orthoglide.cli.progress import bar
+from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import NumericsError
+from orthoglide.progress import Step
 
 SAME = 1e-6
 """Relative difference up to which numbers count as equal: other processors round otherwise."""
@@ -45,8 +46,8 @@ def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> N
     if out is not None:
         check_folder(out)
     old = read_result(result)
-    with bar(quiet) as step:
-        step("reading")
+    with progress(quiet) as step:
+        step(Step("reading"))
         kept = Kept.of(old, result)
         files = kept.files(step, whole=out is not None)
         new = json.loads(files["result.json"])

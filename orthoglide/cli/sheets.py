@@ -13,14 +13,9 @@ from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from orthoglide.machine import Machine
-    from orthoglide.observations import Campaign
+    pass
 
 KINDS = ("standard", "sweep", "two-gauges")
-TCP_POINTS = 60
-_DATUM = 1e-3  # metres: where a dial's zero may lie
 
 
 def _kind_option(command: Any) -> Any:
@@ -39,8 +34,7 @@ def _kind_option(command: Any) -> Any:
 @machine_option
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     """Write a measuring sheet: every row but the reading."""
-    from orthoglide.observations import campaign_text
-    from orthoglide.observations import protocol as make
+    from orthoglide.observations import campaign_text, protocol as make
 
     machine = load_machine(machine_path)
     sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
@@ -62,7 +56,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
 @click.option("--exact", is_flag=True,
               help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
 @click.option("--tcp", type=PATH, metavar="TCP.csv",
-              help=f"Also write {TCP_POINTS} exact TCP points, to judge by.")  # fmt: skip
+              help="Also write 60 exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
     out: Path,
@@ -77,10 +71,13 @@ def simulate(
     Each dial has its own datum and stands up to some placement error off its place; readings are
     noisy and rounded to the dial's resolution.
     """
+    from dataclasses import replace
+
     import numpy as np
 
+    from orthoglide import simulation
     from orthoglide.files import check_new
-    from orthoglide.observations import protocol as make
+    from orthoglide.observations import campaign_text, csv_text, tcp_rows
 
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
@@ -88,12 +85,15 @@ def simulate(
         check_new(path)
     if seed < 0:
         raise InputError(f"--seed must be 0 or more, not {seed}")
-    machine = load_machine(machine_path)
-    rng = np.random.default_rng(seed)
-    sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
-    texts = {out: _campaign_text(machine, sheet, rng, noise_mm, exact)}
+    if noise_mm is not None and not 0 <= noise_mm < 1e3:
+        raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
+    machine, draw = load_machine(machine_path), np.random.default_rng(seed)
+    noise = None if noise_mm is None else noise_mm * 1e-3
+    filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
+    texts = {out: campaign_text(filled)}
     if tcp is not None:
-        texts[tcp] = _tcp_text(machine, rng)
+        points = simulation.simulate_tcp(machine, seed=draw)
+        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9))))
     _write_all(texts)
     for path, text in texts.items():
         click.echo(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
@@ -113,59 +113,3 @@ def _write_all(texts: dict[Path, str]) -> None:
         for path in written:
             path.unlink(missing_ok=True)
         raise
-
-
-def _campaign_text(
-    machine: Machine,
-    sheet: Campaign,
-    rng: np.random.Generator,
-    noise_mm: float | None,
-    exact: bool,
-) -> str:
-    from dataclasses import replace
-
-    import numpy as np
-
-    from orthoglide.observations import campaign_text
-
-    dial, count = machine.spec.dial, len(sheet.setups)
-    sd = _noise(machine, noise_mm)
-    if exact:
-        return campaign_text(sheet.with_readings(np.round(machine.readings(sheet), 15)))
-    off = rng.normal(scale=dial.placement, size=count)
-    placed = (replace(s, gauge=s.gauge + o) for s, o in zip(sheet.setups, off, strict=True))
-    shown = machine.readings(replace(sheet, setups=tuple(placed)))
-    shown = shown + rng.uniform(-_DATUM, _DATUM, count)[sheet.setup]
-    shown = shown + rng.normal(scale=sd, size=len(sheet))
-    steps = np.round(shown / dial.resolution)
-    return campaign_text(sheet.with_readings(np.round(steps * dial.resolution, 12)))
-
-
-def _noise(machine: Machine, noise_mm: float | None) -> float:
-    from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
-
-    if noise_mm is None:
-        repeatability = machine.spec.dial.repeatability
-        return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
-    if not 0 <= noise_mm < 1e3:
-        raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
-    return noise_mm * 1e-3
-
-
-def _tcp_text(machine: Machine, rng: np.random.Generator) -> str:
-    """Commands over the whole stroke and where the TCP is, in the middle of any dead band."""
-    import numpy as np
-
-    from orthoglide.observations import TcpPoints, csv_text, tcp_rows
-
-    low, high = machine.geometry.stroke
-    travel = rng.uniform(low, high, (TCP_POINTS, 3))
-    rho = np.round(machine.geometry.L + travel, 9)
-    points = TcpPoints(
-        command=rho,
-        p=np.round(machine.forward(rho), 9),
-        sigma=np.full(TCP_POINTS, np.nan),
-        approach=np.zeros((TCP_POINTS, 3)),
-        line=np.arange(TCP_POINTS) + 2,
-    )
-    return csv_text(tcp_rows(points))

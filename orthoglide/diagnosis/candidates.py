@@ -79,16 +79,41 @@ def candidates(names: tuple[str, ...], families: tuple[str, ...]) -> tuple[Candi
     found: dict[str, Candidate] = {}
     for family in families:
         own = [n for n in names if family_of(n).name == family]
-        for name in own:
-            found[name] = Candidate(name, family, (name,), ({name: 1.0},))
-        for stem in dict.fromkeys(n.partition("@")[2] for n in own):
-            suffix = f"@{stem}" if stem else ""
-            here = tuple(n for n in own if n.partition("@")[2] == stem)
-            for member in _structured(family, here, suffix):
-                found[member.name] = member
-        for block in _blocks(family, own):
-            found[block.name] = block
+        members = _of_dials(family, own) if CATALOGUE[family].group == "dial" else _of(family, own)
+        found.update({m.name: m for m in (*members, *_blocks(family, own))})
     return tuple(found.values())
+
+
+def _of_dials(family: str, names: list[str]) -> list[Candidate]:
+    """Candidates of dials: each campaign has its own."""
+    members = [Candidate(n, family, (n,), ({n: 1.0},)) for n in names]
+    for stem in dict.fromkeys(n.partition("@")[2] for n in names):
+        suffix = f"@{stem}" if stem else ""
+        here = tuple(n for n in names if n.partition("@")[2] == stem)
+        members += _structured(family, here, suffix)
+    return members
+
+
+def _of(family: str, names: list[str]) -> list[Candidate]:
+    """Candidates of the machine: what campaigns have for themselves makes one cause together."""
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        parts.setdefault(name.partition("@")[0], []).append(name)
+    members = [
+        Candidate(plain, family, tuple(full), tuple({n: 1.0} for n in full))
+        for plain, full in parts.items()
+    ]
+    shared = tuple(plain for plain, full in parts.items() if full == [plain])
+    separate = {tuple(n.partition("@")[2] for n in full) for full in parts.values()}
+    if shared or len(separate) != 1:
+        return members + _structured(family, shared, "")
+    (stems,) = separate
+    for pattern in _structured(family, tuple(parts), ""):
+        (weights,) = pattern.weights
+        copies = tuple({f"{n}@{stem}": w for n, w in weights.items()} for stem in stems)
+        parameters = tuple(f"{pattern.name}@{stem}" for stem in stems)
+        members.append(Candidate(pattern.name, family, parameters, copies))
+    return members
 
 
 def _structured(family: str, here: tuple[str, ...], suffix: str) -> list[Candidate]:

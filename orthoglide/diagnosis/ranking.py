@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +24,7 @@ from orthoglide.fit.least_squares import normal
 from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
+from orthoglide.progress import Progress, Step
 
 CLASS_WIDTH = 4.0
 """Fall of chi2 within which two causes cannot be told apart (Wilks: two sigmas)."""
@@ -74,7 +75,7 @@ def extend(problem: Problem, names: Sequence[str]) -> Problem:
     unknowns = list(problem.unknowns)
     for name in names:
         plain, _, stem = name.partition("@")
-        for unknown in build_unknowns(problem.machine, problem.campaigns, [plain]):
+        for unknown in build_unknowns(problem.machine, problem.campaigns, [plain], problem.own):
             if unknown.name == name or not stem:
                 unknowns.append(unknown)
     held = tuple(
@@ -152,7 +153,7 @@ def try_out(
     base: Problem,
     added: Sequence[str],
     found: Round,
-    progress: Callable[[str], None],
+    progress: Progress,
     least: int = 1,
 ) -> list[Trial]:
     """Identify the most promising candidates in the general mechanism, best first.
@@ -161,7 +162,7 @@ def try_out(
         base: without effects.
         added: parameters that are in already.
         found: scores at the present fit.
-        progress: told what is being tried.
+        progress: called with each step.
         least: how many to try whatever their score.
     """
     order = np.argsort(-found.evidences, kind="stable")
@@ -171,7 +172,7 @@ def try_out(
     trials = []
     for k in near[:_REFITS]:
         candidate = found.scoring.candidates[k]
-        progress(f"trying {candidate.name}")
+        progress(Step("trying", candidate.name))
         trial = attempt(base, added, candidate, found.estimate)
         if trial is not None:
             trials.append(trial)
@@ -212,7 +213,7 @@ def rivals(
     base: Problem,
     others: Sequence[str],
     chosen: Trial,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> tuple[float, tuple[Rival, ...]]:
     """Which candidates could stand in the place of an added one, and how probable each is.
 
@@ -220,7 +221,7 @@ def rivals(
         base: without effects.
         others: what is added besides the one in question.
         chosen: the model with it.
-        progress: told what is being tried.
+        progress: called with each step.
 
     Returns:
         Probability of the chosen one among all candidates, and its rivals, most probable first.
@@ -240,7 +241,7 @@ def rivals(
     near = [k for k in np.argsort(-gains) if k != own and gains[own] - gains[k] <= margin]
     trials: dict[int, Trial] = {own: chosen}
     for k in near[: 2 * _REFITS]:
-        progress(f"comparing with {names[k]}")
+        progress(Step("comparing", names[k]))
         trial = attempt(base, others, scoring.candidates[k], without)
         if trial is not None:
             trials[k] = trial
@@ -284,9 +285,9 @@ def _under_other_bars(
     others: Sequence[str],
     chosen: Trial,
     limit: float,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> list[Trial]:
-    """Causes that would fit as well had the dials touched bar 1, or bar 2, where none is recorded.
+    """Causes that would fit as well with every dial on bar 1, or on bar 2, where none is recorded.
 
     A recorded bar is taken at its word. An effect of the dial is the same on either bar.
     """
@@ -294,7 +295,7 @@ def _under_other_bars(
         return []
     found: list[Trial] = []
     for bar in (1, 2):
-        progress(f"had the dials touched bar {bar}")
+        progress(Step("comparing", f"causes with the dials on bar {bar}"))
         other = replace(base, campaigns=tuple(_touching(c, bar) for c in base.campaigns))
         without = refit(other, others, chosen.estimate)
         seen = signatures(without)

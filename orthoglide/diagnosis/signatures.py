@@ -13,7 +13,7 @@ from orthoglide.diagnosis.candidates import Candidate, candidates, excited_famil
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import linearise
-from orthoglide.fit.problem import build_problem
+from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
@@ -94,7 +94,7 @@ def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
     taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
     free: list[str] = []
     for family in families:
-        names = build_problem(problem.machine, problem.campaigns, [family], problem.noise).unknowns
+        names = build_unknowns(problem.machine, problem.campaigns, [family])
         free.extend(
             u.name.partition("@")[0]
             for u in names
@@ -102,12 +102,11 @@ def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
         )
     if not free:
         raise InputError("nothing is left in the catalogue to be tried")
-    extra = build_problem(
-        problem.machine, problem.campaigns, tuple(dict.fromkeys(free)), problem.noise
-    )
+    plain = tuple(dict.fromkeys(free))
+    extra = build_unknowns(problem.machine, problem.campaigns, plain, problem.own)
     return replace(
         problem,
-        unknowns=(*problem.unknowns, *extra.unknowns),
+        unknowns=(*problem.unknowns, *extra),
         held=tuple({} for _ in problem.campaigns),
     )
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects import CATALOGUE, expand, family_of, is_dial
+from orthoglide.effects import CATALOGUE, elementary, expand, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.fit.noise import Noise, station_table
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine, elementary
+from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 
 # Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
@@ -27,7 +28,7 @@ class Unknown:
     """One number to identify.
 
     Attributes:
-        name: as reported; what is own to a campaign carries ``@`` and the file's stem.
+        name: as reported; what is own to campaigns carries ``@`` and the stem of the first file.
         parts: for each campaign, the weights of the elementary parameters that it sets.
         tolerance: standard deviation to expect, SI.
         start: SI.
@@ -53,6 +54,8 @@ class Problem:
         priors: whether tolerances act as priors about zero.
         held: for each campaign, parameters that are not free, SI.
         placement: standard deviation of a dial's place along its leg, metres; 0: exact.
+        own: what has a value of its own in each campaign, free or not yet: families and
+            parameters; with ``@`` and a file's stem, from that campaign on.
     """
 
     machine: Machine
@@ -62,6 +65,7 @@ class Problem:
     priors: bool
     held: tuple[Mapping[str, float], ...]
     placement: float
+    own: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -174,30 +178,33 @@ def build_unknowns(
         machine: tolerances, and where to start.
         campaigns: what is own to a campaign is repeated for each.
         free: what to identify.
-        own: families or parameters that each campaign has for itself.
+        own: families or parameters that each campaign has for itself; ``axis_tilt.y.z@new`` has
+            one value before the campaign ``new`` and another from it on.
 
     Raises:
-        InputError: for names that are none, an ``own`` that is not free, or campaigns of one name.
+        InputError: for names that are none, or campaigns of one name.
     """
     stems = [c.name for c in campaigns]
     if len(set(stems)) != len(stems):
         raise InputError(f"two campaigns are called alike ({', '.join(stems)}): rename one file")
     free_names = _expanded(free, campaigns)
-    missing = [n for n in own if not any(_covers(n, f) for f in free_names)]
-    if missing:
-        raise InputError(f"{missing[0]} is own to each campaign but not free: free it too")
     unknowns: list[Unknown] = []
     for name in free_names:
-        separate = is_dial(name) or any(_covers(n, name) for n in own)
-        if not separate or len(campaigns) == 1:
-            parts = tuple(_parts(name, c) for c in campaigns)
-            unknowns.append(_unknown(machine, name, name, parts))
-            continue
-        for k, campaign in enumerate(campaigns):
-            parts = tuple(_parts(name, c) if i == k else {} for i, c in enumerate(campaigns))
-            if parts[k]:
-                unknowns.append(_unknown(machine, f"{name}@{campaign.name}", name, parts))
+        starts = [k for k, stem in enumerate(stems) if k == 0 or _begins(name, stem, own)]
+        for first, end in pairwise([*starts, len(stems)]):
+            parts = tuple(
+                _parts(name, c) if first <= k < end else {} for k, c in enumerate(campaigns)
+            )
+            if any(parts):
+                shown = f"{name}@{stems[first]}" if len(starts) > 1 else name
+                unknowns.append(_unknown(machine, shown, name, parts))
     return tuple(unknowns)
+
+
+def _begins(name: str, stem: str, own: Sequence[str]) -> bool:
+    """Whether a parameter has another value from a campaign on than before it."""
+    wanted = [chosen.partition("@") for chosen in own]
+    return is_dial(name) or any(_covers(n, name) and at in ("", stem) for n, _, at in wanted)
 
 
 def _expanded(free: Sequence[str], campaigns: Sequence[Campaign]) -> tuple[str, ...]:
@@ -259,7 +266,7 @@ def build_problem(
         campaigns: at least one, with readings.
         free: families, parameters or structured members.
         noise: of the readings.
-        own: what each campaign has for itself.
+        own: what each campaign has for itself, see :func:`build_unknowns`; it need not be free.
         priors: whether tolerances act as priors.
         bounds: by unknown or family, SI; the value stays within plus and minus.
 
@@ -268,6 +275,7 @@ def build_problem(
     """
     if not campaigns:
         raise InputError("there is no campaign: give at least one file of readings")
+    _check_own(own, campaigns)
     unknowns = build_unknowns(machine, campaigns, free, own)
     if bounds:
         unknowns = tuple(replace(u, bound=_bound(u, bounds)) for u in unknowns)
@@ -283,7 +291,17 @@ def build_problem(
         priors,
         tuple(held),
         machine.spec.dial.placement,
+        tuple(own),
     )
+
+
+def _check_own(own: Sequence[str], campaigns: Sequence[Campaign]) -> None:
+    stems = [c.name for c in campaigns]
+    for name in own:
+        plain, at, stem = name.partition("@")
+        if at and stem not in stems:
+            raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
+        _expanded([plain], campaigns)
 
 
 def _bound(unknown: Unknown, bounds: Mapping[str, float]) -> float:

@@ -27,7 +27,7 @@ from orthoglide.fit.scores import Scores, score
 from orthoglide.fit.weakness import sparse_basis, weak_directions
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, Given, as_campaigns
 from orthoglide.prediction import Conditions
 
 Method = Literal["auto", "nlp", "nested", "reduction"]
@@ -41,7 +41,7 @@ _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum take
 
 
 def identify(
-    campaigns: Campaign | Sequence[Campaign],
+    campaigns: Given | Sequence[Given],
     machine: Machine | None = None,
     free: Sequence[str] = BASE_FAMILIES,
     *,
@@ -55,7 +55,7 @@ def identify(
     """Identify parameters of the general mechanism from dial readings.
 
     Args:
-        campaigns: one or several.
+        campaigns: one or several; paths are read as by ``read_campaign``.
         machine: dimensions, tolerances and what is known already; nominal where absent.
         free: families, parameters or structured members to identify.
         own: which of them each campaign has for itself; the rest is shared.
@@ -75,15 +75,22 @@ def identify(
         SolverError: where no solver reaches an answer that passes our own checks.
         CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
     """
-    several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
-    if not several:
-        raise InputError("there is no campaign: give at least one file of readings")
     machine = machine or Machine.nominal()
+    several = as_campaigns(campaigns, machine.spec)
     level = noise_of(several, machine.spec.dial, noise)
     problem = build_problem(machine, several, free, level, own=own, priors=priors, bounds=bounds)
+    _check_own(problem)
     if weighting == "deviations":
         problem = _anchored(problem)
     return solve(problem, method=method)
+
+
+def _check_own(problem: Problem) -> None:
+    for name in problem.own:
+        plain = name.partition("@")[0]
+        free = (u.partition("@")[0] for u in problem.names)
+        if not any(n == plain or n.startswith(f"{plain}.") for n in free):
+            raise InputError(f"{name} is own to each campaign but not free: free it too")
 
 
 def _averaged(campaign: Campaign) -> Campaign:

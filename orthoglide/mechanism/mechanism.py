@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError, UnreachableError
-from orthoglide.geometry import LEGS, Array, Geometry, leg_axes
+from orthoglide.geometry import LEGS, Array, Geometry, leg_axes, vectors
 from orthoglide.mechanism import seed
 from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs, placed
 from orthoglide.mechanism.loops import Loops
@@ -243,7 +243,7 @@ class Mechanism:
         Raises:
             ClosureError: naming the first posture that does not close.
         """
-        rho = _vectors(commands, "commands")
+        rho = self.geometry.commands(commands, "commands")
         flat = rho.reshape(-1, 3)
         moves = None if displacements is None else np.asarray(displacements, float)
         if moves is not None:
@@ -282,7 +282,7 @@ class Mechanism:
             UnreachableError: naming the leg that is too short, and by how much.
             ClosureError: where the drives do not converge.
         """
-        target = _vectors(p, "the wanted points")
+        target = vectors(p, "the wanted points")
         moves = None
         if displacements is not None:
             moves = np.broadcast_to(
@@ -324,16 +324,11 @@ class Mechanism:
                 which = f"point {worst + 1}: " if len(goal) > 1 else ""
                 short = excess[worst] * 1e3
                 shown = f"{short:.3f}" if short < 1e6 else f"{short:g}"
+                away = float(np.hypot.reduce(goal[worst]))
+                far = f" for a point {away:g} m away" if away > 10 * self.geometry.L else ""
                 raise UnreachableError(
-                    f"{which}leg {LEGS[leg]} is {shown} mm too short",
+                    f"{which}leg {LEGS[leg]} is {shown} mm too short{far}",
                     leg=LEGS[leg],
                     excess=float(excess[worst]),
                     index=(worst,),
                 )
-
-
-def _vectors(values: ArrayLike, name: str) -> Array:
-    array = np.asarray(values, dtype=float)
-    if array.shape[-1:] != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite numbers of shape (..., 3), in metres")
-    return array

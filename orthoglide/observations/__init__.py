@@ -3,7 +3,12 @@
 from orthoglide.observations.approach import Moves, derive_approach
 from orthoglide.observations.campaign import CONDITIONS, Campaign, Reading, Setup
 from orthoglide.observations.protocols import protocol
-from orthoglide.observations.reading import campaign_from_rows, read_campaign
+from orthoglide.observations.reading import (
+    Given,
+    as_campaigns,
+    campaign_from_rows,
+    read_campaign,
+)
 from orthoglide.observations.tcp import TcpPoints, read_tcp, tcp_from_rows
 from orthoglide.observations.writing import (
     campaign_rows,
@@ -16,10 +21,12 @@ from orthoglide.observations.writing import (
 __all__ = [
     "CONDITIONS",
     "Campaign",
+    "Given",
     "Moves",
     "Reading",
     "Setup",
     "TcpPoints",
+    "as_campaigns",
     "campaign_from_rows",
     "campaign_rows",
     "campaign_text",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
@@ -78,6 +79,28 @@ def campaign_from_rows(
     table = rows_table(rows, file or name, lines, sha256)
     campaign = _campaign(table, name, machine_file, require_readings)
     return replace(campaign, file=file)
+
+
+Given = Campaign | str | os.PathLike[str]
+"""A campaign, or the path of its file."""
+
+
+def as_campaigns(
+    given: Given | Iterable[Given], machine_file: MachineFile | None = None
+) -> tuple[Campaign, ...]:
+    """One or several campaigns; paths are read by :func:`read_campaign`.
+
+    Raises:
+        FileError: as :func:`read_campaign`.
+        InputError: where there is none.
+    """
+    several = (given,) if isinstance(given, Campaign | str | os.PathLike) else tuple(given)
+    if not several:
+        raise InputError("there is no campaign: give at least one file of readings")
+    return tuple(
+        read_campaign(one, machine_file) if isinstance(one, str | os.PathLike) else one
+        for one in several
+    )
 
 
 def campaign_from_frame(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orthoglide.progress import Progress, Step, silent
 from orthoglide.report.run import InputFile, Run, read_input
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def result_text(view: View, run: Run) -> str:
     return to_json(verdict_result(view, run))
 
 
-def verdict_files(view: View, run: Run, step: Callable[[str], None] | None = None) -> Files:
+def verdict_files(view: View, run: Run, progress: Progress = silent) -> Files:
     """All files of a closed loop's folder, by name: text, in the order to write them.
 
     Nothing in them depends on when or where they are made.
@@ -78,20 +78,20 @@ def verdict_files(view: View, run: Run, step: Callable[[str], None] | None = Non
     Args:
         view: of the verdict.
         run: what was asked, and of which files.
-        step: told what is being made.
+        progress: called with each step.
     """
     from orthoglide.machine_file import machine_text
     from orthoglide.report.verdict_figures import draw_verdict
     from orthoglide.report.verdict_html import verdict_page
     from orthoglide.report.verdict_result import calibrated_machine, next_table, residual_table
 
-    tell, verdict = step or (lambda _: None), view.verdict
-    tell("choosing what to measure next")
+    verdict = view.verdict
+    progress(Step("suggesting"))
     sheet = next_table(view)
     result = result_text(view, run)
-    tell("drawing")
+    progress(Step("drawing"))
     drawings = draw_verdict(view)
-    tell("writing the report")
+    progress(Step("writing"))
     return {
         "calibrated.toml": machine_text(calibrated_machine(verdict, run), "calibrated.toml"),
         "residuals.csv": residual_table(verdict),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS
-from orthoglide.report.numbers import MINUS, compact
+from orthoglide.numerals import MINUS, compact
 
 Said = Callable[[str, str, float], str]
 

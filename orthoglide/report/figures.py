@@ -17,7 +17,7 @@ import numpy as np
 
 from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS, Array
-from orthoglide.report.numbers import signed
+from orthoglide.numerals import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.geometry import LEGS
+from orthoglide.numerals import compact, plain
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures import Drawing
-from orthoglide.report.numbers import compact, plain
 from orthoglide.report.rows import Calibrated, controller_rows, parameter_rows, score_rows
 from orthoglide.report.run import Run
 from orthoglide.report.wording import explained_by, headline, listed, sentence, weak_sentences

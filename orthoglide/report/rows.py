@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS
-from orthoglide.report.numbers import compact, decimals_for, plain, probability, signed
+from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 
 if TYPE_CHECKING:
     from orthoglide.fit import Estimate

@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.numerals import compact, probability, signed
 from orthoglide.report.causes import short
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures import Drawing
 from orthoglide.report.html import Data
-from orthoglide.report.numbers import compact, probability, signed
 from orthoglide.report.wording import sentence
 
 if TYPE_CHECKING:

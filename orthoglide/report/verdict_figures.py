@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import LEGS, Array
+from orthoglide.numerals import signed
 from orthoglide.report.figures import (
     BAND,
     DATA,
@@ -29,7 +30,6 @@ from orthoglide.report.figures import (
     style,
     svg_text,
 )
-from orthoglide.report.numbers import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from orthoglide.effects import family_of, is_dial
+from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.causes import short
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures import Drawing
@@ -19,7 +20,6 @@ from orthoglide.report.html import (
     readings_data,
     render,
 )
-from orthoglide.report.numbers import compact, decimals_for, probability, signed
 from orthoglide.report.run import Run
 from orthoglide.report.verdict_causes import apart_data, causes_data, left_data, next_data
 from orthoglide.report.verdict_wording import cautions, headline, look_at, told

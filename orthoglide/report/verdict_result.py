@@ -35,7 +35,7 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
         view: of the verdict.
         run: what was asked.
     """
-    from orthoglide.design import as_result
+    from orthoglide.planning import as_result
 
     verdict = view.verdict
     fit, base = verdict.fit, verdict.base
@@ -260,8 +260,8 @@ def next_table(view: View) -> str:
 
     A visit that serves two purposes stands once; visits to a station are numbered through.
     """
-    from orthoglide.design import next_sheet
     from orthoglide.observations import campaign_text
+    from orthoglide.planning import next_sheet
 
     sheet = next_sheet(view.following)
     if sheet is None:

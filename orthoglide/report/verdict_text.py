@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.causes import short
-from orthoglide.report.numbers import compact, decimals_for, probability, signed
 from orthoglide.report.text import console_text, table
 from orthoglide.report.verdict_wording import cautions, headline, told
 from orthoglide.report.wording import sentence

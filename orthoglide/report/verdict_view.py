@@ -13,8 +13,8 @@ from orthoglide.geometry import Array
 if TYPE_CHECKING:
     from orthoglide.accuracy import Map
     from orthoglide.closing import Effect, Tried, Verdict
-    from orthoglide.design import Suggestion
     from orthoglide.fit import Estimate
+    from orthoglide.planning import Suggestion
 
 _FEEDS = 3
 _PROPOSED = 12
@@ -94,7 +94,10 @@ class View:
             others = [p for e in verdict.effects if e is not effect for p in e.parameters]
             base = verdict.base
             without = refit(base.problem, others, verdict.fit) if others else base
-            words = cause(effect.name, {p: verdict.fit.values[p] for p in effect.parameters})
+            values = {p: verdict.fit.values[p] for p in effect.parameters}
+            if "@" not in effect.name:  # of what campaigns have for themselves: the last one's
+                values = {p.partition("@")[0]: value for p, value in values.items()}
+            words = cause(effect.name, values)
             found.append(Explained(effect, words, without))
         return tuple(found)
 
@@ -134,7 +137,7 @@ class View:
     @cached_property
     def following(self) -> tuple[Suggestion, ...]:
         """What to measure next."""
-        from orthoglide.design import next_measurements
+        from orthoglide.planning import next_measurements
 
         return next_measurements(self.verdict.fit, self.explanations, count=_PROPOSED)
 
@@ -186,8 +189,7 @@ class View:
     @cached_property
     def uncertain_families(self) -> tuple[tuple[str, float], ...]:
         """Families that make most of the variance of the TCP, each with its share of their sum."""
-        from orthoglide.effects import family_of, is_dial
-        from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+        from orthoglide.effects import MACHINE_PARAMETERS, family_of, is_dial
         from orthoglide.prediction import Conditions
 
         known, where = self.verdict.known, self.verdict.map.commands

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from orthoglide.effects import family_of
+from orthoglide.numerals import compact, decimals_for
 from orthoglide.report.causes import short
-from orthoglide.report.numbers import compact, decimals_for
 from orthoglide.report.wording import explained_by, sentence
 
 if TYPE_CHECKING:

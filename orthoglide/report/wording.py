@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from orthoglide.effects import BASE_FAMILIES, family_of
 from orthoglide.fit import Estimate, WeakDirection
-from orthoglide.report.numbers import compact, decimals_for, signed
+from orthoglide.numerals import compact, decimals_for, signed
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _MOST_NAMED = 2

@@ -9,19 +9,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.design.alike import groups, in_words
-from orthoglide.design.bench import Bench
-from orthoglide.design.choosing import choose, replayed
-from orthoglide.design.expected import scatter_of
-from orthoglide.design.explanations import Explanation, Values, explanation
-from orthoglide.design.objectives import Narrow, Separate
-from orthoglide.design.pool import reading_pool, sheet
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.effects import is_dial
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
+from orthoglide.planning.alike import groups, in_words
+from orthoglide.planning.bench import Bench
+from orthoglide.planning.choosing import choose, replayed
+from orthoglide.planning.expected import scatter_of
+from orthoglide.planning.explanations import Explanation, Values, explanation
+from orthoglide.planning.objectives import Narrow, Separate
+from orthoglide.planning.pool import reading_pool, sheet
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "none"]

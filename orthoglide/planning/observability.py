@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.design.expected import expected
 from orthoglide.fit import Noise
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.planning.expected import expected
 
 _NOTHING = 1e-9  # of the largest singular value: rounding
 

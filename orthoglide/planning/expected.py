@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.design.bench import Bench, Scatter
 from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, expand, is_dial
 from orthoglide.errors import InputError
 from orthoglide.fit import Noise, Problem, build_problem, noise_of
@@ -16,6 +15,7 @@ from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.planning.bench import Bench, Scatter
 
 
 def expected_noise(machine: Machine, campaign: Campaign, declared: float | None = None) -> Noise:
@@ -129,7 +129,7 @@ def bench_of(
         names: parameters or structured members.
         noise: standard deviation of one reading, metres.
     """
-    from orthoglide.machine import elementary
+    from orthoglide.effects import elementary
 
     level = expected_noise(machine, pool, noise)
     readings = machine.model.linearised(machine.values, pool, MACHINE_PARAMETERS)

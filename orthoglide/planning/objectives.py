@@ -10,8 +10,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from orthoglide.design.bench import Steps
 from orthoglide.geometry import Array
+from orthoglide.planning.bench import Steps
 
 _WORST = 150  # pairs that a discriminating step looks at: those told apart least
 

@@ -8,19 +8,19 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from orthoglide.design.bench import Bench
-from orthoglide.design.choosing import choose
-from orthoglide.design.detectable import Detectability, Smallest
-from orthoglide.design.expected import bench_of, expected_noise, machine_families
-from orthoglide.design.objectives import Determinant, Discriminate, gram, separations
-from orthoglide.design.observability import Observability, observability
-from orthoglide.design.pool import reading_pool, sheet
-from orthoglide.design.precision import Repeats
 from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.planning.bench import Bench
+from orthoglide.planning.choosing import choose
+from orthoglide.planning.detectable import Detectability, Smallest
+from orthoglide.planning.expected import bench_of, expected_noise, machine_families
+from orthoglide.planning.objectives import Determinant, Discriminate, gram, separations
+from orthoglide.planning.observability import Observability, observability
+from orthoglide.planning.pool import reading_pool, sheet
+from orthoglide.planning.precision import Repeats
 from orthoglide.units import Unit
 
 Criterion = Literal["d-optimal", "discriminate"]

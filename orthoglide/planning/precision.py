@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.accuracy import workspace
-from orthoglide.design.bench import Scatter
-from orthoglide.design.expected import Expected, expected, expected_noise, scatter_of
 from orthoglide.effects import is_dial
 from orthoglide.errors import InputError
 from orthoglide.fit import Noise
@@ -17,6 +15,8 @@ from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.planning.bench import Scatter
+from orthoglide.planning.expected import Expected, expected, expected_noise, scatter_of
 from orthoglide.prediction import Conditions
 
 TCP = "TCP"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.design.expected import expected, expected_noise
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import CLASS_WIDTH
 from orthoglide.diagnosis.signatures import Signatures, signatures
@@ -17,6 +16,7 @@ from orthoglide.fit import Estimate, solve
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.planning.expected import expected, expected_noise
 
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""

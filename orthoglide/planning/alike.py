@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from orthoglide.accuracy import workspace
-from orthoglide.design.bench import Bench
-from orthoglide.design.explanations import Explanation
 from orthoglide.effects import is_dial
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.planning.bench import Bench
+from orthoglide.planning.explanations import Explanation
 from orthoglide.prediction import Conditions
 
 _SAME = 0.02  # of the shift between two machines: less is no difference in shape

@@ -7,9 +7,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from orthoglide.design.bench import Bench
-from orthoglide.design.objectives import Objective
 from orthoglide.errors import InputError
+from orthoglide.planning.bench import Bench
+from orthoglide.planning.objectives import Objective
 
 Criterion = TypeVar("Criterion", bound=Objective)
 

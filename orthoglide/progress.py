@@ -1,0 +1,62 @@
+"""What a long computation says of itself while it runs: typed steps, a stage and a detail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Stage = Literal[
+    "computing", "reading", "identifying", "faults", "testing", "trying", "comparing", "allowing",
+    "judging", "suggesting", "drawing", "writing",
+]  # fmt: skip
+
+_STAGES: Mapping[Stage, tuple[str, int]] = {
+    "computing": ("", 0),  # the detail says what
+    "reading": ("reading", 2),
+    "identifying": ("identifying", 8),
+    "faults": ("looking for faults of the data", 20),
+    "testing": ("testing what is left", 30),
+    "trying": ("trying", 36),
+    "comparing": ("comparing with", 50),
+    "allowing": ("allowing for everything else", 62),
+    "judging": ("judging", 66),
+    "suggesting": ("choosing what to measure next", 70),
+    "drawing": ("drawing", 78),
+    "writing": ("writing the report", 94),
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """What begins now.
+
+    Attributes:
+        stage: of the whole; stages may come again.
+        detail: which of many, such as the name of a candidate.
+    """
+
+    stage: Stage
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{_STAGES[self.stage][0]} {self.detail}".strip()
+
+    @property
+    def begins(self) -> int:
+        """Where the stage stands in a closed loop, per cent of the whole."""
+        return _STAGES[self.stage][1]
+
+    @property
+    def ends(self) -> int:
+        """Where the next stage begins, per cent of the whole."""
+        later = (at for _, at in _STAGES.values() if at > self.begins)
+        return min(later, default=100)
+
+
+Progress = Callable[[Step], None]
+"""Called with each step as it begins; any callable will do, `print` too."""
+
+
+def silent(_: Step) -> None:
+    """Show nothing."""

@@ -1,0 +1,260 @@
+"""The package as Python sees it: what is exported, travels between processes, and is shown."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import importlib
+import pickle
+import pkgutil
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.control import commands_text
+from orthoglide.mechanism import Mechanism
+from orthoglide.observations import campaign_text
+
+RIG = Path(__file__).parent / "data" / "rig"
+ERRORS = {"joint_offset.x": 1e-3, "axis_tilt.y.z": 2e-3, "backlash.z": 5e-5}
+RHO = og.Geometry().L + np.random.default_rng(0).uniform(-0.1, 0.06, (5, 3))
+
+COPIES = {"pickle": lambda value: pickle.loads(pickle.dumps(value)), "deepcopy": copy.deepcopy}
+copied = pytest.mark.parametrize("travel", list(COPIES.values()), ids=list(COPIES))
+Travel = Callable[[Any], Any]
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+@pytest.fixture(scope="module")
+def campaign(machine: og.Machine) -> og.Campaign:
+    return og.read_campaign(RIG / "rig-3.csv", machine.spec)
+
+
+@pytest.fixture(scope="module")
+def estimate(campaign: og.Campaign, machine: og.Machine) -> og.Estimate:
+    return og.identify(campaign, machine)
+
+
+@pytest.fixture(scope="module")
+def verdict(campaign: og.Campaign, machine: og.Machine) -> og.Verdict:
+    return og.close_loop(campaign, machine)
+
+
+def run(*arguments: str | Path) -> None:
+    result = CliRunner().invoke(cli, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+
+
+def test_only_what_is_public_is_shown() -> None:
+    assert dir(og) == sorted(og.__all__)
+    for name in og.__all__:
+        assert (getattr(og, name).__doc__ or "").strip(), name
+
+
+def test_no_public_name_is_a_room() -> None:
+    """Else importing the room would put itself in the name's place."""
+    assert not set(og.__all__) & {m.name for m in pkgutil.iter_modules(og.__path__)}
+
+
+def test_type_checkers_see_what_is_exported() -> None:
+    tree = ast.parse(Path(og.__file__).read_text(encoding="utf-8"))
+    typed = [
+        (f"{node.module}", alias.asname)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("orthoglide.")  # type: ignore[union-attr]
+        for alias in node.names
+    ]
+    assert sorted(name for _, name in typed) == og.__all__  # type: ignore[type-var]
+    for module, name in typed:
+        assert getattr(importlib.import_module(module), str(name)) is getattr(og, str(name))
+
+
+ROOMS = [m.name for m in pkgutil.iter_modules(og.__path__) if m.ispkg]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_say_what_is_public(room: str) -> None:
+    module = importlib.import_module(f"orthoglide.{room}")
+    assert all(hasattr(module, name) for name in module.__all__)
+
+
+@pytest.mark.parametrize(
+    "task",
+    ["close_loop", "compare_machine", "compensate", "design", "export_files", "identify",
+     "next_measurements", "protocol", "simulate"],
+)  # fmt: skip
+def test_the_whole_tool_is_at_hand(task: str) -> None:
+    assert callable(getattr(og, task))
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_simulate_is_the_command(exact: bool, tmp_path: Path) -> None:
+    machine = og.Machine.nominal().with_parameters(ERRORS)
+    machine.save(tmp_path / "m.toml")
+    options = ("--kind", "sweep", "--seed", "5", *(("--exact",) if exact else ()))
+    run("simulate", "--machine", tmp_path / "m.toml", "--out", tmp_path / "a.csv", *options)
+    sheet = og.protocol("sweep", machine.geometry)
+    filled = og.simulate(machine, sheet, seed=5, exact=exact)
+    assert campaign_text(filled) == (tmp_path / "a.csv").read_text()
+    assert campaign_text(og.simulate(machine, "sweep", seed=5, exact=exact)) == campaign_text(
+        filled
+    )
+
+
+def test_simulated_noise_is_as_told() -> None:
+    machine = og.Machine.nominal()
+    quiet, loud = (og.simulate(machine, noise=noise, seed=1) for noise in (0.0, 1e-4))
+    assert 0.5e-4 < np.std(loud.reading - quiet.reading) < 2e-4
+    for bad in ({"noise": -1e-5}, {"noise": 20.0}, {"seed": -1}):
+        with pytest.raises(og.InputError):
+            og.simulate(machine, **bad)  # type: ignore[arg-type]
+
+
+def test_compensate_is_the_command(tmp_path: Path) -> None:
+    machine = og.Machine.nominal().with_parameters(ERRORS)
+    machine.save(tmp_path / "m.toml")
+    (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,-5,2.5\n")
+    run("compensate", tmp_path / "path.csv", "--machine", tmp_path / "m.toml",
+        "--out", tmp_path / "c.csv")  # fmt: skip
+    points = og.read_path(tmp_path / "path.csv").p
+    assert commands_text(og.compensate(machine, points)) == (tmp_path / "c.csv").read_text()
+
+
+def test_what_is_shown_of_a_machine() -> None:
+    assert repr(og.Machine.nominal()) == "<Machine 'Orthoglide, nominal': no errors>"
+    many = og.Machine.nominal().with_parameters({"leg_length.common": 1e-4, **ERRORS})
+    assert repr(many).endswith("leg_length.x, leg_length.y, leg_length.z and 3 more>")
+
+
+def test_what_is_shown_of_an_estimate(estimate: og.Estimate) -> None:
+    rms = f"{estimate.scores.rms * 1e3:.4f} mm"
+    assert repr(estimate) == f"<Estimate of 6 parameters from 252 readings: residual rms {rms}>"
+    page = estimate._repr_html_()
+    assert page.startswith("<table><caption>Estimate of 6 parameters")
+    assert all(f"<td>{name}</td>" in page for name in estimate.names)
+    assert len(page) < 3000
+
+
+def test_the_frame_of_an_estimate(estimate: og.Estimate) -> None:
+    frame = estimate.to_frame()
+    assert list(frame.index) == list(estimate.names)
+    for name, row in frame.iterrows():
+        low, high = estimate.interval(name)
+        expected = np.array([estimate.values[name], estimate.sigmas[name], low, high]) * 1e3
+        shown = [row["value"], row["sigma"], row["lower"], row["upper"]]
+        assert np.allclose(np.array(shown, float), expected, rtol=1e-12)
+        assert row["unit"] == "mm"
+        assert row["tolerance"] == pytest.approx(estimate.problem.machine.tolerance(name) * 1e3)
+
+
+def test_frames_say_what_they_need(estimate: og.Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(og.InputError, match="pip install pandas"):
+        estimate.to_frame()
+    assert "<table>" in estimate._repr_html_()
+
+
+@copied
+def test_a_used_machine_travels(travel: Travel) -> None:
+    machine = og.Machine.nominal().with_parameters(ERRORS)
+    before = machine.forward(RHO)
+    arrived = travel(machine)
+    assert arrived == machine
+    assert np.array_equal(arrived.forward(RHO), before)
+    assert np.array_equal(arrived.jacobian(RHO), machine.jacobian(RHO))
+
+
+@copied
+def test_a_used_mechanism_travels(travel: Travel) -> None:
+    mechanism = Mechanism()
+    assert np.array_equal(travel(mechanism).forward(RHO), mechanism.forward(RHO))
+
+
+@copied
+def test_machines_that_share_a_model_still_share_it(travel: Travel) -> None:
+    one = og.Machine.nominal()
+    one.forward(RHO)
+    two = one.with_parameters(ERRORS)
+    assert two.model is one.model
+    first, second = travel((one, two))
+    assert second.model is first.model
+
+
+@copied
+def test_a_campaign_travels(travel: Travel, campaign: og.Campaign) -> None:
+    assert travel(campaign).same_as(campaign)
+
+
+@copied
+def test_an_estimate_travels(travel: Travel, estimate: og.Estimate) -> None:
+    arrived = travel(estimate)
+    assert arrived.values == estimate.values
+    assert arrived.sigmas == estimate.sigmas
+    assert str(arrived) == str(estimate)
+    assert np.array_equal(arrived.residuals, estimate.residuals)
+    assert np.array_equal(arrived.machine.forward(RHO), estimate.machine.forward(RHO))
+
+
+@copied
+def test_a_verdict_travels(travel: Travel, verdict: og.Verdict) -> None:
+    arrived = travel(verdict)
+    assert arrived.word == verdict.word
+    assert arrived.values == verdict.values
+    assert [e.name for e in arrived.effects] == [e.name for e in verdict.effects]
+    assert arrived.machine.values == verdict.machine.values
+    assert np.array_equal(arrived.machine.forward(RHO), verdict.machine.forward(RHO))
+
+
+@pytest.mark.parametrize("method", ["forward", "jacobian", "pose", "deformation"])
+def test_commands_in_millimetres_are_refused(method: str) -> None:
+    with pytest.raises(og.InputError, match="in metres, not millimetres"):
+        getattr(og.Machine.nominal(), method)([320, 310, 300])
+    with pytest.raises(og.InputError, match="in metres, not millimetres"):
+        Mechanism().forward([320, 310, 300])
+
+
+def test_points_in_millimetres_are_said_to_be_far() -> None:
+    with pytest.raises(og.UnreachableError, match="for a point 36 m away"):
+        og.Machine.nominal().inverse([-12, 24, 24])
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_campaigns_are_read_where_paths_are_given(
+    kind: Callable[[Path], Any],
+    machine: og.Machine,
+    estimate: og.Estimate,
+    verdict: og.Verdict,
+) -> None:
+    path = kind(RIG / "rig-3.csv")
+    assert og.identify(path, machine).values == estimate.values
+    assert og.identify([path], machine).values == estimate.values
+    assert og.close_loop(path, machine).values == verdict.values
+
+
+def test_no_campaign_is_refused(tmp_path: Path) -> None:
+    for ask in (og.identify, og.close_loop):
+        with pytest.raises(og.InputError, match="no campaign"):
+            ask([])
+        with pytest.raises(og.FileError, match=r"none\.csv"):
+            ask(tmp_path / "none.csv")
+
+
+def test_types_are_shipped(tmp_path: Path) -> None:
+    """Where the build tool is at hand, in the wheel itself."""
+    root = Path(og.__file__).parent
+    assert (root / "py.typed").is_file()
+    build = pytest.importorskip("hatchling.builders.wheel")
+    (wheel,) = build.WheelBuilder(str(root.parent)).build(directory=str(tmp_path))
+    assert "orthoglide/py.typed" in zipfile.ZipFile(wheel).namelist()
