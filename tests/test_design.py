@@ -17,8 +17,7 @@ from orthoglide.cli.design import design as design_command
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
-from orthoglide.effects import BASE_FAMILIES
-from orthoglide.effects.effect import relabelled
+from orthoglide.effects import BASE_FAMILIES, CATALOGUE, relabelled
 from orthoglide.errors import InputError
 from orthoglide.fit import build_problem, noise_of
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
@@ -377,7 +376,7 @@ def test_smallest_effects_do_not_depend_on_the_legs_names(machine):
     size = {s.name: s.detectable for s in told.smallest}
     assert {n.partition(".")[0] for n in size} == {"axis_tilt", "backlash"}
     for name in filter(is_elementary, size):
-        assert size[relabelled(name)] == pytest.approx(size[name], rel=0.02)
+        assert size[relabelled(CATALOGUE.parameter(name))] == pytest.approx(size[name], rel=0.02)
 
 
 def test_effects_with_one_signature_are_never_named(machine):
