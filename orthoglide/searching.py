@@ -140,8 +140,10 @@ class Search:
         """Add a cause that is known already."""
         found = look(fit, self.limit, self.rng)
         candidate = next((c for c in found.scoring.candidates if c.name == name), None)
-        trial = candidate and attempt(self.problem, self.added(), candidate, fit)
-        if candidate is None or trial is None:
+        if candidate is None:
+            return fit
+        trial = attempt(self.problem, self.added(), candidate, fit)
+        if trial is None:
             return fit
         self._note([trial], found)
         naming, scores = found.naming(candidate, self.rng), (fit.scores, trial.estimate.scores)
