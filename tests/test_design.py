@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -497,23 +496,6 @@ def test_a_direction_that_no_dial_sees_is_said_to_stay(machine):
     assert found.aim == "none"
     assert "tolerances" in found.reason
     assert found.rows == ()
-
-
-def test_250_readings_are_followed_up_within_a_second(machine):
-    campaign = og.read_campaign(RIG / "rig-3.csv", machine.spec)
-    assert len(campaign) > 250
-    problem = base_problem(machine, [campaign])
-    names = ("axis_tilt.y.z", "axis_offset.y.z", "rail_bow.y.z", "encoder_scale.y")
-    fits = {n: refit(problem, [n]) for n in names}
-    values = [(n, f.problem.values(0, f.x)) for n, f in fits.items()]
-    seen = signatures(fits[names[0]])
-    next_measurements(seen, values, machine)  # compiles what it needs
-    took = []
-    for _ in range(3):
-        start = time.perf_counter()
-        next_measurements(seen, values, machine)
-        took.append(time.perf_counter() - start)
-    assert min(took) < 1.0
 
 
 def test_rivals_alike_are_told_in_groups_of_which_no_two_differ():

@@ -52,6 +52,7 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
         "calibrated": _calibrated(verdict),
         "candidates": _candidates(view),
         "blunders": [_blunder(verdict, b) for b in verdict.blunders],
+        "changed": [_change(c) for c in verdict.changed],
         "weak_directions": [weak_mapping(weak) for weak in fit.weak],
         "cross_check": check_mapping(base.check),
         "next_measurements": [dict(s) for s in as_result(view.following)],
@@ -64,6 +65,20 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
             "last_step_in_sigmas": number(fit.optimality, 3),
         },
         "warnings": [*cautions(view), *view.warnings],
+    }
+
+
+def _change(change: Any) -> dict[str, Any]:
+    si = change.unit.si
+    return {
+        "parameter": change.parameter,
+        "members": list(change.members),
+        "from": number(change.before / si),
+        "to": number(change.after / si),
+        "sigma": number(change.sigma / si),
+        "unit": change.unit.name,
+        "between": [file.rpartition("/")[2] for file in change.between],
+        "words": change.message,
     }
 
 
