@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide.accuracy import knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round, budget, look
 from orthoglide.effects import Effect as Declared
-from orthoglide.fit import Estimate, Problem, identify, noise_of, solve
+from orthoglide.fit import Estimate, identify, noise_of, solve
 from orthoglide.fit.problem import build_problem
 from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
@@ -119,17 +119,28 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     level = noise_of(campaigns, machine.spec.dial, request.noise)
     problem = build_problem(machine, campaigns, machine.catalogue.base, level, own=request.own)
     before = solve(problem)
-    from orthoglide.diagnosis.blunders import find_blunders, without
+    from orthoglide.diagnosis.blunders import examine, without
+    from orthoglide.diagnosis.changes import separated
 
     progress(Step("faults"))
-    blunders = find_blunders(before, np.random.default_rng([request.seed, 0]))
-    faulty = None
+    findings = examine(before)
+    blunders, changes = findings.blunders, findings.changes
+    faulty = before if blunders else None
     if blunders:
-        faulty, problem = before, without(problem, blunders)
+        problem = without(problem, blunders)
+    # What a change put right is no cause now; what is still wrong is named as one.
+    causes = [c for c in changes if c.is_cause and c.parameter not in before.names]
+    if changes:
+        problem = separated(problem, [c for c in changes if c not in causes])
+        problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
+    if blunders or changes:
         before = solve(problem)
-    verdict = _search(request, problem, before, progress)
+    search = Search(problem, progress, np.random.default_rng([request.seed, 1]))
+    search.changed = [c.parameter for c in causes]
+    verdict = _search(request, search, before)
+    changed = tuple(c.measured(verdict.after) for c in changes)
     progress(Step("judging"))
-    return judge(replace(verdict, blunders=blunders, faulty=faulty))
+    return judge(replace(verdict, blunders=blunders, changed=changed, faulty=faulty))
 
 
 def _identified(request: Request, progress: Progress) -> Verdict:
@@ -165,10 +176,9 @@ def judge(verdict: Verdict) -> Verdict:
     return replace(verdict, hold_out=scored, tcp=errors)
 
 
-def _search(request: Request, problem: Problem, before: Estimate, progress: Progress) -> Verdict:
-    search = Search(problem, progress, np.random.default_rng([request.seed, 1]))
+def _search(request: Request, search: Search, before: Estimate) -> Verdict:
     after, left, stopped = search.run(before)
-    progress(Step("allowing"))
+    search.progress(Step("allowing"))
     effects, tried = tuple(search.effects), tuple(search.tried)
     word, known = _word(effects, left), knowledge(after)
     return Verdict(request, word, before, after, effects, tried, left, stopped, known)

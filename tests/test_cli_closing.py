@@ -152,7 +152,7 @@ def test_the_same_bytes_wherever_the_files_lie(rig: Path, monkeypatch: pytest.Mo
         (("--holdout", "none.csv"), "none.csv: there is no such file"),
         (("--tcp", "none.csv"), "none.csv: there is no such file"),
         (("--tcp", "experiment3.csv"), "experiment3.csv"),
-        (("--own", "backlash"), "own to each campaign but not free"),
+        (("--own", "backlsh"), "there is no effect 'backlsh'"),
         (("--own", "joint_ofset"), "joint_ofset"),
         (("experiment2.csv",), "two campaigns are called alike"),
     ],
@@ -384,7 +384,7 @@ BROKEN: dict[str, tuple[str, str]] = {
     "another file": ('{"a": 1}', "has no 'schema'"),
     "arguments of none": ('{"schema": 1, "arguments": 5}', "has no 'version'"),
     "a number without end": (f'{{"schema": {"1" * 5000}}}', "is no result"),
-    "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "keeps no rows"),
+    "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "kept no rows"),
 }
 
 

@@ -125,6 +125,11 @@ def read_result(path: Path) -> dict[str, Any]:
         raise
     except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
         raise FileError("is no result: give the result.json of a run", file=str(path)) from None
+    given = found.get("arguments") if isinstance(found, dict) else None
+    if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
+        raise FileError(
+            "is of --fit-tcp, which kept no rows then: run that command again", file=str(path)
+        )
     needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
     missing = [n for n in needed if not isinstance(found, dict) or n not in found]
     if missing:

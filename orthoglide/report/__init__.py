@@ -37,12 +37,14 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str]:
         progress: called with each step.
     """
     from orthoglide.machine_file import machine_text
+    from orthoglide.observations import campaign_text
     from orthoglide.report.figures import draw
     from orthoglide.report.page import page
-    from orthoglide.report.tables import calibrated_machine, next_table, residual_table
+    from orthoglide.report.tables import calibrated_machine, residual_table
 
     progress(Step("suggesting"))
-    sheet = next_table([s.rows for s in result.next_measurements])
+    proposed, spec = result.next_sheet, result.request.machine.spec
+    sheet = "" if proposed is None else campaign_text(proposed, spec)
     text = result_text(result)
     progress(Step("drawing"))
     drawings = draw(result)

@@ -14,6 +14,7 @@ from orthoglide.report.wording import headline
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
+    from orthoglide.diagnosis.changes import Change
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
     from orthoglide.judging import TcpErrors
     from orthoglide.request import Request
@@ -62,6 +63,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "calibrated": _calibrated(result),
         "candidates": [_tried(tried) for tried in result.candidates],
         "blunders": [_blunder(b, b.lines(faulty)) for b in result.blunders],
+        "changed": [_change(change) for change in result.changed],
         "weak_directions": [_weak(weak) for weak in after.weak],
         "cross_check": _check(before.check),
         "next_measurements": [
@@ -225,6 +227,20 @@ def _blunder(blunder: Blunder, lines: Mapping[str, tuple[int, ...]]) -> dict[str
         "chi2_less": number(blunder.improvement, _SHORT),
         "rms_with_mm": _mm(blunder.rms_with),
         "rms_without_mm": _mm(blunder.rms_without),
+    }
+
+
+def _change(change: Change) -> dict[str, Any]:
+    si = change.unit.si
+    return {
+        "parameter": change.parameter,
+        "members": list(change.members),
+        "from": number(change.before / si),
+        "to": number(change.after / si),
+        "sigma": number(change.sigma / si),
+        "unit": change.unit.name,
+        "between": [file.rpartition("/")[2] for file in change.between],
+        "words": change.message,
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,30 +102,3 @@ def _cells(campaign: str, row: Reading) -> list[Any]:
 def _mm(metres: float) -> str:
     """Millimetres to a nanometre: further digits are rounding."""
     return f"{round(float(metres) * 1e3, 6) + 0.0:.6f}"
-
-
-def next_table(suggested: Sequence[Sequence[Mapping[str, str]]]) -> str:
-    """The text of ``next_measurements.csv``: one sheet to fill in; empty where nothing helps.
-
-    A visit that serves two purposes stands once; visits to a station are numbered through.
-
-    Args:
-        suggested: the rows of each suggestion.
-    """
-    rows: list[dict[str, str]] = []
-    known: list[Mapping[str, str]] = []
-    for row in (row for several in suggested for row in several):
-        key = {k: v for k, v in row.items() if k != "order"}
-        if key not in known:
-            known.append(key)
-            rows.append(dict(row))
-    if not rows:
-        return ""
-    names = list(dict.fromkeys(k for row in rows for k in row))
-    for place, row in enumerate(rows, start=1):
-        row["order"] = str(place)
-    stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, [*names, "reading_mm"], restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()

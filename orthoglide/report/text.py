@@ -36,6 +36,7 @@ def summary(result: Result, ranked: bool = False) -> str:
         Text(f"Verdict {result.word}: {MEANINGS[result.word]}.\n"),
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
+    parts += [Text(f"- changed: {c.message}") for c in result.changed]
     if result.causes:
         parts.append(_causes(result))
     if ranked and result.candidates:

@@ -36,11 +36,11 @@ def headline(result: Result) -> str:
         return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
     said = {"adequate": _adequate, "unexplained": _unexplained, "partial": _partial}
     text = said.get(result.word, _explained)(result)
-    count = len(result.blunders)
-    if not count:
-        return text
     # Faults of the data belong to the verdict: a reader of the first lines must know.
-    return f"{text} {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
+    count = len(result.blunders)
+    if count:
+        text += f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
+    return " ".join([text, *(sentence(change.message) for change in result.changed)])
 
 
 # --- Of a closed loop -----------------------------------------------------------------------

@@ -10,9 +10,8 @@ from typing import Any
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
-from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
 from orthoglide.request.request import Request
-from orthoglide.request.rows import campaign_from_rows, tcp_from_rows
 
 _ROLES = ("campaign", "holdout", "tcp")
 _LAST_LINE = 1_000_000

@@ -11,8 +11,7 @@ from typing import Any, Literal
 from orthoglide.effects import BASE_FAMILIES
 from orthoglide.files import sha256
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints
-from orthoglide.request.rows import campaign_rows, tcp_rows
+from orthoglide.observations import Campaign, TcpPoints, campaign_rows, csv_text, tcp_rows
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = ("identify", "close-loop", "diagnose", "demo")
@@ -121,11 +120,13 @@ def name_of(given: Campaign | TcpPoints) -> str:
 def _input(given: Campaign | TcpPoints, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "file": name_of(given),
-        "sha256": given.sha256 or sha256(repr(rows).encode()),
+        "sha256": given.sha256 or sha256(csv_text(rows).encode()),
     }
     if role != "campaign":
         found["role"] = role
     lines = [int(line) for line in given.line]
+    if isinstance(given, Campaign):
+        lines = sorted([*lines, *(int(line) for line in given.moves.line)])
     if lines != list(range(2, len(rows) + 2)):
         found["lines"] = lines
     return found | {"rows": rows}

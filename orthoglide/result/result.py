@@ -10,6 +10,7 @@ import numpy as np
 
 from orthoglide.accuracy import Knowledge, Map, tcp_map
 from orthoglide.diagnosis.blunders import Blunder
+from orthoglide.diagnosis.changes import Change
 from orthoglide.diagnosis.ranking import Round
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -17,6 +18,7 @@ from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import data_frame
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
 from orthoglide.request import Request
 from orthoglide.result.causes import Cause, candidates, causes
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
@@ -48,6 +50,7 @@ class Result:
         stopped: why no further effect was added, in a sentence.
         known: what the readings say with everything else allowed; ``None`` of ``identify``.
         blunders: faults of the data, found before any physics.
+        changed: parameters that are not the same in all campaigns, found before any physics.
         faulty: the base fit with the faulty readings in, where there are any.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
@@ -63,6 +66,7 @@ class Result:
     stopped: str
     known: Knowledge | None = None
     blunders: tuple[Blunder, ...] = ()
+    changed: tuple[Change, ...] = ()
     faulty: Estimate | None = None
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
@@ -213,6 +217,13 @@ class Result:
             return ()
         rivals = [(e.name, e.fit) for c in self.causes if c.rivals for e in c.explanations]
         return next_measurements(self.after, rivals, count=_PROPOSED)
+
+    @cached_property
+    def next_sheet(self) -> Campaign | None:
+        """The proposed readings as one sheet to fill in; ``None`` where nothing helps."""
+        from orthoglide.planning import next_sheet
+
+        return next_sheet(self.next_measurements)
 
     @cached_property
     def map(self) -> Map | None:
