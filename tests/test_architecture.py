@@ -107,6 +107,21 @@ def test_the_rules_look_at_something() -> None:
     )
 
 
+def test_no_two_files_import_each_other() -> None:
+    """Nor in a circle, late imports inside functions included."""
+    names = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in modules()
+    }
+    waiting = {}
+    for module, path in names.items():
+        found = {n if n in names else n.rpartition(".")[0] for n in imports(path)}
+        waiting[module] = (found & set(names)) - {module}
+    while free := {module for module, needs in waiting.items() if not needs}:
+        waiting = {m: needs - free for m, needs in waiting.items() if m not in free}
+    assert not waiting
+
+
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
 COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "searching", "prediction",
              "mechanism", "reduction", "closing")  # fmt: skip

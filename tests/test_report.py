@@ -31,7 +31,8 @@ from orthoglide.numerals import compact, decimals_for, plain, probability, signe
 from orthoglide.observations import protocol
 from orthoglide.report import report_files
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures import PALETTE, draw
+from orthoglide.report.figures.draw import draw
+from orthoglide.report.figures.style import PALETTE
 from orthoglide.report.phrases import listed, weak_sentences
 from orthoglide.report.rows import controller_rows
 from orthoglide.report.wording import headline

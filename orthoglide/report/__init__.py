@@ -38,7 +38,7 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str]:
     """
     from orthoglide.machine_file import machine_text
     from orthoglide.observations import campaign_text
-    from orthoglide.report.figures import draw
+    from orthoglide.report.figures.draw import draw
     from orthoglide.report.page import page
     from orthoglide.report.tables import calibrated_machine, residual_table
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, plain
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures import Drawing
+from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import controller_rows, millimetres, parameter_rows
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures import Drawing
 from orthoglide.report.figures.causes import MOST_CURVES
+from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import MEANINGS, effects_named, headline, look_at

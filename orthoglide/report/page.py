@@ -9,9 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import orthoglide.report.follows as follows
+import orthoglide.report.found as found
 from orthoglide import __version__
-from orthoglide.report import follows, found
-from orthoglide.report.figures import Drawing
+from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed
 
 if TYPE_CHECKING:

@@ -1,34 +1,5 @@
 """Figures as SVG.
 
-Texts stay texts and colours are named (see `PALETTE`), so that the page can give them its own font
+Texts stay texts and colours are named (see `style`), so that the page can give them its own font
 and its colours of day and night. The same result gives the same bytes.
 """
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from orthoglide.report.figures.style import PALETTE, Drawing, style
-
-if TYPE_CHECKING:
-    from orthoglide.result import Result
-
-__all__ = ["PALETTE", "Drawing", "draw"]
-
-
-def draw(result: Result) -> list[Drawing]:
-    """All figures of a result."""
-    from orthoglide.report.figures.causes import draw_causes, draw_signatures
-    from orthoglide.report.figures.readings import draw_readings, draw_residuals
-    from orthoglide.report.figures.values import draw_correlations, draw_parameters
-    from orthoglide.report.figures.workspace import draw_workspace
-
-    base, after, causes = result.before, result.after, result.causes
-    before = base.predicted if causes else base.predicted_before
-    with style():
-        drawings = [draw_causes(causes)] if causes else []
-        drawings += [draw_signatures(cause, k) for k, cause in enumerate(causes, start=1)]
-        drawings += [draw_residuals(after, before), draw_readings(after, before)]
-        if result.workspace is None:
-            return [*drawings, draw_parameters(after), draw_correlations(after)]
-        return [*drawings, draw_workspace(result.workspace, bool(causes))]

@@ -9,26 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+import orthoglide.report.figures.style as style
 from orthoglide.geometry import Array
 from orthoglide.report.figures.setups import Mounting, mountings
-from orthoglide.report.figures.style import (
-    BAND,
-    DATA,
-    FIT,
-    INK,
-    LABEL,
-    MUTED,
-    PALETTE,
-    PANEL,
-    SINGLE,
-    Drawing,
-    few_ticks,
-    multiples,
-    new_figure,
-    place_axes,
-    sheet,
-    svg_text,
-)
+from orthoglide.report.figures.style import Drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,10 +27,10 @@ _MOST_PANELS = 6
 _LEAST_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
 _SAME = 0.03  # of what is left: less is no difference between approaches
 _CURVES = (  # the chosen cause, then its rivals
-    (FIT, "-", 2.6, 0.75),
-    (PALETTE["minus"], "--", 1.3, 1.0),
-    (PALETTE["third"], ":", 1.7, 1.0),
-    (INK, "-.", 1.0, 1.0),
+    (style.FIT, "-", 2.6, 0.75),
+    (style.PALETTE["minus"], "--", 1.3, 1.0),
+    (style.PALETTE["third"], ":", 1.7, 1.0),
+    (style.INK, "-.", 1.0, 1.0),
 )
 
 
@@ -55,27 +39,27 @@ def draw_causes(causes: Sequence[Cause]) -> Drawing:
     rows: list[tuple[float, str, float, str]] = []
     place = 0.0
     for cause in causes:
-        found = [(cause.name, cause.chosen.probability, FIT)]
-        found += [(rival.name, rival.probability, BAND) for rival in cause.rivals]
+        found = [(cause.name, cause.chosen.probability, style.FIT)]
+        found += [(rival.name, rival.probability, style.BAND) for rival in cause.rivals]
         rest = max(1.0 - sum(p for _, p, _ in found), 0.0)
-        found.append(("all else together", rest, PALETTE["before"]))
+        found.append(("all else together", rest, style.PALETTE["before"]))
         for name, p, colour in found:
             rows.append((place, name, p, colour))
             place += 1
         place += 0.6
     height = 0.34 + 0.24 * place
-    figure = new_figure(SINGLE, height)
+    figure = style.new_figure(style.SINGLE, height)
     margin = min(0.2 + 0.062 * max(len(r[1]) for r in rows), 1.9)
-    axes = place_axes(figure, margin, 0.06, SINGLE - margin - 0.45, height - 0.3)
+    axes = style.place_axes(figure, margin, 0.06, style.SINGLE - margin - 0.45, height - 0.3)
     axes.barh([r[0] for r in rows], [r[2] for r in rows], height=0.62, color=[r[3] for r in rows])
     for at, _, p, _ in rows:
-        axes.text(p + 0.015, at, f"{p:.2f}", va="center", fontsize=7.5, color=INK)
+        axes.text(p + 0.015, at, f"{p:.2f}", va="center", fontsize=7.5, color=style.INK)
     axes.set_xlim(0, 1)
     axes.set_ylim(place - 0.9, -0.6)
-    axes.set_yticks([r[0] for r in rows], [r[1] for r in rows], color=INK)
+    axes.set_yticks([r[0] for r in rows], [r[1] for r in rows], color=style.INK)
     axes.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "0.25", "0.5", "0.75", "1"])
     axes.grid(visible=False, axis="y")
-    return Drawing("causes", "Causes by probability", svg_text(figure))
+    return Drawing("causes", "Causes by probability", style.svg_text(figure))
 
 
 @dataclass(frozen=True)
@@ -156,19 +140,19 @@ def draw_signatures(cause: Cause, place: int) -> Drawing:
         place: of the cause, from 1.
     """
     patterns = _shown(_patterns(cause))
-    width, height = PANEL[0], 2.1
-    figure, corners = sheet(len(patterns), height, strip=0.3)
+    width, height = style.PANEL[0], 2.1
+    figure, corners = style.sheet(len(patterns), height, strip=0.3)
     reach = 1.15 * max(float(np.max(np.abs(p.left) + p.noise)) for p in patterns)
     for (left, top), pattern in zip(corners, patterns, strict=True):
-        axes = place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
+        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
         handles = _draw_pattern(axes, pattern)
         axes.set_ylim(-reach, reach)
-        few_ticks(axes)
+        style.few_ticks(axes)
     names = [one.name for one in cause.explanations[:MOST_CURVES]]
     figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
                   borderaxespad=0.2, handlelength=2.2)  # fmt: skip
     title = "What is to be explained, and what each cause makes of it"
-    return multiples(f"signatures-{place}", title, figure, corners, height)
+    return style.multiples(f"signatures-{place}", title, figure, corners, height)
 
 
 def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
@@ -184,15 +168,15 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
         handles.append(line)
     marks = {1.0: "^", -1.0: "v"} if len(sides) > 1 else {}
     axes.vlines(pattern.x, pattern.left - pattern.noise, pattern.left + pattern.noise,
-                color=DATA, linewidth=0.8)  # fmt: skip
+                color=style.DATA, linewidth=0.8)  # fmt: skip
     for side in sides or [0.0]:
         at = pattern.side == side if sides else np.ones(len(pattern.x), dtype=bool)
-        axes.plot(pattern.x[at], pattern.left[at], color=DATA, linestyle="none",
+        axes.plot(pattern.x[at], pattern.left[at], color=style.DATA, linestyle="none",
                   marker=marks.get(side, "o"), markersize=4.2, markeredgewidth=0)  # fmt: skip
-    axes.axhline(0, color=MUTED, linewidth=0.6)
+    axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(pattern.mounting.title)
     axes.set_xlabel(pattern.mounting.label, labelpad=2)
     axes.set_ylabel("mm")
-    axes.yaxis.set_label_coords(LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.05)
     return handles

@@ -7,26 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import orthoglide.report.figures.style as style
 from orthoglide.geometry import Array
 from orthoglide.report.figures.setups import Mounting, mountings
-from orthoglide.report.figures.style import (
-    BAND,
-    BEFORE,
-    DATA,
-    FIT,
-    INK,
-    LABEL,
-    MUTED,
-    PANEL,
-    SINGLE,
-    Drawing,
-    few_ticks,
-    multiples,
-    new_figure,
-    place_axes,
-    sheet,
-    svg_text,
-)
+from orthoglide.report.figures.style import Drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,30 +54,30 @@ def draw_readings(estimate: Estimate, before: Array) -> Drawing:
         before: readings ``(n,)`` predicted before it, metres.
     """
     setups = _panels(estimate, before)
-    width, height = PANEL
-    figure, corners = sheet(len(setups), height, strip=0.3)
+    width, height = style.PANEL
+    figure, corners = style.sheet(len(setups), height, strip=0.3)
     reach = 1.12 * max(
         float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups
     )
     left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
     left_over = max(left_over, 2.4 * float(max(s.sigma.max() for s in setups)))
     for (left, top), setup in zip(corners, setups, strict=True):
-        axes = place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
+        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
         handles = _draw_setup(axes, setup)
         axes.set_ylim(-reach, reach)
-        few_ticks(axes)
+        style.few_ticks(axes)
         axes.tick_params(labelbottom=False, bottom=False)
-        below = place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
+        below = style.place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
         _draw_left(below, setup)
         below.set_ylim(-left_over, left_over)
         below.set_xlim(axes.get_xlim())
-        few_ticks(below, up=2)
+        style.few_ticks(below, up=2)
     figure.legend(
         handles, ("reading", "fit", "noise, ± 2 sigma", "before"), loc="upper left", ncols=4,
         bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, handlelength=1.6,
     )  # fmt: skip
     title = "Readings and fit by setup"
-    return multiples("readings", title, figure, corners, height, axes=2)
+    return style.multiples("readings", title, figure, corners, height, axes=2)
 
 
 def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
@@ -103,19 +87,19 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
     # A line is honest only where place along the axis says all: one fitted value a place.
     step = np.diff(x) < 1e-6
     single = not np.any(np.abs(np.diff(fit)[step]) > noise[1:][step] / 2)
-    style = "-" if single else "none"
-    band = axes.fill_between(x, fit - noise, fit + noise, color=BAND, alpha=0.35, linewidth=0)
+    band = axes.fill_between(x, fit - noise, fit + noise, color=style.BAND, alpha=0.35, linewidth=0)
     if not single:
         band.set_visible(False)
-        axes.vlines(x, fit - noise, fit + noise, color=BAND, alpha=0.5, linewidth=3)
-    (was,) = axes.plot(x, before, color=BEFORE, linestyle="--" if single else "none",
+        axes.vlines(x, fit - noise, fit + noise, color=style.BAND, alpha=0.5, linewidth=3)
+    (was,) = axes.plot(x, before, color=style.BEFORE, linestyle="--" if single else "none",
                        marker="_", markersize=4, linewidth=1)  # fmt: skip
-    (line,) = axes.plot(x, fit, color=FIT, linestyle=style, marker="" if single else "_")
-    (dots,) = axes.plot(setup.x, setup.measured, color=DATA, linestyle="none", marker="o",
+    (line,) = axes.plot(x, fit, color=style.FIT, linestyle="-" if single else "none",
+                      marker="" if single else "_")  # fmt: skip
+    (dots,) = axes.plot(setup.x, setup.measured, color=style.DATA, linestyle="none", marker="o",
                         markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
     axes.set_title(setup.mounting.title)
     axes.set_ylabel("mm")
-    axes.yaxis.set_label_coords(LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.05)
     return [dots, line, band, was]
 
@@ -124,13 +108,13 @@ def _draw_left(axes: Axes, setup: _Panel) -> None:
     """What the fit leaves of each reading, on a scale of its own."""
     order = np.argsort(setup.x, kind="stable")
     noise = 2 * setup.sigma[order]
-    axes.fill_between(setup.x[order], -noise, noise, color=BAND, alpha=0.35, linewidth=0)
-    axes.axhline(0, color=MUTED, linewidth=0.6)
-    axes.plot(setup.x, setup.measured - setup.fit, color=DATA, linestyle="none", marker="o",
+    axes.fill_between(setup.x[order], -noise, noise, color=style.BAND, alpha=0.35, linewidth=0)
+    axes.axhline(0, color=style.MUTED, linewidth=0.6)
+    axes.plot(setup.x, setup.measured - setup.fit, color=style.DATA, linestyle="none", marker="o",
               markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
     axes.set_xlabel(setup.mounting.label, labelpad=2)
     axes.set_ylabel("left, mm")
-    axes.yaxis.set_label_coords(LABEL, 0.5)
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
 
 
 def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
@@ -138,18 +122,18 @@ def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
     setups = _panels(estimate, before)
     names = [s.mounting.name for s in setups]
     height = 0.8 + 0.3 * len(setups)
-    figure = new_figure(SINGLE, height)
+    figure = style.new_figure(style.SINGLE, height)
     margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
-    axes = place_axes(figure, margin, 0.32, SINGLE - margin - 0.12, height - 0.78)
+    axes = style.place_axes(figure, margin, 0.32, style.SINGLE - margin - 0.12, height - 0.78)
     noise = 2 * estimate.problem.noise.typical * 1e3
-    axes.axvspan(-noise, noise, color=BAND, alpha=0.35, linewidth=0, label="noise, ± 2 sigma")
-    axes.axvline(0, color=MUTED, linewidth=0.6)
+    axes.axvspan(-noise, noise, color=style.BAND, alpha=0.35, linewidth=0, label="noise, ± 2 sigma")
+    axes.axvline(0, color=style.MUTED, linewidth=0.6)
     for k, setup in enumerate(setups):
         place, label = np.full(len(setup.x), float(k)), "_" if k else ""
-        axes.plot(setup.measured - setup.before, place - 0.17, color=BEFORE, marker="o",
+        axes.plot(setup.measured - setup.before, place - 0.17, color=style.BEFORE, marker="o",
                   linestyle="none", markersize=3.4, fillstyle="none", markeredgewidth=0.9,
                   label=label or "before")  # fmt: skip
-        axes.plot(setup.measured - setup.fit, place + 0.17, color=FIT, marker="o",
+        axes.plot(setup.measured - setup.fit, place + 0.17, color=style.FIT, marker="o",
                   linestyle="none", markersize=3.6, markeredgewidth=0,
                   label=label or "after")  # fmt: skip
     reach = 1.1 * max(float(np.abs(s.measured - s.before).max()) for s in setups)
@@ -157,9 +141,9 @@ def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
     reach = max(reach, after, noise * 1.2)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(setups) - 0.4, -0.6)
-    few_ticks(axes, across=6)
-    axes.set_yticks(range(len(setups)), names, color=INK)
+    style.few_ticks(axes, across=6)
+    axes.set_yticks(range(len(setups)), names, color=style.INK)
     axes.set_xlabel("reading less prediction, mm", labelpad=2)
     figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
-                  bbox_to_anchor=(margin / SINGLE - 0.02, 1.0))  # fmt: skip
-    return Drawing("residuals", "Residuals by setup, before and after", svg_text(figure))
+                  bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0))  # fmt: skip
+    return Drawing("residuals", "Residuals by setup, before and after", style.svg_text(figure))

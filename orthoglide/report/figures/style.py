@@ -56,7 +56,7 @@ class Drawing:
 
 
 @contextmanager
-def style() -> Iterator[None]:
+def applied() -> Iterator[None]:
     """The look of all figures, for a while."""
     import matplotlib
 

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+import orthoglide.report.figures.style as style
 from orthoglide.geometry import Array
 from orthoglide.numerals import signed
-from orthoglide.report.figures.style import DATA, FIT, PANEL, Drawing, multiples, place_axes, sheet
+from orthoglide.report.figures.style import Drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,22 +30,25 @@ def draw_workspace(space: Workspace, effects: bool) -> Drawing:
     levels = np.unique(np.round(travel[:, 2], 6))
     chosen = levels[[0, len(levels) // 2, -1]]
     rows = [
-        ("predicted error now", space.nominal, DATA),
-        ("with offsets and lengths set", space.before, DATA),
-        ("95 % radius afterwards", space.sure, FIT),
+        ("predicted error now", space.nominal, style.DATA),
+        ("with offsets and lengths set", space.before, style.DATA),
+        ("95 % radius afterwards", space.sure, style.FIT),
     ]
     if not effects:
         del rows[1]
-    scale = {c: max(float(v.max()) for _, v, drawn in rows if drawn == c) for c in (DATA, FIT)}
-    width, height = PANEL[0], 2.5
+    scale = {
+        c: max(float(v.max()) for _, v, drawn in rows if drawn == c)
+        for c in (style.DATA, style.FIT)
+    }
+    width, height = style.PANEL[0], 2.5
     panels = [(*row, level) for row in rows for level in chosen]
-    figure, corners = sheet(len(panels), height)
+    figure, corners = style.sheet(len(panels), height)
     for (left, top), (what, values, colour, level) in zip(corners, panels, strict=True):
         there = np.abs(travel[:, 2] - level) < 1e-3
-        axes = place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
+        axes = style.place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
         _draw_cells(axes, travel[there], values[there] * 1e3, colour, scale[colour] * 1e3)
         axes.set_title(f"{what}, z {signed(level, 0)} mm")
-    return multiples("workspace", "The TCP over the workspace, mm", figure, corners, height)
+    return style.multiples("workspace", "The TCP over the workspace, mm", figure, corners, height)
 
 
 def _draw_cells(axes: Axes, travel: Array, values: Array, colour: str, most: float) -> None:
