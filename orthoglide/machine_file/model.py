@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.effects import DEFAULT_TOLERANCE
 from orthoglide.geometry import Array, Geometry
+from orthoglide.machine_file.posterior import Posterior
 
 SCHEMA = 1
 """Version of the machine file that this package reads and writes."""
@@ -94,6 +95,8 @@ class MachineFile:
         provenance: where the parameters come from.
         file: the file's name as the caller gave it, or ``""``.
         sha256: digest of the file, or ``""``.
+        posterior: covariance of the parameters, where it was kept.
+        warnings: what was noticed on reading and is no error.
     """
 
     name: str = "Orthoglide, nominal"
@@ -107,6 +110,8 @@ class MachineFile:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     file: str = field(default="", compare=False)
     sha256: str = field(default="", compare=False)
+    posterior: Posterior | None = field(default=None, compare=False, repr=False)
+    warnings: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tolerance", {**DEFAULT_TOLERANCE, **self.tolerance})

@@ -48,12 +48,12 @@ def _checked(out: Path) -> Path:
     return target
 
 
-def write_folder(out: Path, files: Mapping[str, str]) -> None:
+def write_folder(out: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files into a temporary sibling, then rename it.
 
     Args:
         out: the folder; new or empty.
-        files: text by name, ``/`` for folders inside; written in this order, as UTF-8.
+        files: content by name, ``/`` for folders inside; written in this order, text as UTF-8.
 
     Raises:
         FileError: where the folder cannot be written.
@@ -62,10 +62,10 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
     with writing(out):
         made = Path(tempfile.mkdtemp(prefix=".orthoglide-", dir=target.parent))
         try:
-            for name, text in files.items():
+            for name, content in files.items():
                 path = made / name
                 path.parent.mkdir(exist_ok=True)
-                path.write_text(text, encoding="utf-8", newline="")
+                path.write_bytes(content.encode() if isinstance(content, str) else content)
             made.chmod(0o755)  # a temporary folder is its owner's alone
             made.rename(target)
         except BaseException:
