@@ -8,79 +8,83 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from orthoglide.closing import Verdict, close_loop
+if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
+    from orthoglide.closing import Verdict as Verdict, close_loop as close_loop
+    from orthoglide.comparison import (
+        compare_effects as compare_effects,
+        compare_machine as compare_machine,
+    )
+    from orthoglide.control import (
+        Compensation as Compensation,
+        ControllerNumbers as ControllerNumbers,
+        calibrated_urdf as calibrated_urdf,
+        compensate as compensate,
+        controller_numbers as controller_numbers,
+        export_files as export_files,
+        read_path as read_path,
+    )
     from orthoglide.errors import (
-        ClosureError,
-        CrossCheckError,
-        FileError,
-        InputError,
-        NumericsError,
-        OrthoglideError,
-        SolverError,
-        UnidentifiableError,
-        UnreachableError,
+        ClosureError as ClosureError,
+        CrossCheckError as CrossCheckError,
+        FileError as FileError,
+        InputError as InputError,
+        NumericsError as NumericsError,
+        OrthoglideError as OrthoglideError,
+        SolverError as SolverError,
+        UnidentifiableError as UnidentifiableError,
+        UnreachableError as UnreachableError,
     )
-    from orthoglide.fit import Estimate, identify
-    from orthoglide.geometry import Geometry
-    from orthoglide.machine import Machine, Pose
-    from orthoglide.mechanism import Mechanism
+    from orthoglide.fit import Estimate as Estimate, identify as identify
+    from orthoglide.geometry import Geometry as Geometry
+    from orthoglide.machine import Machine as Machine, Pose as Pose
+    from orthoglide.mechanism import Mechanism as Mechanism
     from orthoglide.observations import (
-        Campaign,
-        Setup,
-        TcpPoints,
-        read_campaign,
-        read_tcp,
-        write_campaign,
-        write_protocol,
+        Campaign as Campaign,
+        Setup as Setup,
+        TcpPoints as TcpPoints,
+        protocol as protocol,
+        read_campaign as read_campaign,
+        read_tcp as read_tcp,
+        write_campaign as write_campaign,
+        write_protocol as write_protocol,
     )
+    from orthoglide.planning import (
+        Design as Design,
+        Suggestion as Suggestion,
+        design as design,
+        next_measurements as next_measurements,
+        repeats_needed as repeats_needed,
+        smallest_effects as smallest_effects,
+    )
+    from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
 
 __version__ = "0.1.0"
 
 # Pinocchio and CasADi take a third of a second to load: names are fetched when they are used.
 _WHERE = {
-    "closing": ("Verdict", "close_loop"),
+    "closing": "Verdict close_loop",
+    "comparison": "compare_effects compare_machine",
+    "control": (
+        "Compensation ControllerNumbers calibrated_urdf compensate controller_numbers "
+        "export_files read_path"
+    ),
     "errors": (
-        "ClosureError", "CrossCheckError", "FileError", "InputError", "NumericsError",
-        "OrthoglideError", "SolverError", "UnidentifiableError", "UnreachableError",
+        "ClosureError CrossCheckError FileError InputError NumericsError OrthoglideError "
+        "SolverError UnidentifiableError UnreachableError"
     ),
-    "geometry": ("Geometry",),
-    "fit": ("Estimate", "identify"),
-    "machine": ("Machine", "Pose"),
-    "mechanism": ("Mechanism",),
+    "fit": "Estimate identify",
+    "geometry": "Geometry",
+    "machine": "Machine Pose",
+    "mechanism": "Mechanism",
     "observations": (
-        "Campaign", "Setup", "TcpPoints", "read_campaign", "read_tcp", "write_campaign",
-        "write_protocol",
+        "Campaign Setup TcpPoints protocol read_campaign read_tcp write_campaign write_protocol"
     ),
-}  # fmt: skip
-_MODULE = {name: module for module, names in _WHERE.items() for name in names}
+    "planning": "Design Suggestion design next_measurements repeats_needed smallest_effects",
+    "simulation": "simulate simulate_tcp",
+}
+_MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 
-__all__ = [
-    "Campaign",
-    "ClosureError",
-    "CrossCheckError",
-    "Estimate",
-    "FileError",
-    "Geometry",
-    "InputError",
-    "Machine",
-    "Mechanism",
-    "NumericsError",
-    "OrthoglideError",
-    "Pose",
-    "Setup",
-    "SolverError",
-    "TcpPoints",
-    "UnidentifiableError",
-    "UnreachableError",
-    "Verdict",
-    "close_loop",
-    "identify",
-    "read_campaign",
-    "read_tcp",
-    "write_campaign",
-    "write_protocol",
-]
+__all__ = sorted(_MODULE)
 
 
 def __getattr__(name: str) -> Any:
@@ -90,4 +94,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return list(__all__)

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.effects import is_dial
-from orthoglide.effects.catalogue import CATALOGUE, MACHINE_PARAMETERS, family_of
+from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, family_of, is_dial
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import linearise, normal
 from orthoglide.fit.problem import build_unknowns

@@ -11,8 +11,7 @@ import numpy as np
 
 from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round
-from orthoglide.effects import BASE_FAMILIES, is_dial
-from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, is_dial
 from orthoglide.fit import Estimate, Problem, noise_of, solve
 from orthoglide.fit.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors

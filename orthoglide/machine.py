@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.effects import family_of, is_dial, structured
-from orthoglide.effects.catalogue import check_parameter
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import ClosureError, FileError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
@@ -70,11 +69,14 @@ class Machine:
             FileError: naming file, line and remedy.
         """
         spec = read_machine_file(path)
-        try:
-            for name in spec.parameters:
-                check_parameter(name)
-        except InputError as error:  # a structured member, which a file spells out
-            raise FileError(str(error), file=str(path)) from None
+        for name in spec.parameters:
+            if spec.catalogue.parameter(name).member:  # which a file spells out
+                effect = spec.catalogue.effect_of(name)
+                raise FileError(
+                    f"there is no parameter {name!r}: {effect.name} has "
+                    f"{', '.join(effect.motions)}",
+                    file=str(path),
+                )
         return cls(spec)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -91,13 +93,26 @@ class Machine:
         return self.spec.geometry
 
     @property
+    def catalogue(self) -> Catalogue:
+        """The effects that this machine may have."""
+        return self.spec.catalogue
+
+    def with_effects(self, effects: Iterable[Effect]) -> Machine:
+        """The same machine, with a user's own effects beside those it knows.
+
+        Raises:
+            InputError: where two effects share a name.
+        """
+        return Machine(replace(self.spec, catalogue=self.catalogue.with_effects(effects)))
+
+    @property
     def values(self) -> dict[str, float]:
         """Parameters that are not zero, SI."""
         return {name: entry.value for name, entry in self.spec.parameters.items()}
 
     def tolerance(self, name: str) -> float:
         """Standard deviation to expect of a parameter or family, SI."""
-        return self.spec.tolerance[family_of(name).name]
+        return self.spec.tolerance[self.catalogue.effect_of(name).name]
 
     def with_parameters(
         self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
@@ -129,9 +144,10 @@ class Machine:
             if not np.isfinite(value):
                 raise InputError(f"{name} must be a finite number, not {value}")
             sigma = sigmas.get(name, 0.0)
-            for part, weight in elementary(name).items():
+            unit = self.catalogue.effect_of(name).unit.name
+            for part, weight in self.catalogue.elementary(name).items():
                 entries[part] = ParameterValue(
-                    weight * float(value), abs(weight) * float(sigma), family_of(part).unit.name
+                    weight * float(value), abs(weight) * float(sigma), unit
                 )
         machine = Machine(replace(self.spec, parameters=entries, file="", sha256=""))
         if "model" in self.__dict__:  # the tree is the same: share what is costly to build
@@ -141,7 +157,12 @@ class Machine:
     @cached_property
     def model(self) -> Model:
         """The general mechanism with this machine's dimensions."""
-        return Model(self.geometry, self.spec.screw_pitch, stiffness=self.spec.stiffness)
+        return Model(
+            self.geometry,
+            self.spec.screw_pitch,
+            stiffness=self.spec.stiffness,
+            catalogue=self.catalogue,
+        )
 
     def _conditions(self, rho: Array, **seen: ArrayLike) -> Conditions:
         batch = rho.shape[:-1]
@@ -191,7 +212,7 @@ class Machine:
 
     @property
     def _machine_values(self) -> dict[str, float]:
-        return {n: v for n, v in self.values.items() if not is_dial(n)}
+        return {n: v for n, v in self.values.items() if not self.catalogue.effect_of(n).of_dial}
 
     def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""
@@ -229,16 +250,3 @@ class Machine:
     def readings(self, campaign: Campaign) -> Array:
         """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
         return self.model.readings(self.values, campaign)
-
-
-def elementary(name: str, setups: tuple[str, ...] = ()) -> dict[str, float]:
-    """Weights of the parameters that a name stands for: itself, or a structured member's.
-
-    Raises:
-        InputError: for a name that is neither.
-    """
-    members = structured(family_of(name).name, setups)
-    if name in members:
-        return members[name]
-    check_parameter(name, setups)
-    return {name: 1.0}

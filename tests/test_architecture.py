@@ -15,7 +15,7 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "progress"}),
+    frozenset({"errors", "parameters", "progress"}),
     frozenset({"geometry", "files", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
@@ -24,7 +24,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"machine"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"accuracy", "judging", "searching"}),
+    frozenset({"accuracy", "judging", "searching", "simulation"}),
     frozenset({"closing"}),
     frozenset({"planning"}),
     frozenset({"report"}),

@@ -142,8 +142,8 @@ def test_catalogue_and_rig_know_the_same_parameters() -> None:
 
 @MACHINE
 def test_motions_are_of_joints_that_exist(name: str) -> None:
-    leg, motions = effects.family_of(name).parameters()[name]
-    assert leg == LEGS.index(name.split(".")[1])
+    leg, motions = CATALOGUE.motions[name]
+    assert leg == LEGS.index(name.leg)
     assert motions
     assert {motion.joint for motion in motions} <= set(VIRTUAL_NAMES)
 

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from orthoglide import reduction
 from orthoglide.effects.effect import relabelled
@@ -24,11 +23,11 @@ from orthoglide.fit import (
     Estimate,
     Problem,
     build_problem,
+    crosscheck as crosscheck_module,
     identify,
     noise_of,
     solve,
 )
-from orthoglide.fit import crosscheck as crosscheck_module
 from orthoglide.fit.estimate import as_mapping
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nlp import Nlp, NlpResult

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from orthoglide import reduction
+from orthoglide.effects import elementary
 from orthoglide.errors import ClosureError, FileError, InputError, OrthoglideError
 from orthoglide.geometry import Geometry
-from orthoglide.machine import Machine, elementary
+from orthoglide.machine import Machine
 from orthoglide.observations import protocol
 from tests.rig import Rig
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import copy
+import importlib
 import pickle
+import pkgutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.control import commands_text
 from orthoglide.mechanism import Mechanism
+from orthoglide.observations import campaign_text
 
 RIG = Path(__file__).parent / "data" / "rig"
 ERRORS = {"joint_offset.x": 1e-3, "axis_tilt.y.z": 2e-3, "backlash.z": 5e-5}
@@ -42,6 +49,86 @@ def estimate(campaign: og.Campaign, machine: og.Machine) -> og.Estimate:
 @pytest.fixture(scope="module")
 def verdict(campaign: og.Campaign, machine: og.Machine) -> og.Verdict:
     return og.close_loop(campaign, machine)
+
+
+def run(*arguments: str | Path) -> None:
+    result = CliRunner().invoke(cli, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+
+
+def test_only_what_is_public_is_shown() -> None:
+    assert dir(og) == sorted(og.__all__)
+    for name in og.__all__:
+        assert (getattr(og, name).__doc__ or "").strip(), name
+
+
+def test_no_public_name_is_a_room() -> None:
+    """Else importing the room would put itself in the name's place."""
+    assert not set(og.__all__) & {m.name for m in pkgutil.iter_modules(og.__path__)}
+
+
+def test_type_checkers_see_what_is_exported() -> None:
+    tree = ast.parse(Path(og.__file__).read_text(encoding="utf-8"))
+    typed = [
+        (f"{node.module}", alias.asname)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("orthoglide.")  # type: ignore[union-attr]
+        for alias in node.names
+    ]
+    assert sorted(name for _, name in typed) == og.__all__  # type: ignore[type-var]
+    for module, name in typed:
+        assert getattr(importlib.import_module(module), str(name)) is getattr(og, str(name))
+
+
+ROOMS = [m.name for m in pkgutil.iter_modules(og.__path__) if m.ispkg]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_say_what_is_public(room: str) -> None:
+    module = importlib.import_module(f"orthoglide.{room}")
+    assert all(hasattr(module, name) for name in module.__all__)
+
+
+@pytest.mark.parametrize(
+    "task",
+    ["close_loop", "compare_machine", "compensate", "design", "export_files", "identify",
+     "next_measurements", "protocol", "simulate"],
+)  # fmt: skip
+def test_the_whole_tool_is_at_hand(task: str) -> None:
+    assert callable(getattr(og, task))
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_simulate_is_the_command(exact: bool, tmp_path: Path) -> None:
+    machine = og.Machine.nominal().with_parameters(ERRORS)
+    machine.save(tmp_path / "m.toml")
+    options = ("--kind", "sweep", "--seed", "5", *(("--exact",) if exact else ()))
+    run("simulate", "--machine", tmp_path / "m.toml", "--out", tmp_path / "a.csv", *options)
+    sheet = og.protocol("sweep", machine.geometry)
+    filled = og.simulate(machine, sheet, seed=5, exact=exact)
+    assert campaign_text(filled) == (tmp_path / "a.csv").read_text()
+    assert campaign_text(og.simulate(machine, "sweep", seed=5, exact=exact)) == campaign_text(
+        filled
+    )
+
+
+def test_simulated_noise_is_as_told() -> None:
+    machine = og.Machine.nominal()
+    quiet, loud = (og.simulate(machine, noise=noise, seed=1) for noise in (0.0, 1e-4))
+    assert 0.5e-4 < np.std(loud.reading - quiet.reading) < 2e-4
+    for bad in ({"noise": -1e-5}, {"noise": 20.0}, {"seed": -1}):
+        with pytest.raises(og.InputError):
+            og.simulate(machine, **bad)  # type: ignore[arg-type]
+
+
+def test_compensate_is_the_command(tmp_path: Path) -> None:
+    machine = og.Machine.nominal().with_parameters(ERRORS)
+    machine.save(tmp_path / "m.toml")
+    (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,-5,2.5\n")
+    run("compensate", tmp_path / "path.csv", "--machine", tmp_path / "m.toml",
+        "--out", tmp_path / "c.csv")  # fmt: skip
+    points = og.read_path(tmp_path / "path.csv").p
+    assert commands_text(og.compensate(machine, points)) == (tmp_path / "c.csv").read_text()
 
 
 @copied

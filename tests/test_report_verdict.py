@@ -19,8 +19,7 @@ import pytest
 import orthoglide as og
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.pattern import describe_left
-from orthoglide.effects import CATALOGUE
-from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS
 from orthoglide.errors import FileError
 from orthoglide.fit import Estimate, identify
 from orthoglide.judging import HoldOut

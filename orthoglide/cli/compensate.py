@@ -34,17 +34,17 @@ def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming
     PATH.csv has the columns p_x_mm, p_y_mm, p_z_mm; its rows are gone through in their order, as
     lost motion depends on it.
     """
-    from orthoglide import controller
+    from orthoglide import control
 
     if not (0 <= load_N < 1e4 and -100 < warming < 100):
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
-    points, machine = controller.read_path(path), load_machine(machine_path)
+    points, machine = control.read_path(path), load_machine(machine_path)
     try:
-        found = controller.compensate(machine, points.p, load=load_N, warming=warming)
+        found = control.compensate(machine, points.p, load=load_N, warming=warming)
     except UnreachableError as error:
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
-    write_file(out, controller.commands_text(found))
+    write_file(out, control.commands_text(found))
     for warning in points.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"{click.format_filename(out)}: {found}")

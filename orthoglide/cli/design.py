@@ -66,8 +66,13 @@ def design(
     from orthoglide.effects import BASE_FAMILIES
     from orthoglide.files import check_new
     from orthoglide.observations import campaign_text
-    from orthoglide.planning import design as choose
-    from orthoglide.planning import observability, reading_pool, report_design, smallest_effects
+    from orthoglide.planning import (
+        design as choose,
+        observability,
+        reading_pool,
+        report_design,
+        smallest_effects,
+    )
     from orthoglide.planning.expected import expected_noise
 
     if out is not None:

@@ -13,14 +13,9 @@ from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from orthoglide.machine import Machine
-    from orthoglide.observations import Campaign
+    from orthoglide.observations import TcpPoints
 
 KINDS = ("standard", "sweep", "two-gauges")
-TCP_POINTS = 60
-_DATUM = 1e-3  # metres: where a dial's zero may lie
 
 
 def _kind_option(command: Any) -> Any:
@@ -39,8 +34,7 @@ def _kind_option(command: Any) -> Any:
 @machine_option
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     """Write a measuring sheet: every row but the reading."""
-    from orthoglide.observations import campaign_text
-    from orthoglide.observations import protocol as make
+    from orthoglide.observations import campaign_text, protocol as make
 
     sheet = make(kind, load_machine(machine_path).geometry)  # type: ignore[arg-type]
     write_file(out, campaign_text(sheet))
@@ -61,7 +55,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
 @click.option("--exact", is_flag=True,
               help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
 @click.option("--tcp", type=PATH, metavar="TCP.csv",
-              help=f"Also write {TCP_POINTS} exact TCP points, to judge by.")  # fmt: skip
+              help="Also write 60 exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
     out: Path,
@@ -78,8 +72,9 @@ def simulate(
     """
     import numpy as np
 
+    from orthoglide import simulation
     from orthoglide.files import check_new
-    from orthoglide.observations import protocol as make
+    from orthoglide.observations import campaign_text
 
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
@@ -87,12 +82,14 @@ def simulate(
         check_new(path)
     if seed < 0:
         raise InputError(f"--seed must be 0 or more, not {seed}")
-    machine = load_machine(machine_path)
-    rng = np.random.default_rng(seed)
-    sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
-    texts = {out: _campaign_text(machine, sheet, rng, noise_mm, exact)}
+    if noise_mm is not None and not 0 <= noise_mm < 1e3:
+        raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
+    machine, draw = load_machine(machine_path), np.random.default_rng(seed)
+    noise = None if noise_mm is None else noise_mm * 1e-3
+    filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
+    texts = {out: campaign_text(filled)}
     if tcp is not None:
-        texts[tcp] = _tcp_text(machine, rng)
+        texts[tcp] = _tcp_text(simulation.simulate_tcp(machine, seed=draw))
     _write_all(texts)
     for path, text in texts.items():
         click.echo(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
@@ -114,45 +111,7 @@ def _write_all(texts: dict[Path, str]) -> None:
         raise
 
 
-def _campaign_text(
-    machine: Machine,
-    sheet: Campaign,
-    rng: np.random.Generator,
-    noise_mm: float | None,
-    exact: bool,
-) -> str:
-    from dataclasses import replace
-
-    import numpy as np
-
-    from orthoglide.observations import campaign_text
-
-    dial, count = machine.spec.dial, len(sheet.setups)
-    sd = _noise(machine, noise_mm)
-    if exact:
-        return campaign_text(sheet.with_readings(np.round(machine.readings(sheet), 15)))
-    off = rng.normal(scale=dial.placement, size=count)
-    placed = (replace(s, gauge=s.gauge + o) for s, o in zip(sheet.setups, off, strict=True))
-    shown = machine.readings(replace(sheet, setups=tuple(placed)))
-    shown = shown + rng.uniform(-_DATUM, _DATUM, count)[sheet.setup]
-    shown = shown + rng.normal(scale=sd, size=len(sheet))
-    steps = np.round(shown / dial.resolution)
-    return campaign_text(sheet.with_readings(np.round(steps * dial.resolution, 12)))
-
-
-def _noise(machine: Machine, noise_mm: float | None) -> float:
-    from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
-
-    if noise_mm is None:
-        repeatability = machine.spec.dial.repeatability
-        return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
-    if not 0 <= noise_mm < 1e3:
-        raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
-    return noise_mm * 1e-3
-
-
-def _tcp_text(machine: Machine, rng: np.random.Generator) -> str:
-    """Commands over the whole stroke and where the TCP is, in the middle of any dead band."""
+def _tcp_text(points: TcpPoints) -> str:
     import csv
     import io
 
@@ -160,13 +119,9 @@ def _tcp_text(machine: Machine, rng: np.random.Generator) -> str:
 
     from orthoglide.observations.reading import POINT, RHO
 
-    low, high = machine.geometry.stroke
-    travel = rng.uniform(low, high, (TCP_POINTS, 3))
-    rho = np.round(machine.geometry.L + travel, 9)
-    p = machine.forward(rho)
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([*RHO, *POINT])
-    for row in np.hstack([rho, p]) * 1e3:
+    for row in np.hstack([points.command, points.p]) * 1e3:
         writer.writerow([f"{value:.6f}" for value in row])
     return stream.getvalue()

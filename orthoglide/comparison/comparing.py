@@ -10,9 +10,9 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.comparison.bench import Bench, Circumstances, cube, fit_tcp, reduced
 from orthoglide.comparison.rows import Row
-from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, family_of, is_dial
+from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, elementary, family_of, is_dial
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine, elementary
+from orthoglide.machine import Machine
 
 
 def compare_effects(

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from orthoglide.effects.effect import Family, LegConditions, Motion, once
+from orthoglide.effects.effect import Effect, LegConditions, Motion, once
+from orthoglide.effects.words import Words, micrometres, mm, more
 from orthoglide.units import MM, Unit
+
+_PER_HOUR = 3600e6
 
 
 def _constant(value: float) -> Callable[[LegConditions], Any]:
@@ -17,7 +20,7 @@ def _both_bars(basis: Callable[[LegConditions], Any]) -> tuple[Motion, Motion]:
     return Motion("stretch1", basis), Motion("stretch2", basis)
 
 
-LEG_LENGTH = Family(
+LEG_LENGTH = Effect(
     "leg_length",
     MM,
     0.05,
@@ -25,9 +28,23 @@ LEG_LENGTH = Family(
     sentence="both bars of the leg are longer or shorter than nominal",
     look_at="the bars' length between their pivots, with a height gauge",
     members=once(*_both_bars(_constant(1.0))),
+    words=Words(
+        lambda p, v: (
+            f"the bars of leg {p.leg} are {mm(v)} {more(v, 'longer', 'shorter')} than nominal"
+        ),
+        lambda p: f"the bars of leg {p.leg} are not of nominal length",
+        "the bars of the legs are not of nominal length",
+        mm,
+        lambda p, v: (
+            f"measure the bars of leg {p.leg} between their pivots: expect {mm(v)} "
+            f"{more(v)} than nominal on the average of the two"
+        ),
+    ),
+    controller="bar_length",
+    urdf=True,
 )
 
-BAR_MISMATCH = Family(
+BAR_MISMATCH = Effect(
     "bar_mismatch",
     MM,
     0.05,
@@ -35,9 +52,19 @@ BAR_MISMATCH = Family(
     sentence="the two bars of the leg differ: the platform turns as it travels",
     look_at="the two bars side by side, and the play of their pivots",
     members=once(Motion("stretch1", _constant(0.5)), Motion("stretch2", _constant(-0.5))),
+    words=Words(
+        lambda p, v: f"bar 1 of leg {p.leg} is {mm(v)} {more(v, 'longer', 'shorter')} than bar 2",
+        lambda p: f"the two bars of leg {p.leg} differ in length",
+        "the two bars of each leg differ in length",
+        mm,
+        lambda p, v: (
+            f"measure both bars of leg {p.leg} between their pivots: expect bar 1 {mm(v)} "
+            f"{more(v, 'longer', 'shorter')} than bar 2"
+        ),
+    ),
 )
 
-PARALLELOGRAM_WIDTH = Family(
+PARALLELOGRAM_WIDTH = Effect(
     "parallelogram_width",
     MM,
     0.1,
@@ -45,9 +72,22 @@ PARALLELOGRAM_WIDTH = Family(
     sentence="the short link at the platform is wider or narrower than the one at the carriage",
     look_at="the distance of the bars at both ends, with a calliper",
     members=once(Motion("width1", _constant(0.5)), Motion("width2", _constant(0.5))),
+    words=Words(
+        lambda p, v: (
+            f"the short link of leg {p.leg} at the platform is {mm(v)} "
+            f"{more(v, 'wider', 'narrower')} than the one at the carriage"
+        ),
+        lambda p: f"the two short links of leg {p.leg} differ",
+        "the short links at the platform differ from those at the carriages",
+        mm,
+        lambda p, v: (
+            f"measure the distance of the bars of leg {p.leg} at both ends: expect it {mm(v)} "
+            f"{more(v, 'wider', 'narrower')} at the platform"
+        ),
+    ),
 )
 
-THERMAL_GROWTH = Family(
+THERMAL_GROWTH = Effect(
     "thermal_growth",
     Unit("1/K", 1.0),
     5e-6,
@@ -55,10 +95,23 @@ THERMAL_GROWTH = Family(
     sentence="the leg's bars grow with temperature, more than the frame",
     look_at="what warms the leg: a motor nearby, sun, the spindle's air",
     members=once(*_both_bars(lambda c: c.length * c.warming)),
+    words=Words(
+        lambda p, v: (
+            f"the bars of leg {p.leg} {more(v, 'grow', 'shrink')} by "
+            f"{micrometres(v, 'a metre and kelvin')}"
+        ),
+        lambda p: f"the bars of leg {p.leg} grow with temperature",
+        "the bars grow with temperature",
+        lambda v: micrometres(v, "a metre and kelvin"),
+        lambda p, v: (
+            f"measure the bars of leg {p.leg} cold and 10 K warmer: expect them "
+            f"{micrometres(10 * v, 'a metre')} {more(v, 'longer', 'shorter')}"
+        ),
+    ),
     group="temperature",
 )
 
-THERMAL_DRIFT = Family(
+THERMAL_DRIFT = Effect(
     "thermal_drift",
     Unit("1/s", 1.0),
     1e-8,
@@ -66,7 +119,21 @@ THERMAL_DRIFT = Family(
     sentence="the leg's bars grow as time goes on",
     look_at="whether the machine was warm when the readings began",
     members=once(*_both_bars(lambda c: c.length * c.time)),
+    words=Words(
+        lambda p, v: (
+            f"the bars of leg {p.leg} {more(v, 'grow', 'shrink')} by "
+            f"{micrometres(v, 'a metre and hour', _PER_HOUR)}"
+        ),
+        lambda p: f"the bars of leg {p.leg} grow as time goes on",
+        "the bars grow as time goes on",
+        lambda v: micrometres(v, "a metre and hour", _PER_HOUR),
+        lambda p, v: (
+            f"measure the bars of leg {p.leg} at the start and an hour later: expect them "
+            f"{micrometres(v, 'a metre', _PER_HOUR)} {more(v, 'longer', 'shorter')}"
+        ),
+    ),
     group="temperature",
+    instead_of="temperature",
 )
 
-FAMILIES = (LEG_LENGTH, BAR_MISMATCH, PARALLELOGRAM_WIDTH, THERMAL_GROWTH, THERMAL_DRIFT)
+EFFECTS = (LEG_LENGTH, BAR_MISMATCH, PARALLELOGRAM_WIDTH, THERMAL_GROWTH, THERMAL_DRIFT)

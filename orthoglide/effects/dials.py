@@ -1,51 +1,97 @@
-"""What a dial does wrong. A dial moves no virtual joint: it is part of the observation.
+"""What a dial does wrong. A dial moves no virtual joint: it changes the reading.
 
-Its parameters carry the setup's name where those of a machine carry the leg's.
+Its parameters carry the setup's name where those of a machine carry the leg's. They act in
+the order of the catalogue: the stem turns, the dial magnifies what it is moved, the stand creeps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Any
 
-from orthoglide.effects.effect import Family, Motion
+from orthoglide.effects.effect import DialReading, Effect, cos, sin
+from orthoglide.effects.words import Words, mm, more, mrad, percent
 from orthoglide.units import ONE, RAD, Unit
 
 
-def _nothing(_: int) -> Mapping[str, tuple[Motion, ...]]:
-    return {}
+def _turned(reading: DialReading, angle: Any) -> Any:
+    return cos(angle) * reading.shown + sin(angle) * reading.across
 
 
-GAUGE_SCALE = Family(
-    "gauge_scale",
-    ONE,
-    0.01,
-    because="a workshop dial is true to a hundredth of what it shows",
-    sentence="the dial shows more or less than it is moved",
-    look_at="the dial against gauge blocks",
-    members=_nothing,
-    group="dial",
-)
+def _scaled(reading: DialReading, scale: Any) -> Any:
+    return (1 + scale) * reading.shown
 
-GAUGE_DIRECTION = Family(
+
+def _drifting(reading: DialReading, rate: Any) -> Any:
+    return reading.shown + rate * reading.time
+
+
+GAUGE_DIRECTION = Effect(
     "gauge_direction",
     RAD,
     0.02,
     because="a stem set by eye is square to a degree",
     sentence="the dial's stem is not along the axis: it sees part of the other direction",
     look_at="the stem against a square, looking along the leg",
-    members=_nothing,
+    words=Words(
+        lambda p, v: (
+            f"the dial of {p.setup} is turned by {mrad(v)} about the leg, "
+            f"{more(v, 'right-handed', 'left-handed')}"
+        ),
+        lambda p: f"the dial of {p.setup} is turned about the leg",
+        "the dials are turned about their legs",
+        mrad,
+        lambda p, v: (
+            f"hold a square to the stem of {p.setup}, looking along the leg: expect the stem "
+            f"{mrad(v)} off, {more(v, 'right-handed', 'left-handed')} about the leg's axis"
+        ),
+    ),
     group="dial",
+    dial=_turned,
 )
 
-GAUGE_DRIFT = Family(
+GAUGE_SCALE = Effect(
+    "gauge_scale",
+    ONE,
+    0.01,
+    because="a workshop dial is true to a hundredth of what it shows",
+    sentence="the dial shows more or less than it is moved",
+    look_at="the dial against gauge blocks",
+    words=Words(
+        lambda p, v: f"the dial of {p.setup} shows {percent(v)} {more(v)} than it is moved",
+        lambda p: f"the dial of {p.setup} shows more or less than it is moved",
+        "the dials show more or less than they are moved",
+        percent,
+        lambda p, v: (
+            f"put gauge blocks 5 mm apart under the dial of {p.setup}: expect {mm(5e-3 * v)} "
+            f"{more(v)} than 5 mm"
+        ),
+    ),
+    group="dial",
+    dial=_scaled,
+)
+
+GAUGE_DRIFT = Effect(
     "gauge_drift",
     Unit("mm/s", 1e-3),
     2e-5,
     because="a magnetic stand creeps by a few hundredths in half an hour",
     sentence="the dial's stand creeps",
     look_at="the stand's clamps and its foot; let it settle, then read zero again at the end",
-    members=_nothing,
+    words=Words(
+        lambda p, v: (
+            f"the stand of {p.setup} creeps: its reading {more(v, 'grows', 'falls')} by "
+            f"{mm(v * 3600)} an hour"
+        ),
+        lambda p: f"the stand of {p.setup} creeps",
+        "the dials' stands creep",
+        lambda v: f"{mm(v * 3600)} an hour",
+        lambda p, v: (
+            f"leave the machine at rest for an hour with the dial of {p.setup} in place: expect "
+            f"its reading to {more(v, 'grow', 'fall')} by {mm(v * 3600)}"
+        ),
+    ),
     group="dial",
+    dial=_drifting,
 )
 
-FAMILIES = (GAUGE_SCALE, GAUGE_DIRECTION, GAUGE_DRIFT)
+EFFECTS = (GAUGE_DIRECTION, GAUGE_SCALE, GAUGE_DRIFT)

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.effect import Family, LegConditions, Motion, once
+from orthoglide.effects.effect import Effect, LegConditions, Motion, cos, once, sin
+from orthoglide.effects.words import Words, micrometres, mm, more, percent
+from orthoglide.numerals import compact
 from orthoglide.units import MM, ONE, Unit
 
 
@@ -18,24 +20,16 @@ def _lag(c: LegConditions) -> Any:
     return -c.approach / 2
 
 
-def _phase(c: LegConditions) -> Any:
-    # Without a pitch the error is no candidate; a basis of zero keeps the model the same shape.
-    return 0.0 if c.pitch is None else 2 * np.pi * c.nominal_travel / c.pitch
-
-
 def _sine(c: LegConditions) -> Any:
-    import casadi  # here, as it is slow to load and files need no more than the names
-
-    return 0.0 if c.pitch is None else casadi.sin(_phase(c))
+    # Without a pitch the error is no candidate; a basis of zero keeps the model the same shape.
+    return 0.0 if c.pitch is None else sin(2 * np.pi * c.nominal_travel / c.pitch)
 
 
 def _cosine(c: LegConditions) -> Any:
-    import casadi
-
-    return 0.0 if c.pitch is None else casadi.cos(_phase(c))
+    return 0.0 if c.pitch is None else cos(2 * np.pi * c.nominal_travel / c.pitch)
 
 
-JOINT_OFFSET = Family(
+JOINT_OFFSET = Effect(
     "joint_offset",
     MM,
     2.0,
@@ -43,10 +37,22 @@ JOINT_OFFSET = Family(
     sentence="the encoder's zero is not at mechanical zero",
     look_at="the reference switch and the zero mark of the drive",
     members=once(Motion("travel", _one)),
+    words=Words(
+        lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {more(v, 'out', 'in')}",
+        lambda p: f"the zero of drive {p.leg} is off",
+        "the zeros of the drives are off",
+        mm,
+        lambda p, v: (
+            f"send drive {p.leg} to its zero and measure its carriage against the zero mark: "
+            f"expect it {mm(v)} too far {more(v, 'out', 'in')}"
+        ),
+    ),
     group="drive",
+    controller="zero",
+    urdf=True,
 )
 
-ENCODER_SCALE = Family(
+ENCODER_SCALE = Effect(
     "encoder_scale",
     ONE,
     1e-4,
@@ -54,10 +60,21 @@ ENCODER_SCALE = Family(
     sentence="the drive moves more or less than it is told, in proportion",
     look_at="the encoder's scale factor in the controller, the screw's lead, a warm screw",
     members=once(Motion("travel", lambda c: c.nominal_travel)),
+    words=Words(
+        lambda p, v: f"drive {p.leg} moves {percent(v)} {more(v)} than it is told",
+        lambda p: f"drive {p.leg} moves more or less than it is told",
+        "the drives move more or less than they are told",
+        percent,
+        lambda p, v: (
+            f"set a dial or a scale on carriage {p.leg} and command a move of 50 mm: expect "
+            f"{mm(50e-3 * v)} {more(v)} than 50 mm"
+        ),
+    ),
     group="drive",
+    controller="scale",
 )
 
-SCREW_ERROR = Family(
+SCREW_ERROR = Effect(
     "screw_error",
     MM,
     0.01,
@@ -65,10 +82,21 @@ SCREW_ERROR = Family(
     sentence="the drive runs ahead and behind once a turn of its screw",
     look_at="the screw's coupling and bearing, an encoder mounted off centre",
     members=lambda leg: {"sin": (Motion("travel", _sine),), "cos": (Motion("travel", _cosine),)},
+    words=Words(
+        lambda p, v: f"drive {p.leg} runs {mm(v)} ahead and behind once a turn of its screw",
+        lambda p: f"drive {p.leg} runs ahead and behind once a turn of its screw",
+        "the drives run ahead and behind once a turn of their screws",
+        mm,
+        lambda p, v: (
+            f"set a dial on carriage {p.leg} and move one turn of the screw in eight steps: expect "
+            f"the errors of the steps to span {mm(2 * v)}"
+        ),
+    ),
     group="drive",
+    paired=True,
 )
 
-BACKLASH = Family(
+BACKLASH = Effect(
     "backlash",
     MM,
     0.02,
@@ -76,10 +104,25 @@ BACKLASH = Family(
     sentence="the drive has lost motion: it stands differently when it comes from the other side",
     look_at="the preload of the nut, the coupling's clamp, the thrust bearing, the belt",
     members=once(Motion("travel", _lag)),
+    words=Words(
+        lambda p, v: (
+            f"drive {p.leg} has {mm(v)} of lost motion"
+            + ("" if v >= 0 else " with the wrong sign: look at the order of the readings")
+        ),
+        lambda p: f"drive {p.leg} has lost motion",
+        "the drives have lost motion",
+        mm,
+        lambda p, v: (
+            f"set a dial on carriage {p.leg} and come to one place from smaller and from larger "
+            f"travel: expect it {mm(v)} {more(v, 'farther out', 'farther in')} when it comes from "
+            f"larger travel"
+        ),
+    ),
     group="drive",
+    controller="backlash",
 )
 
-DRIVE_COMPLIANCE = Family(
+DRIVE_COMPLIANCE = Effect(
     "drive_compliance",
     Unit("mm/N", 1e-3),
     1e-4,
@@ -87,7 +130,20 @@ DRIVE_COMPLIANCE = Family(
     sentence="the drive gives way under the load",
     look_at="the thrust bearing, the servo's stiffness, the carriage's clamp",
     members=once(Motion("travel", lambda c: c.force)),
+    words=Words(
+        lambda p, v: (
+            f"drive {p.leg} {more(v, 'gives way', 'moves against the load')} by "
+            f"{micrometres(v, 'a newton')}"
+        ),
+        lambda p: f"drive {p.leg} gives way under the load",
+        "the drives give way under the load",
+        lambda v: micrometres(v, "a newton"),
+        lambda p, v: (
+            f"set a dial on carriage {p.leg} and push with 10 N along its rail: expect "
+            f"{compact(abs(v) * 1e7, 2)} µm {more(v, 'with', 'against')} the push"
+        ),
+    ),
     group="load",
 )
 
-FAMILIES = (JOINT_OFFSET, ENCODER_SCALE, SCREW_ERROR, BACKLASH, DRIVE_COMPLIANCE)
+EFFECTS = (JOINT_OFFSET, ENCODER_SCALE, SCREW_ERROR, BACKLASH, DRIVE_COMPLIANCE)

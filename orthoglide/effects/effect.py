@@ -1,25 +1,36 @@
-"""What an effect is: a physical cause that moves virtual joints, linear in its parameters.
+"""What an effect is: a physical cause, declared whole.
 
 ``displacement of a virtual joint = basis(conditions) x parameter``
 
 A basis is a plain function of a :class:`LegConditions`; it works on numbers, arrays and CasADi
-symbols alike. Effects of the *drive* move the joint ``travel`` and may look at the command; all
-others may look at the carriage's true travel too, the drive's errors included.
+symbols alike (:func:`sin` and :func:`cos` do too). Effects of the *drive* move the joint ``travel``
+and may look at the command; all others may look at the carriage's true travel too, the drive's
+errors included. An effect of a dial changes the reading instead, see :class:`DialReading`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
 
-from orthoglide.geometry import LEGS, Leg, axis_index, leg_axes
-from orthoglide.units import Unit
+import numpy as np
+
+from orthoglide.effects.words import Words
+from orthoglide.errors import InputError
+from orthoglide.geometry import LEGS, leg_axes
+from orthoglide.parameters import Parameter
+from orthoglide.units import Unit, to_si
+
+Condition = Literal["approach", "time", "temperature", "load", "pitch"]
+Group = Literal["structure", "drive", "temperature", "load", "dial"]
+Held = Literal["zero", "scale", "backlash", "bar_length"]
 
 
 @dataclass(frozen=True)
 class LegConditions:
-    """What one leg saw when a reading was taken.
+    """The conditions of one leg when a reading was taken.
 
     Attributes:
         command: rho of the leg's own drive, metres (2008, eq. 2).
@@ -55,7 +66,45 @@ class LegConditions:
         return (self.travel - (low + high) / 2) / ((high - low) / 2)
 
 
+@dataclass(frozen=True)
+class DialReading:
+    """A reading on its way from the touched line to the number shown.
+
+    Attributes:
+        shown: the reading so far, metres.
+        across: the coordinate toward which the dial turns about the leg, with the dial's sign.
+        time: seconds since the campaign began.
+    """
+
+    shown: Any
+    across: Any
+    time: Any
+
+
 Basis = Callable[[LegConditions], Any]
+_CONDITIONS: Mapping[str, Condition] = {
+    "approach": "approach", "time": "time", "warming": "temperature", "force": "load",
+    "pitch": "pitch",
+}  # fmt: skip
+
+
+class _Recorder(LegConditions):
+    """Numbers in place of conditions, and a note of which were looked at."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in _CONDITIONS:
+            object.__getattribute__(self, "__dict__").setdefault("used", set()).add(name)
+        return object.__getattribute__(self, name)
+
+
+def sin(angle: Any) -> Any:
+    """Sine of a number, an array or a CasADi symbol, radians."""
+    return angle.sin() if hasattr(angle, "sin") else np.sin(angle)
+
+
+def cos(angle: Any) -> Any:
+    """Cosine of a number, an array or a CasADi symbol, radians."""
+    return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
 
 
 @dataclass(frozen=True)
@@ -70,9 +119,25 @@ class Motion:
     joint: str
     basis: Basis
 
+    @property
+    def needs(self) -> frozenset[Condition]:
+        """Conditions that the basis looks at, found by evaluating it."""
+        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01)
+        probe.__dict__["used"] = set()
+        self.basis(probe)
+        return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])
+
+
+Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
+
+
+def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
+    """Members of an effect that moves no virtual joint."""
+    return {}
+
 
 @dataclass(frozen=True)
-class Family:
+class Effect:
     """A physical cause with its parameters, one entry of the catalogue.
 
     Attributes:
@@ -83,8 +148,15 @@ class Family:
         sentence: what it is, for a mechanic.
         look_at: what to look at on the machine.
         members: from what stands behind the leg in a parameter's name (``""`` where nothing does)
-            to a function that takes the leg and gives the motions.
+            to its motions, for a leg (0, 1, 2); see :func:`once` and :func:`sideways`.
+        words: how a fitted value is said, and the test on the machine that confirms it.
         group: ``structure``, ``drive``, ``temperature``, ``load`` or ``dial``.
+        paired: whether the parameters of a leg are one cause, as a sine with its cosine.
+        instead_of: a condition that explains it better: it is weighed only where that condition
+            was not recorded.
+        controller: which number of a controller holds it, if any.
+        urdf: whether a rigid URDF can hold it.
+        dial: of an effect of the dial: the reading shown, given the reading so far and the value.
     """
 
     name: str
@@ -93,28 +165,76 @@ class Family:
     because: str
     sentence: str
     look_at: str
-    members: Callable[[int], Mapping[str, tuple[Motion, ...]]]
-    group: str = "structure"
+    members: Members = no_motions
+    words: Words = field(default_factory=Words)
+    group: Group = "structure"
+    paired: bool = False
+    instead_of: Condition | None = None
+    controller: Held | None = None
+    urdf: bool = False
+    dial: Callable[[DialReading, Any], Any] | None = None
 
-    def parameters(self) -> dict[str, tuple[int, tuple[Motion, ...]]]:
-        """All parameters of the family: from name to leg (0, 1, 2) and motions."""
-        found: dict[str, tuple[int, tuple[Motion, ...]]] = {}
-        for leg, letter in enumerate(LEGS):
-            for suffix, motions in self.members(leg).items():
-                name = f"{self.name}.{letter}.{suffix}" if suffix else f"{self.name}.{letter}"
-                found[name] = (leg, motions)
-        return found
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise InputError(f"an effect's name is one word like axis_tilt, not {self.name!r}")
+        if not self.tolerance > 0:
+            raise InputError(f"{self.name}: the tolerance must be above 0, not {self.tolerance}")
+
+    @property
+    def of_dial(self) -> bool:
+        """Whether it belongs to a dial and not to the machine."""
+        return self.dial is not None
+
+    @property
+    def tolerance_si(self) -> float:
+        """Standard deviation to expect, SI."""
+        return to_si(self.tolerance, self.unit.si)
+
+    @cached_property
+    def motions(self) -> dict[Parameter, tuple[int, tuple[Motion, ...]]]:
+        """All parameters of the machine: from name to leg (0, 1, 2) and motions."""
+        return {
+            Parameter(self.name, letter, suffix): (leg, motions)
+            for leg, letter in enumerate(LEGS)
+            for suffix, motions in self.members(leg).items()
+        }
+
+    def parameters(self, setups: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
+        """Its parameters; those of a dial for each of the setups."""
+        if self.of_dial:
+            return tuple(Parameter(self.name, setup=setup) for setup in setups)
+        return tuple(self.motions)
+
+    @cached_property
+    def needs(self) -> frozenset[Condition]:
+        """Conditions that it depends on, read off its bases; a declaration could be wrong."""
+        if self.dial is not None:
+            probe = _TimeRecorder(1.0, 1.0, 1.0)
+            self.dial(probe, 1e-3)
+            return frozenset({"time"} if probe.__dict__.get("used") else ())
+        every = [m.needs for _, motions in self.motions.values() for m in motions]
+        return frozenset().union(*every)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it moves the TCP of a machine without load, at its first temperature and time."""
+        return not self.of_dial and not self.needs & {"time", "temperature", "load"}
 
 
-def once(*motions: Motion) -> Callable[[int], Mapping[str, tuple[Motion, ...]]]:
-    """Members of a family that has one parameter a leg."""
+class _TimeRecorder(DialReading):
+    def __getattribute__(self, name: str) -> Any:
+        if name == "time":
+            object.__getattribute__(self, "__dict__")["used"] = True
+        return object.__getattribute__(self, name)
+
+
+def once(*motions: Motion) -> Members:
+    """Members of an effect that has one parameter a leg."""
     return lambda leg: {"": motions}
 
 
-def sideways(
-    make: Callable[[str, int], tuple[Motion, ...]],
-) -> Callable[[int], Mapping[str, tuple[Motion, ...]]]:
-    """Members of a family that has one parameter for each axis j other than the leg's own.
+def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
+    """Members of an effect that has one parameter for each axis j other than the leg's own.
 
     Args:
         make: takes the leg's name for axis j, ``"b"`` or ``"c"``, and the sign of the turn about
@@ -126,16 +246,3 @@ def sideways(
         return {LEGS[b]: make("b", +1), LEGS[c]: make("c", -1)}
 
     return members
-
-
-def relabelled(name: str) -> str:
-    """The parameter's name after the axes are relabelled x -> y -> z -> x."""
-    parts = name.split(".")
-    turned: list[str] = [parts[0]]
-    for part in parts[1:]:
-        turned.append(_next(part) if part in LEGS else part)
-    return ".".join(turned)
-
-
-def _next(leg: Leg) -> Leg:
-    return LEGS[(axis_index(leg) + 1) % 3]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from orthoglide.effects.catalogue import BASE_FAMILIES, CATALOGUE, structured
-from orthoglide.effects.effect import Family
+from orthoglide.effects.catalogue import CATALOGUE
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.wording import confirm_words, one_words
 
 GROUPS = {
     "drive": "Drives",
@@ -25,7 +26,7 @@ the page. How to add an effect is told in [CONTRIBUTING](../CONTRIBUTING.md).
 - **Parameters** carry a leg (`x`, `y`, `z`) and, where a second letter follows, the direction of
   the error ([conventions](conventions.md)); those of dials carry the name of the setup.
 - **Together** lists patterns that parts of the machine's symmetry make likely, one parameter each.
-- {" and ".join(f"`{name}`" for name in BASE_FAMILIES)} are the parameters of the papers, and every
+- {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are the parameters of the papers, and every
   identification begins with them.
 """
 
@@ -51,21 +52,42 @@ def _overview() -> str:
     return "\n".join(rows) + "\n"
 
 
-def _section(family: Family) -> str:
-    names = [f"`{n}`" for n in family.parameters()] or [f"`{family.name}.SETUP`"]
-    members = [f"`{n}`" for n in structured(family.name, _SETUPS if family.group == "dial" else ())]
+def _section(effect: Effect) -> str:
+    names = [f"`{n}`" for n in effect.parameters()] or [f"`{effect.name}.SETUP`"]
+    members = [
+        f"`{n}`" for n in CATALOGUE.structured(effect.name, _SETUPS if effect.of_dial else ())
+    ]
+    first = next(iter(effect.parameters(("SETUP",))))
     lines = [
-        f"### {family.name}",
+        f"### {effect.name}",
         "",
-        f"{_capital(family.sentence)}.",
+        f"{_capital(effect.sentence)}.",
         "",
-        f"- Look at: {family.look_at}.",
-        f"- Tolerance {family.tolerance:g} {_unit(family)}: {family.because}.",
+        f"- Look at: {effect.look_at}.",
+        f"- Tolerance {effect.tolerance:g} {_unit(effect)}: {effect.because}.",
+        f"- Said, at one tolerance of `{first}`: {one_words(effect, first, effect.tolerance_si)}.",
+        f"- Confirmed: {confirm_words(effect, first, effect.tolerance_si)}.",
         f"- Parameters: {', '.join(names)}.",
     ]
     if members:
         lines.append(f"- Together: {', '.join(members)}.")
+    if effect.needs:
+        lines.append(f"- Depends on: {', '.join(sorted(effect.needs))}.")
+    lines.append(f"- Held by: {_held(effect)}.")
     return "\n".join(lines) + "\n"
+
+
+def _held(effect: Effect) -> str:
+    if effect.of_dial:
+        return "nothing, as it is no error of the machine"
+    number = {"zero": "zero", "scale": "scale factor", "backlash": "backlash setting",
+              "bar_length": "bar length"}  # fmt: skip
+    places = ["compensated commands"]
+    if effect.urdf:
+        places.append("a calibrated URDF")
+    if effect.controller:
+        places.append(f"the controller's {number[effect.controller]}")
+    return ", ".join(places) if effect.at_rest else "none of the controller's numbers"
 
 
 _SETUPS = ("a", "b")  # any two: what several dials can have in common has no setup's name
@@ -75,8 +97,8 @@ def _capital(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
-def _unit(family: Family) -> str:
-    return "(a ratio)" if family.unit.name == "1" else family.unit.name
+def _unit(effect: Effect) -> str:
+    return "(a ratio)" if effect.unit.name == "1" else effect.unit.name
 
 
 if __name__ == "__main__":

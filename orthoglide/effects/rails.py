@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from orthoglide.effects.effect import Family, LegConditions, Motion, sideways
+from orthoglide.effects.effect import Effect, LegConditions, Motion, sideways
+from orthoglide.effects.words import Words, mm, more, mrad, slope, toward
+from orthoglide.geometry import LEGS, axis_index, leg_axes
+from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD
 
 
@@ -26,7 +29,15 @@ def _turned(axis: str, sign: int) -> Motion:
     return Motion(about, lambda _: float(way))
 
 
-AXIS_OFFSET = Family(
+def _about(p: Parameter) -> str:
+    """The base axis about which a bracket is turned, and what it is to the leg."""
+    a, b, _ = leg_axes(axis_index(p.leg))
+    if p.direction == "a":
+        return f"{LEGS[a]}, the leg's own axis"
+    return f"{LEGS[b]}, the axis of its pivots"
+
+
+AXIS_OFFSET = Effect(
     "axis_offset",
     MM,
     0.3,
@@ -34,9 +45,22 @@ AXIS_OFFSET = Family(
     sentence="the rail stands beside its place: the drive axes do not meet in one point",
     look_at="the rail's seat and shims, square to its travel",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _one),)),
+    words=Words(
+        lambda p, v: (
+            f"the {p.leg} rail stands {mm(v)} beside its place, toward {toward(p.direction, v)}"
+        ),
+        lambda p: f"the {p.leg} rail stands beside its place in the direction of {p.direction}",
+        "the rails stand beside their places",
+        mm,
+        lambda p, v: (
+            f"measure where the {p.leg} rail stands along {p.direction} against the other two: "
+            f"expect it {mm(v)} toward {toward(p.direction, v)}"
+        ),
+    ),
+    urdf=True,
 )
 
-AXIS_TILT = Family(
+AXIS_TILT = Effect(
     "axis_tilt",
     RAD,
     1e-3,
@@ -44,9 +68,25 @@ AXIS_TILT = Family(
     sentence="the carriage's path is not square to the other axes",
     look_at="the rail against a granite square, over the whole travel",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _travel),)),
+    words=Words(
+        lambda p, v: (
+            f"the path of the {p.leg} carriage is out of square toward "
+            f"{toward(p.direction, v)} by {slope(v)}"
+        ),
+        lambda p: (
+            f"the path of the {p.leg} carriage is out of square in the direction of {p.direction}"
+        ),
+        "the paths of the carriages are out of square",
+        slope,
+        lambda p, v: (
+            f"set a dial on carriage {p.leg} against a square that lies along {p.leg}, and move "
+            f"100 mm outward: expect {mm(0.1 * v)} toward {toward(p.direction, v)}"
+        ),
+    ),
+    urdf=True,
 )
 
-RAIL_TILT = Family(
+RAIL_TILT = Effect(
     "rail_tilt",
     RAD,
     1e-3,
@@ -54,9 +94,25 @@ RAIL_TILT = Family(
     sentence="the rail is out of square and the carriage leans with it",
     look_at="the rail's seat with a level: does the carriage lean with it?",
     members=sideways(lambda axis, sign: (Motion(f"lateral_{axis}", _travel), _turned(axis, sign))),
+    words=Words(
+        lambda p, v: (
+            f"the {p.leg} rail leans toward {toward(p.direction, v)} by {slope(v)} and its "
+            f"carriage with it"
+        ),
+        lambda p: (
+            f"the {p.leg} rail leans in the direction of {p.direction} and its carriage with it"
+        ),
+        "the rails lean and their carriages with them",
+        slope,
+        lambda p, v: (
+            f"set a dial on carriage {p.leg} against a square that lies along {p.leg}, and move "
+            f"100 mm outward: expect {mm(0.1 * v)} toward {toward(p.direction, v)}, and a square "
+            f"held to the carriage {mrad(v)} off"
+        ),
+    ),
 )
 
-RAIL_BOW = Family(
+RAIL_BOW = Effect(
     "rail_bow",
     MM,
     0.02,
@@ -64,9 +120,22 @@ RAIL_BOW = Family(
     sentence="the rail is bent: its middle stands off the line between its ends",
     look_at="the rail against a straight edge, its bolts and what lies under it",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _bow),)),
+    words=Words(
+        lambda p, v: (
+            f"the {p.leg} rail is bent: its middle stands {mm(v)} toward {toward(p.direction, -v)} "
+            f"off the line between its ends"
+        ),
+        lambda p: f"the {p.leg} rail is bent in the direction of {p.direction}",
+        "the rails are bent",
+        mm,
+        lambda p, v: (
+            f"lay a straight edge along the {p.leg} rail over its whole stroke: expect its middle "
+            f"{mm(v)} toward {toward(p.direction, -v)}"
+        ),
+    ),
 )
 
-MOUNT_TILT = Family(
+MOUNT_TILT = Effect(
     "mount_tilt",
     RAD,
     2e-3,
@@ -77,6 +146,19 @@ MOUNT_TILT = Family(
         "a": (Motion("turn_a", _one),),
         "b": (Motion("turn_b", _one),),
     },
+    words=Words(
+        lambda p, v: (
+            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_about(p)}, "
+            f"{more(v, 'right-handed', 'left-handed')}"
+        ),
+        lambda p: f"the first hinge of leg {p.leg} is turned about {_about(p)}",
+        "the first hinges of the legs are turned on their carriages",
+        mrad,
+        lambda p, v: (
+            f"hold a square between carriage {p.leg} and the first hinge of its leg: expect the "
+            f"hinge {mrad(v)} off about {_about(p)}, {more(v, 'right-handed', 'left-handed')}"
+        ),
+    ),
 )
 
-FAMILIES = (AXIS_OFFSET, AXIS_TILT, RAIL_TILT, RAIL_BOW, MOUNT_TILT)
+EFFECTS = (AXIS_OFFSET, AXIS_TILT, RAIL_TILT, RAIL_BOW, MOUNT_TILT)

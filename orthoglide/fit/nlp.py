@@ -14,14 +14,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects import MACHINE_PARAMETERS
 from orthoglide.errors import SolverError
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.mechanism.functions import LINES, closure_functions
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.dial import DIAL_FAMILIES, mountings
+from orthoglide.prediction.dial import mountings
 
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -189,30 +188,24 @@ class Nlp:
 
 def _layout(problem: Problem, campaign: int) -> _Layout:
     names, _ = problem.elementary(campaign)
-    used = {n.partition(".")[0] for n in [*names, *problem.held[campaign]]}
-    conditions, place = Conditions.of(problem.campaigns[campaign]).merged(
-        with_approach="backlash" in used, with_time="thermal_drift" in used
+    model = problem.machine.model
+    conditions, place = model.merged(
+        Conditions.of(problem.campaigns[campaign]), [*names, *problem.held[campaign]]
     )
     return _Layout(conditions, place)
 
 
 def _parameters(problem: Problem, campaign: int, x: Any) -> tuple[Any, Any]:
-    """All machine parameters ``(63, 1)``, and the dials' own of every row ``(3, n)``, as MX."""
+    """All machine parameters ``(P, 1)``, and the dials' own of every row ``(D, n)``, as MX."""
     names, matrix = problem.elementary(campaign)
-    held = problem.held[campaign]
+    values = {name: ca.MX(value) for name, value in problem.held[campaign].items()}
     free = ca.DM(matrix) @ x
-    theta = [ca.MX(held.get(name, 0.0)) for name in MACHINE_PARAMETERS]
-    setups = problem.campaigns[campaign].setups
-    dials = {
-        (family, s.name): ca.MX(held.get(f"{family}.{s.name}", 0.0))
-        for s in setups
-        for family in DIAL_FAMILIES
-    }
     for k, name in enumerate(names):
-        if name in MACHINE_PARAMETERS:
-            theta[MACHINE_PARAMETERS.index(name)] += free[k]
-        else:
-            family, _, setup = name.partition(".")
-            dials[family, setup] += free[k]
-    by_setup = ca.horzcat(*[ca.vertcat(*[dials[f, s.name] for f in DIAL_FAMILIES]) for s in setups])
-    return ca.vertcat(*theta), by_setup[:, problem.campaigns[campaign].setup.tolist()]
+        values[name] = values.get(name, 0) + free[k]
+    catalogue, setups = problem.machine.catalogue, problem.campaigns[campaign].setups
+    theta = [values.get(name, ca.MX(0)) for name in catalogue.parameters]
+    by_setup = []
+    for setup in setups:
+        own = [n for effect in catalogue.of_dials for n in effect.parameters((setup.name,))]
+        by_setup.append(ca.vertcat(*[values.get(name, ca.MX(0)) for name in own]))
+    return ca.vertcat(*theta), ca.horzcat(*by_setup)[:, problem.campaigns[campaign].setup.tolist()]

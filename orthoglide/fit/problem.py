@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects import CATALOGUE, expand, family_of, is_dial
+from orthoglide.effects import CATALOGUE, elementary, expand, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.fit.noise import Noise, station_table
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine, elementary
+from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 
 # Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.effects import DEFAULT_TOLERANCE
+from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.posterior import Posterior
 
@@ -93,6 +93,7 @@ class MachineFile:
         stiffness: elastic constants.
         parameters: identified parameters of a calibrated machine, by name.
         provenance: where the parameters come from.
+        catalogue: the effects that the parameters belong to.
         file: the file's name as the caller gave it, or ``""``.
         sha256: digest of the file, or ``""``.
         posterior: covariance of the parameters, where it was kept.
@@ -108,13 +109,16 @@ class MachineFile:
     stiffness: Stiffness = field(default_factory=Stiffness)
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    catalogue: Catalogue = CATALOGUE
     file: str = field(default="", compare=False)
     sha256: str = field(default="", compare=False)
     posterior: Posterior | None = field(default=None, compare=False, repr=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tolerance", {**DEFAULT_TOLERANCE, **self.tolerance})
+        object.__setattr__(
+            self, "tolerance", {**self.catalogue.default_tolerance, **self.tolerance}
+        )
 
 
 def nominal_machine_file() -> MachineFile:

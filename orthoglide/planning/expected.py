@@ -129,7 +129,7 @@ def bench_of(
         names: parameters or structured members.
         noise: standard deviation of one reading, metres.
     """
-    from orthoglide.machine import elementary
+    from orthoglide.effects import elementary
 
     level = expected_noise(machine, pool, noise)
     readings = machine.model.linearised(machine.values, pool, MACHINE_PARAMETERS)

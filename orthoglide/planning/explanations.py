@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.diagnosis.ranking import extend
-from orthoglide.effects import BASE_FAMILIES, family_of, is_dial
+from orthoglide.effects import BASE_FAMILIES, elementary, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, normal
 from orthoglide.geometry import Array
-from orthoglide.machine import elementary
 
 Values = Mapping[str, float]
 

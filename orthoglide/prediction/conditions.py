@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,18 +68,22 @@ class Conditions:
         c = campaign.conditions
         return cls(c[:, :3], c[:, 3:6], c[:, 6], c[:, 7], c[:, 8])
 
-    def merged(
-        self, *, with_approach: bool, with_time: bool
-    ) -> tuple[Conditions, NDArray[np.intp]]:
-        """Distinct conditions and, for each row, which of them it saw.
+    def merged(self, needs: Collection[str]) -> tuple[Conditions, NDArray[np.intp]]:
+        """Distinct conditions and, for each row, which of them it has.
 
         Args:
-            with_approach: whether the direction of approach makes a difference.
-            with_time: whether time does.
+            needs: what makes a difference besides command and load: ``"approach"``, ``"time"``,
+                ``"temperature"``.
         """
-        approach = self.approach if with_approach else np.zeros_like(self.approach)
-        time = self.time if with_time else np.zeros_like(self.time)
-        table = np.column_stack([self.command, approach, time, self.warming, self.load])
+        table = np.column_stack(
+            [
+                self.command,
+                self.approach * ("approach" in needs),
+                self.time * ("time" in needs),
+                self.warming * ("temperature" in needs),
+                self.load,
+            ]
+        )
         distinct, place = np.unique(table, axis=0, return_inverse=True)
         return (
             Conditions(

@@ -13,36 +13,38 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from orthoglide.effects.catalogue import CATALOGUE
+from orthoglide.effects import DialReading, Effect
 from orthoglide.geometry import Array, leg_axes
 from orthoglide.observations import Campaign
-
-DIAL_FAMILIES: tuple[str, ...] = tuple(n for n, f in CATALOGUE.items() if f.group == "dial")
 
 _SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}  # of bars 1 and 2 in the touched line
 
 
-def reading_function() -> Any:
-    """CasADi function (ends ``(12,)``, mounting ``(14,)``, dial ``(3,)``) -> reading, metres.
+def reading_function(effects: tuple[Effect, ...]) -> Any:
+    """CasADi function (ends ``(12,)``, mounting ``(14,)``, dial ``(D,)``) -> reading, metres.
 
     ``ends`` are those of the touched leg's bars (bar, end, xyz); ``mounting`` is a row of
-    :func:`mountings`; ``dial`` holds gauge_scale, gauge_direction and gauge_drift.
+    :func:`mountings`; ``dial`` holds the values of the dial's effects.
+
+    Args:
+        effects: of the dial, ``D`` of them, in the order in which they change a reading.
     """
     ends, mounting = ca.SX.sym("ends", 12), ca.SX.sym("mounting", 14)
-    dial = ca.SX.sym("dial", len(DIAL_FAMILIES))
+    dial = ca.SX.sym("dial", len(effects))
     share, own, sensed = mounting[:2], mounting[2:5], mounting[5:8]
     sideways, place, sign, time = mounting[8:11], mounting[11], mounting[12], mounting[13]
-    scale, angle, drift = dial[0], dial[1], dial[2]
     start = share[0] * ends[0:3] + share[1] * ends[6:9]
     along = share[0] * ends[3:6] + share[1] * ends[9:12] - start
     crossing = start + (place - ca.dot(own, start)) / ca.dot(own, along) * along
-    direction = ca.cos(angle) * sensed + ca.sin(angle) * sideways
-    reading = sign * (1 + scale) * ca.dot(direction, crossing) + drift * time
+    reading, across = sign * ca.dot(sensed, crossing), sign * ca.dot(sideways, crossing)
+    for k, effect in enumerate(effects):
+        assert effect.dial is not None
+        reading = effect.dial(DialReading(reading, across, time), dial[k])
     return ca.Function("reading", [ends, mounting, dial], [reading])
 
 
 def reading_tangent(function: Any) -> Any:
-    """The reading with its derivatives by ends ``(12,)``, mounting ``(14,)`` and dial ``(3,)``."""
+    """The reading with its derivatives by ends ``(12,)``, mounting ``(14,)`` and dial ``(D,)``."""
     arguments = [ca.SX.sym(f"a{k}", function.size1_in(k)) for k in range(3)]
     reading = function(*arguments)
     gradients = [ca.densify(ca.gradient(reading, a)) for a in arguments]
@@ -74,10 +76,12 @@ def mountings(campaign: Campaign, r: float) -> Array:
     return rows
 
 
-def dial_values(campaign: Campaign, values: Mapping[str, float]) -> Array:
-    """The dials' own parameters of each row ``(n, 3)``, in the order of ``DIAL_FAMILIES``."""
+def dial_values(
+    campaign: Campaign, values: Mapping[str, float], effects: tuple[Effect, ...]
+) -> Array:
+    """The dials' own parameters of each row ``(n, D)``, in the order of ``effects``."""
     table = [
-        [values.get(f"{family}.{setup.name}", 0.0) for family in DIAL_FAMILIES]
+        [values.get(name, 0.0) for effect in effects for name in effect.parameters((setup.name,))]
         for setup in campaign.setups
     ]
-    return np.array(table).reshape(-1, len(DIAL_FAMILIES))[campaign.setup]
+    return np.array(table).reshape(-1, len(effects))[campaign.setup]

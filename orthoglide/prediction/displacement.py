@@ -6,8 +6,8 @@ from typing import Any
 
 import casadi as ca
 
-from orthoglide.effects import MACHINE_PARAMETERS, LegConditions
-from orthoglide.effects.catalogue import MOTIONS
+from orthoglide.effects import Catalogue, LegConditions
+from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
@@ -16,22 +16,30 @@ CONDITIONS = 11
 the order rho_x, rho_y, rho_z, approach_x ... z, time, warming, force_x, force_y, force_z."""
 
 
-def displacement_function(geometry: Geometry, pitch: float | None) -> Any:
-    """CasADi function (parameters ``(63,)``, conditions ``(11,)``) -> displacements ``(30,)``.
+def displacement_function(catalogue: Catalogue, geometry: Geometry, pitch: float | None) -> Any:
+    """CasADi function (parameters ``(P,)``, conditions ``(11,)``) -> displacements ``(30,)``.
 
     Drives are summed first: what the rail does follows the carriage's true travel.
 
     Args:
+        catalogue: whose machine parameters these are, in its order.
         geometry: nominal dimensions.
         pitch: of the screws, metres.
+
+    Raises:
+        InputError: where an effect moves a joint that does not exist.
     """
-    theta = ca.SX.sym("theta", len(MACHINE_PARAMETERS))
+    theta = ca.SX.sym("theta", len(catalogue.parameters))
     seen = ca.SX.sym("conditions", CONDITIONS)
     joints: dict[tuple[int, str], Any] = {}
     for on_the_drive in (True, False):
-        for k, name in enumerate(MACHINE_PARAMETERS):
-            leg, motions = MOTIONS[name]
+        for k, (name, (leg, motions)) in enumerate(catalogue.motions.items()):
             for motion in motions:
+                if motion.joint not in VIRTUAL_NAMES:
+                    raise InputError(
+                        f"{name} moves {motion.joint!r}, which is no virtual joint: they are "
+                        f"{', '.join(VIRTUAL_NAMES)}"
+                    )
                 if (motion.joint == "travel") is on_the_drive:
                     driven = None if on_the_drive else joints[leg, "travel"]
                     conditions = _leg_conditions(geometry, pitch, seen, leg, driven)
@@ -50,7 +58,7 @@ def displacement_function(geometry: Geometry, pitch: float | None) -> Any:
 
 
 def displacement_tangent(function: Any) -> Any:
-    """The same function with its derivative ``(30, 63)`` by the parameters."""
+    """The same function with its derivative ``(30, P)`` by the parameters."""
     theta = ca.SX.sym("theta", function.size1_in(0))
     seen = ca.SX.sym("conditions", function.size1_in(1))
     moves = function(theta, seen)

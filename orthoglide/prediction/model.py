@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, is_dial
-from orthoglide.effects.catalogue import check_parameter
+from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
@@ -21,7 +21,6 @@ from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.dial import (
     BY_GAUGE,
-    DIAL_FAMILIES,
     dial_values,
     mountings,
     reading_function,
@@ -32,9 +31,6 @@ from orthoglide.prediction.displacement import (
     displacement_function,
     displacement_tangent,
 )
-
-_PLACE = {name: k for k, name in enumerate(MACHINE_PARAMETERS)}
-_NEED_TIME = frozenset({"thermal_drift"})
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,7 @@ class Model:
         geometry: nominal dimensions.
         pitch: of the drives' screws, metres; ``None`` where unknown.
         stiffness: of bars and legs, where known.
+        catalogue: the effects that move it.
         compile: see :class:`~orthoglide.mechanism.batch.BatchClosure`.
     """
 
@@ -68,8 +65,11 @@ class Model:
         pitch: float | None = None,
         *,
         stiffness: Stiffness | None = None,
+        catalogue: Catalogue = CATALOGUE,
         compile: bool | None = None,
     ) -> None:
+        self.catalogue = catalogue
+        self._place: dict[str, int] = {name: k for k, name in enumerate(catalogue.parameters)}
         self.geometry = geometry or Geometry()
         self.pitch = pitch
         self.stiffness = stiffness or Stiffness()
@@ -112,7 +112,7 @@ class Model:
     @cached_property
     def displacement(self) -> Any:
         """CasADi function of the virtual joints' displacements, for the NLP."""
-        return displacement_function(self.geometry, self.pitch)
+        return displacement_function(self.catalogue, self.geometry, self.pitch)
 
     @cached_property
     def _displacement_tangent(self) -> Any:
@@ -125,24 +125,26 @@ class Model:
     @cached_property
     def reading(self) -> Any:
         """CasADi function of one dial's reading, for the NLP."""
-        return reading_function()
+        return reading_function(self.catalogue.of_dials)
 
     @cached_property
     def _reading_tangent(self) -> Any:
         return reading_tangent(self.reading)
 
     def vector(self, values: Mapping[str, float]) -> Array:
-        """All parameters of the machine ``(63,)``, SI, zero where not named; dials are skipped.
+        """All parameters of the machine ``(P,)``, SI, zero where not named; dials are skipped.
 
         Raises:
             InputError: for a name that is no parameter.
         """
-        theta = np.zeros(len(MACHINE_PARAMETERS))
+        theta = np.zeros(len(self._place))
         for name, value in values.items():
-            if name in _PLACE:
-                theta[_PLACE[name]] = value
-            else:
-                check_parameter(name)
+            if name in self._place:
+                theta[self._place[name]] = value
+            elif not (effect := self.catalogue.effect_of(name)).of_dial:
+                raise InputError(
+                    f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
+                )
         return theta
 
     def force(self, conditions: Conditions) -> Array:
@@ -207,7 +209,7 @@ class Model:
         moves, by_theta = self._map(
             self._displacement_tangent, self.vector(values), self.seen(conditions)
         )
-        columns = by_theta[:, [_PLACE[name] for name in names]]
+        columns = by_theta[:, [self._place[name] for name in names]]
         return moves[:, 0], np.swapaxes(columns, 1, 2)
 
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
@@ -243,17 +245,24 @@ class Model:
             outputs[part], by_name[part] = shown.values, by_virtual @ by_theta
         return Outputs(outputs), by_name
 
-    def _merged(
-        self, campaign: Campaign, names: Iterable[str]
+    def merged(
+        self, conditions: Conditions, names: Iterable[str]
     ) -> tuple[Conditions, np.ndarray[Any, Any]]:
-        used = {name.partition(".")[0] for name in names}
-        return Conditions.of(campaign).merged(
-            with_approach="backlash" in used, with_time=bool(used & _NEED_TIME)
-        )
+        """Distinct conditions as far as the effects of ``names`` tell them apart.
+
+        Args:
+            conditions: ``n`` of them.
+            names: of the parameters in play.
+
+        Returns:
+            The distinct ones, and the place among them of each ``(n,)``.
+        """
+        used = {self.catalogue.effect_of(name) for name in names}
+        return conditions.merged(frozenset().union(*(e.needs for e in used if not e.of_dial)))
 
     def readings(self, values: Mapping[str, float], campaign: Campaign) -> Array:
         """Readings ``(n,)``, datums apart, metres."""
-        conditions, place = self._merged(campaign, values)
+        conditions, place = self.merged(Conditions.of(campaign), values)
         lines = self.outputs(values, conditions).lines
         (shown,) = self._map(self.reading, *self._dial_arguments(values, campaign, lines[place]))
         return shown[:, 0, 0]
@@ -262,7 +271,8 @@ class Model:
         self, values: Mapping[str, float], campaign: Campaign, lines: Array
     ) -> tuple[Array, Array, Array]:
         touched = lines[np.arange(len(campaign)), campaign.leg].reshape(len(campaign), 12)
-        return touched, mountings(campaign, self.geometry.r), dial_values(campaign, values)
+        dials = dial_values(campaign, values, self.catalogue.of_dials)
+        return touched, mountings(campaign, self.geometry.r), dials
 
     def linearised(
         self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
@@ -274,30 +284,31 @@ class Model:
             campaign: says conditions and setups.
             names: the parameters to differentiate by.
         """
-        machine = [name for name in names if not is_dial(name)]
-        conditions, place = self._merged(campaign, [*values, *names])
+        dials: dict[str, tuple[int, int]] = {
+            name: (row, k)
+            for k, effect in enumerate(self.catalogue.of_dials)
+            for row, setup in enumerate(campaign.setups)
+            for name in effect.parameters((setup.name,))
+        }
+        machine = [name for name in names if name in self._place]
+        conditions, place = self.merged(Conditions.of(campaign), [*values, *names])
         outputs, by_name = self.sensitivities(values, conditions, machine)
         shown, by_ends, by_mounting, by_dial = self._map(
             self._reading_tangent, *self._dial_arguments(values, campaign, outputs.lines[place])
         )
         ends = by_name[:, LINES].reshape(len(conditions), 3, 12, len(machine))
-        jacobian = np.empty((len(campaign), len(names)))
-        jacobian[:, [k for k, n in enumerate(names) if not is_dial(n)]] = (
+        jacobian = np.zeros((len(campaign), len(names)))
+        jacobian[:, [k for k, n in enumerate(names) if n in self._place]] = (
             by_ends @ ends[place, campaign.leg]
         )[:, 0]
-        for k, name in enumerate(names):
-            if is_dial(name):
-                jacobian[:, k] = self._by_dial(name, campaign, by_dial[:, 0])
+        for column, name in zip(jacobian.T, names, strict=True):
+            if name in dials:
+                row, k = dials[name]
+                column[:] = np.where(campaign.setup == row, by_dial[:, 0, k], 0.0)
         return Readings(shown[:, 0, 0], jacobian, by_mounting[:, 0, BY_GAUGE])
-
-    @staticmethod
-    def _by_dial(name: str, campaign: Campaign, by_dial: Array) -> Array:
-        family, _, setup = name.partition(".")
-        own = np.array([s.name == setup for s in campaign.setups])[campaign.setup]
-        return np.where(own, by_dial[:, DIAL_FAMILIES.index(family)], 0.0)
 
 
 def tolerance_of(name: str, tolerance: Mapping[str, float]) -> float:
     """Standard deviation to expect of a parameter, SI."""
-    family = name.partition(".")[0]
-    return tolerance.get(family, CATALOGUE[family].tolerance * CATALOGUE[family].unit.si)
+    effect = CATALOGUE.effect_of(name)
+    return tolerance.get(effect.name, effect.tolerance_si)

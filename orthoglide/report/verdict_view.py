@@ -189,8 +189,7 @@ class View:
     @cached_property
     def uncertain_families(self) -> tuple[tuple[str, float], ...]:
         """Families that make most of the variance of the TCP, each with its share of their sum."""
-        from orthoglide.effects import family_of, is_dial
-        from orthoglide.effects.catalogue import MACHINE_PARAMETERS
+        from orthoglide.effects import MACHINE_PARAMETERS, family_of, is_dial
         from orthoglide.prediction import Conditions
 
         known, where = self.verdict.known, self.verdict.map.commands

@@ -1,0 +1,153 @@
+"""Causes in a mechanic's words, from their names and fitted values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from orthoglide.effects.catalogue import Catalogue
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.words import mm, mrad, percent, toward
+from orthoglide.geometry import LEGS
+from orthoglide.numerals import MINUS, compact
+from orthoglide.parameters import Parameter
+
+_SIZES = {"mm": mm, "rad": mrad, "1": percent}
+_ABOUT = {"a": " about the legs' own axes", "b": " about their pivots"}
+
+
+def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) -> str:
+    """What is wrong, as a clause with sign, size and unit.
+
+    Args:
+        catalogue: that has the effect.
+        name: of a candidate: a parameter, a structured member, an effect whole, or the paired
+            parameters of one leg (``screw_error.x``).
+        values: of what was identified with it, SI.
+    """
+    effect, parameter = _resolved(catalogue, name)
+    where = _campaign(parameter, name)
+    if name in values and parameter is not None:
+        if parameter.member:
+            text = f"{_many(effect)}, {_pattern(effect, parameter, values[name])}"
+        else:
+            text = one_words(effect, parameter, values[name])
+        return text + where
+    parts = {n: v for n, v in values.items() if n.startswith(f"{name.split('@')[0]}.")}
+    if effect.paired and parts and name != effect.name:  # a sine and a cosine of one leg
+        first = catalogue.parameter(next(iter(parts)))
+        return one_words(effect, first, math.hypot(*parts.values())) + where
+    if not parts:
+        return _many(effect) + where
+    sizes = [
+        size_words(effect, v) for v in (min(parts.values(), key=abs), max(parts.values(), key=abs))
+    ]
+    return f"{_many(effect)}, from {sizes[0]} to {sizes[1]}{where}"
+
+
+def cause_short(catalogue: Catalogue, name: str) -> str:
+    """The same cause without its size."""
+    effect, parameter = _resolved(catalogue, name)
+    where = _campaign(parameter, name)
+    if parameter is None and name != effect.name:  # the paired parameters of one leg
+        parameter = next(p for p in effect.motions if p.startswith(f"{name.split('@')[0]}."))
+    if parameter is not None and not parameter.member:
+        return _short(effect, parameter) + where
+    member = parameter.member if parameter is not None else ""
+    return f"{_many(effect)}{_short_pattern(member)}{where}"
+
+
+def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
+    """Clause for one parameter and its value, SI."""
+    if effect.words.one is not None:
+        return effect.words.one(parameter, value)
+    sign = "+" if value >= 0 else MINUS
+    return f"{_short(effect, parameter)}, by {sign}{size_words(effect, value)}"
+
+
+def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
+    """A test on the machine that confirms a cause, with the reading to expect."""
+    if effect.words.confirm is not None:
+        return effect.words.confirm(parameter, value)
+    sign = "+" if value >= 0 else MINUS
+    return f"look at {effect.look_at}: expect {sign}{size_words(effect, value)}"
+
+
+def size_words(effect: Effect, value: float) -> str:
+    """A size in the effect's own unit."""
+    if effect.words.size is not None:
+        return effect.words.size(value)
+    if effect.unit.name in _SIZES:
+        return _SIZES[effect.unit.name](value)
+    return f"{compact(abs(value) / effect.unit.si, 2)} {effect.unit.name}"
+
+
+def parameter_words(parameter: Parameter) -> str:
+    """``axis_tilt.y.z`` as ``axis tilt of leg y toward z``, for tables."""
+    words = parameter.effect.replace("_", " ")
+    where = f" ({parameter.campaign})" if parameter.campaign else ""
+    if parameter.setup:
+        return f"{words} of setup {parameter.setup}{where}"
+    if parameter.member:
+        return f"{words}, {parameter.member.replace('.', ' ')}{where}"
+    if parameter.direction in LEGS:
+        return f"{words} of leg {parameter.leg} toward {parameter.direction}{where}"
+    tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
+    behind = tail.get(parameter.direction, f" {parameter.direction}" if parameter.direction else "")
+    return f"{words} of leg {parameter.leg}{behind}{where}"
+
+
+def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None]:
+    """The effect, and the parameter or member; ``None`` for an effect whole or a leg's pair."""
+    effect = catalogue.effect_of(name)
+    plain = name.plain if isinstance(name, Parameter) else name.split("@")[0]
+    legs = {p.leg for p in effect.motions}
+    if plain == effect.name or (effect.paired and plain in {f"{effect.name}.{k}" for k in legs}):
+        return effect, None
+    if plain == f"{effect.name}.common" and effect.of_dial and not isinstance(name, Parameter):
+        return effect, Parameter(effect.name, member="common")
+    return effect, catalogue.parameter(name)
+
+
+def _campaign(parameter: Parameter | None, name: str) -> str:
+    campaign = parameter.campaign if parameter is not None else name.partition("@")[2]
+    return f" ({campaign})" if campaign else ""
+
+
+def _short(effect: Effect, parameter: Parameter) -> str:
+    if effect.words.short is not None:
+        return effect.words.short(parameter)
+    place = parameter.setup or f"leg {parameter.leg}"
+    toward_j = f" toward {parameter.direction}" if parameter.direction in LEGS else ""
+    return f"{place}: {effect.sentence}{toward_j}"
+
+
+def _many(effect: Effect) -> str:
+    return effect.words.many or f"all legs: {effect.sentence}"
+
+
+def _short_pattern(member: str) -> str:
+    if not member:
+        return ""
+    if member.endswith("symmetric"):
+        ways = "opposite ways" if member.endswith("antisymmetric") else "the same way"
+        return f" ({member[0]} and {member[1]}, {ways})"
+    return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
+
+
+def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
+    size, member = size_words(effect, value), parameter.member
+    if member == "cyclic":
+        pairs = [
+            f"{a} toward {toward(b, value)} and {toward(c, -value)}"
+            for a, b, c in (("x", "y", "z"), ("y", "z", "x"), ("z", "x", "y"))
+        ]
+        return f"in a threefold pattern ({', '.join(pairs)}), by {size}"
+    if member.endswith("symmetric"):
+        one, other = member[0], member[1]
+        back = -value if member.endswith("antisymmetric") else value
+        return (
+            f"{one} toward {toward(other, value)} and {other} toward {toward(one, back)} by {size}"
+        )
+    about = _ABOUT.get(member[0], "") if "." in member else ""
+    return f"all by {'' if value >= 0 else MINUS}{size}{about}"

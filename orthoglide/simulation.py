@@ -1,0 +1,102 @@
+"""Readings and TCP points of a machine that exists as a model only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from orthoglide.errors import InputError
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, TcpPoints, protocol
+from orthoglide.observations.protocols import Kind
+
+__all__ = ["TCP_POINTS", "simulate", "simulate_tcp"]
+
+TCP_POINTS = 60
+"""Points over the workspace that are enough to judge a calibration by."""
+
+Seed = int | np.random.Generator
+
+_DATUM = 1e-3  # metres: where a dial's zero may lie
+
+
+def simulate(
+    machine: Machine,
+    sheet: Campaign | Kind = "standard",
+    *,
+    noise: float | None = None,
+    seed: Seed = 0,
+    exact: bool = False,
+) -> Campaign:
+    """Fill in a measuring sheet with what dials on this machine would show.
+
+    Each dial has its own datum and stands up to some placement error off its place; readings are
+    noisy and rounded to the dial's resolution.
+
+    Args:
+        machine: with its errors as parameters.
+        sheet: a campaign whose readings do not count, or a kind of protocol.
+        noise: standard deviation of one reading, metres; the machine file's where absent, else
+            the published one.
+        seed: of all random draws, or where to draw from.
+        exact: no noise, no rounding, dials exactly in place, datums zero.
+
+    Raises:
+        InputError: for a noise that is no standard deviation, or a negative seed.
+    """
+    if isinstance(sheet, str):
+        sheet = protocol(sheet, machine.geometry)
+    draw, sd = _draws(seed), _noise(machine, noise)
+    if exact:
+        return sheet.with_readings(np.round(machine.readings(sheet), 15))
+    dial, count = machine.spec.dial, len(sheet.setups)
+    off = draw.normal(scale=dial.placement, size=count)
+    placed = (replace(s, gauge=s.gauge + o) for s, o in zip(sheet.setups, off, strict=True))
+    shown = machine.readings(replace(sheet, setups=tuple(placed)))
+    shown = shown + draw.uniform(-_DATUM, _DATUM, count)[sheet.setup]
+    shown = shown + draw.normal(scale=sd, size=len(sheet))
+    return sheet.with_readings(np.round(_rounded(shown, dial.resolution), 12))
+
+
+def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:
+    """Exact TCP points at commands drawn over the whole stroke, in the middle of any dead band.
+
+    Args:
+        machine: with its errors as parameters.
+        count: points.
+        seed: of all random draws, or where to draw from.
+    """
+    low, high = machine.geometry.stroke
+    travel = _draws(seed).uniform(low, high, (count, 3))
+    rho = np.round(machine.geometry.L + travel, 9)
+    return TcpPoints(
+        command=rho,
+        p=machine.forward(rho),
+        sigma=np.full(count, np.nan),
+        approach=np.zeros((count, 3)),
+        line=np.arange(2, count + 2),
+    )
+
+
+def _rounded(shown: Array, resolution: float) -> Array:
+    return np.round(shown / resolution) * resolution if resolution > 0 else shown
+
+
+def _noise(machine: Machine, noise: float | None) -> float:
+    if noise is None:
+        repeatability = machine.spec.dial.repeatability
+        return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
+    if not 0 <= noise < 1:
+        raise InputError(
+            f"noise must be a standard deviation in metres, 0 or more and less than 1, not {noise}"
+        )
+    return noise
+
+
+def _draws(seed: Seed) -> np.random.Generator:
+    if not isinstance(seed, np.random.Generator) and seed < 0:
+        raise InputError(f"seed must be 0 or more, not {seed}")
+    return np.random.default_rng(seed)
