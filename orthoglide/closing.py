@@ -9,14 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
+from orthoglide.accuracy import Map, tcp_map
 from orthoglide.diagnosis.ranking import Round
-from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, is_dial
+from orthoglide.effects import BASE_FAMILIES, is_dial
 from orthoglide.fit import Estimate, Problem, noise_of, solve
 from orthoglide.fit.problem import build_problem
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
+from orthoglide.posterior import FullPosterior, full_posterior
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
 
@@ -42,7 +44,7 @@ class Verdict:
         tried: all candidates that were identified.
         left: what the last fit leaves.
         stopped: why no further effect was added, in a sentence.
-        known: what the readings say with everything else allowed.
+        posterior: what the readings say with everything else allowed, about the last fit.
         own: what each campaign has for itself.
         blunders: faults of the data, found before any physics.
         faulty: the base fit with the faulty readings in, where there are any.
@@ -59,7 +61,7 @@ class Verdict:
     tried: tuple[Tried, ...]
     left: Round
     stopped: str
-    known: Knowledge
+    posterior: FullPosterior
     own: tuple[str, ...] = ()
     blunders: tuple[Any, ...] = ()
     faulty: Estimate | None = None
@@ -109,23 +111,20 @@ class Verdict:
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine, sigmas of the second kind."""
-        return self.fit.problem.machine.with_only(self.values, self._sigmas())
-
-    def _sigmas(self) -> dict[str, float]:
-        """Sigmas of the second kind of the machine's parameters, what fits as well in them."""
-        weights, mean = self.known.weights, self.values
-        variance = np.einsum("pe,ef,pf->p", weights, self.known.covariance, weights)
-        variance += (weights @ self.known.shift) ** 2
+        """The calibrated machine, with its covariance: everything else allowed."""
+        about_fit = self.posterior.machine
+        mean = np.array([self.values.get(n, 0.0) for n in about_fit.names])
+        covariance = about_fit.covariance.copy()
         for share, other in self.explanations:
-            apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in MACHINE_PARAMETERS]
-            variance += share * np.square(apart)
-        return dict(zip(MACHINE_PARAMETERS, np.sqrt(variance).tolist(), strict=True))
+            apart = np.array([other.get(n, 0.0) for n in about_fit.names]) - mean
+            covariance += share * np.outer(apart, apart)
+        known = Posterior(about_fit.names, mean, covariance)
+        return self.fit.problem.machine.with_posterior(self.values, known)
 
     @cached_property
     def map(self) -> Map:
-        """Predicted TCP over the workspace, with both kinds of uncertainty."""
-        return tcp_map(self.fit, self.known, self.values, self.explanations)
+        """Predicted TCP over the workspace, with its uncertainty."""
+        return tcp_map(self.machine)
 
     @property
     def invisible(self) -> tuple[str, ...]:
@@ -203,10 +202,8 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
     if holdout is not None:
         scored = hold_out(verdict.before, verdict.values, machine, holdout, verdict.own)
     if tcp is not None:
-        at_points = tcp_map(
-            verdict.fit, verdict.known, verdict.values, verdict.explanations, tcp.command
-        )
-        errors = tcp_errors(machine, tcp, verdict.before, verdict.values, at_points.sigma_all)
+        stated = tcp_map(verdict.machine, tcp.command).sigma
+        errors = tcp_errors(machine, tcp, verdict.before, verdict.values, stated)
     return replace(verdict, hold_out=scored, tcp=errors, judges=(holdout, tcp))
 
 
@@ -225,7 +222,7 @@ def _search(
         tuple(search.tried),
         left,
         stopped,
-        knowledge(fit),
+        full_posterior(fit),
         own,
     )
 

@@ -280,7 +280,9 @@ def test_result_has_the_keys_of_the_contract(which: str) -> None:
         assert 0 < told["probability"] <= 1
     for name, entry in result["parameters"].items():
         si = CATALOGUE[name.split(".")[0]].unit.si
-        assert entry["sigma"] * si == pytest.approx(verdict.known.sigmas[name], rel=1e-9)
+        assert entry["sigma"] * si == pytest.approx(
+            verdict.posterior.unknowns.sigmas[name], rel=1e-9
+        )
         assert entry["sigma_alone"] * si == pytest.approx(verdict.fit.sigmas[name], rel=1e-9)
     tried = {(c["name"], c["round"]) for c in result["candidates"]}
     assert len(tried) == len(result["candidates"])

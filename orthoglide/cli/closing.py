@@ -234,7 +234,7 @@ def run_close_loop(
         if out is not None:
             files = verdict_files(view, run, step)
             write_results(out, files)
-            result = files["result.json"]
+            result = str(files["result.json"])
         elif as_json:
             step(Step("suggesting"))
             result = result_text(view, run)

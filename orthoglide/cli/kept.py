@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import tempfile
+from base64 import b64decode
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -97,6 +98,7 @@ class Kept:
 
         from orthoglide.machine import Machine
         from orthoglide.machine_file import parse_machine_file
+        from orthoglide.machine_file.posterior import parse_posterior
         from orthoglide.report import InputFile
 
         try:
@@ -113,6 +115,9 @@ class Kept:
                 check_name(told["file"])
             spec = parse_machine_file(told["toml"], told["file"] or "")
             spec = replace(spec, file=told["file"] or "", sha256=told["sha256"] or "")
+            if told.get("npz"):
+                content = b64decode(told["npz"], validate=True)
+                spec = replace(spec, posterior=parse_posterior(content, spec.sha256, str(path)))
             seed = result["seed"]
             check_arguments(result["command"], result["arguments"], seed)
             noise_metres(result["arguments"]["noise_mm"])
@@ -125,7 +130,7 @@ class Kept:
             ) from None
         return cls(result["command"], result["arguments"], seed, inputs, Machine(spec), str(path))
 
-    def files(self, step: Progress, whole: bool) -> dict[str, str]:
+    def files(self, step: Progress, whole: bool) -> dict[str, str | bytes]:
         """The files of the run; only ``result.json`` where not asked for whole."""
         run = self._run()
         if self.command == "identify":
@@ -146,9 +151,11 @@ class Kept:
             progress=step,
         )
         view = View(verdict)
-        return verdict_files(view, run, step) if whole else {"result.json": result_text(view, run)}
+        if not whole:
+            return {"result.json": result_text(view, run)}
+        return verdict_files(view, run, step)
 
-    def _identified(self, run: Run, step: Progress) -> dict[str, str]:
+    def _identified(self, run: Run, step: Progress) -> dict[str, str | bytes]:
         from orthoglide.fit import identify
         from orthoglide.report import identification_files
 

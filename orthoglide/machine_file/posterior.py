@@ -80,18 +80,18 @@ def posterior_path(path: str | os.PathLike[str]) -> Path:
     return Path(path).with_suffix(".npz")
 
 
-def posterior_bytes(posterior: Posterior, machine_text: str) -> bytes:
+def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
     """The content of that file, the same bytes for the same numbers.
 
     Args:
         posterior: what to keep.
-        machine_text: of the machine file that it belongs to.
+        digest: sha256 of the machine file that it belongs to.
     """
     arrays = {
         "names": np.array(posterior.names, dtype=np.str_),
         "mean": posterior.mean,
         "covariance": posterior.covariance,
-        "sha256": np.array(files.sha256(machine_text.encode())),
+        "sha256": np.array(digest),
     }
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
@@ -108,7 +108,7 @@ def read_posterior(path: str | os.PathLike[str], digest: str) -> Posterior | Non
 
     Args:
         path: of the machine file.
-        digest: sha256 of the machine file's content.
+        digest: sha256 of its content.
 
     Raises:
         FileError: where the file is damaged or belongs to another machine file.
@@ -116,20 +116,26 @@ def read_posterior(path: str | os.PathLike[str], digest: str) -> Posterior | Non
     beside = posterior_path(path)
     if not beside.exists():
         return None
+    return parse_posterior(files.read_bytes(beside), digest, str(beside))
+
+
+def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
+    """A covariance from the bytes that `posterior_bytes` made; raises as `read_posterior`."""
     try:
-        with np.load(io.BytesIO(files.read_bytes(beside)), allow_pickle=False) as content:
-            names, mean, covariance, sha256 = (content[key] for key in _CONTENT)
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
         found = Posterior(tuple(map(str, names)), mean.astype(float), covariance.astype(float))
-    except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile):
-        raise FileError("is damaged: write the machine again", file=str(beside)) from None
-    if str(sha256) != digest:
+        count = (len(found.names),)
+        whole = found.mean.shape == count and found.covariance.shape == 2 * count
+        whole = whole and bool(np.isfinite(found.mean).all() and np.isfinite(covariance).all())
+    except (ValueError, KeyError, EOFError, OSError, TypeError, zipfile.BadZipFile):
+        whole = False
+    if not whole:
+        raise FileError("is damaged: write the machine again", file=file)
+    if str(belongs_to) != digest:
         raise FileError(
-            f"belongs to another {Path(path).name} than the one beside it: put back the file it "
-            f"was written with, or remove it to take the parameters for independent",
-            file=str(beside),
+            "belongs to another machine file than the one beside it: put back the one it was "
+            "written with, or remove this to take its parameters for independent",
+            file=file,
         )
-    count = (len(found.names),)
-    finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all()
-    if found.mean.shape != count or found.covariance.shape != 2 * count or not finite:
-        raise FileError("is damaged: write the machine again", file=str(beside))
     return found

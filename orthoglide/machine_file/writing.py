@@ -57,7 +57,9 @@ def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
     text = machine_text(machine, path)
     found: dict[str, str | bytes] = {Path(path).name: text}
     if machine.posterior is not None:
-        found[posterior_path(path).name] = posterior_bytes(machine.posterior, text)
+        found[posterior_path(path).name] = posterior_bytes(
+            machine.posterior, files.sha256(text.encode())
+        )
     return found
 
 

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 
-Files = dict[str, str]
+Files = dict[str, str | bytes]
 
 
 def identification_files(estimate: Estimate, run: Run) -> Files:
@@ -37,7 +37,7 @@ def identification_files(estimate: Estimate, run: Run) -> Files:
         estimate: what was found.
         run: what was asked, and of which files.
     """
-    from orthoglide.machine_file import machine_text
+    from orthoglide.machine_file import machine_files
     from orthoglide.report.figures import draw
     from orthoglide.report.html import identification_page
     from orthoglide.report.result import (
@@ -49,7 +49,7 @@ def identification_files(estimate: Estimate, run: Run) -> Files:
 
     drawings = draw(estimate)
     return {
-        "calibrated.toml": machine_text(calibrated_machine(estimate, run), "calibrated.toml"),
+        **machine_files(calibrated_machine(estimate, run), "calibrated.toml"),
         "residuals.csv": residual_table(estimate),
         **{f"figures/{d.name}.svg": d.svg for d in drawings},
         "report.html": identification_page(estimate, run, drawings),
@@ -80,7 +80,7 @@ def verdict_files(view: View, run: Run, progress: Progress = silent) -> Files:
         run: what was asked, and of which files.
         progress: called with each step.
     """
-    from orthoglide.machine_file import machine_text
+    from orthoglide.machine_file import machine_files
     from orthoglide.report.verdict_figures import draw_verdict
     from orthoglide.report.verdict_html import verdict_page
     from orthoglide.report.verdict_result import calibrated_machine, next_table, residual_table
@@ -93,7 +93,7 @@ def verdict_files(view: View, run: Run, progress: Progress = silent) -> Files:
     drawings = draw_verdict(view)
     progress(Step("writing"))
     return {
-        "calibrated.toml": machine_text(calibrated_machine(verdict, run), "calibrated.toml"),
+        **machine_files(calibrated_machine(verdict, run), "calibrated.toml"),
         "residuals.csv": residual_table(verdict),
         **({"next_measurements.csv": sheet} if sheet else {}),
         **{f"figures/{d.name}.svg": d.svg for d in drawings},

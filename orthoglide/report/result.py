@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text, nominal_machine_file
+from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.report.run import Run
 from orthoglide.report.wording import headline
 
@@ -150,11 +152,12 @@ def check_mapping(check: CrossCheck | None) -> dict[str, Any] | None:
 
 def machine_mapping(machine: Machine) -> dict[str, Any]:
     """The machine that was started from, whole."""
-    spec = machine.spec
+    spec, kept = machine.spec, machine.spec.posterior
     return {
         "file": Path(spec.file).name or None,
         "sha256": spec.sha256 or None,
         "toml": machine_text(spec),
+        "npz": kept and b64encode(posterior_bytes(kept, spec.sha256)).decode(),
     }
 
 

@@ -250,7 +250,7 @@ def _values(view: View) -> Data:
     rows = []
     for name, tolerance in zip(fit.names, fit.problem.tolerance, strict=True):
         unit = family_of(name).unit
-        sigma, alone = verdict.known.sigmas[name] / unit.si, fit.sigmas[name] / unit.si
+        sigma, alone = verdict.posterior.unknowns.sigmas[name] / unit.si, fit.sigmas[name] / unit.si
         places = decimals_for(sigma, most=9)
         rows.append(
             {

@@ -123,7 +123,7 @@ def _parameters(verdict: Verdict) -> dict[str, Any]:
         unit = family_of(name).unit
         found[name] = {
             "value": number(fit.values[name] / unit.si),
-            "sigma": number(verdict.known.sigmas[name] / unit.si),
+            "sigma": number(verdict.posterior.unknowns.sigmas[name] / unit.si),
             "sigma_alone": number(fit.sigmas[name] / unit.si),
             "unit": unit.name,
             "tolerance": number(tolerance / unit.si),

@@ -153,14 +153,18 @@ class View:
     @cached_property
     def base_map(self) -> Map:
         """The TCP as the base model predicts it."""
-        from orthoglide.accuracy import knowledge, tcp_map
+        from orthoglide.accuracy import tcp_map
+        from orthoglide.posterior import full_posterior
 
         base = self.verdict.base
-        return tcp_map(base, knowledge(base), self.verdict.before)
+        machine = base.problem.machine
+        return tcp_map(machine.with_posterior(self.verdict.before, full_posterior(base).machine))
 
     @cached_property
     def workspace(self) -> Workspace:
         """The TCP over the workspace."""
+        from orthoglide.accuracy import tcp_map
+
         after, before = self.verdict.map, self.base_map
         apart = after.p - before.p
         return Workspace(
@@ -169,7 +173,7 @@ class View:
             np.linalg.norm(apart - apart.mean(axis=0), axis=1),
             before.uncertainty,
             after.uncertainty,
-            1.96 * np.linalg.norm(after.sigma, axis=1),
+            tcp_map(self.verdict.fit.machine).uncertainty,
         )
 
     @property
@@ -189,23 +193,9 @@ class View:
     @cached_property
     def uncertain_families(self) -> tuple[tuple[str, float], ...]:
         """Families that make most of the variance of the TCP, each with its share of their sum."""
-        from orthoglide.effects import MACHINE_PARAMETERS, family_of, is_dial
-        from orthoglide.prediction import Conditions
+        from orthoglide.accuracy import variance_by_effect
 
-        known, where = self.verdict.known, self.verdict.map.commands
-        model = self.verdict.fit.problem.machine.model
-        _, by_theta = model.sensitivities(
-            self.verdict.values, Conditions.at(where), MACHINE_PARAMETERS
-        )
-        slope = by_theta[:, :3] @ known.weights
-        slope = slope - slope.mean(axis=0)
-        shares: dict[str, float] = {}
-        families = [family_of(n).name for n in known.names]
-        for family in dict.fromkeys(f for f in families if not is_dial(f)):
-            own = np.array([f == family for f in families])
-            part = slope[:, :, own]
-            block = known.covariance[np.ix_(own, own)]
-            shares[family] = float(np.einsum("gie,ef,gif->", part, block, part))
+        shares = variance_by_effect(self.verdict.machine)
         total = sum(shares.values())
         ranked = sorted(shares.items(), key=lambda item: -item[1])[:_FEEDS]
         return tuple((f, s / total) for f, s in ranked if total > 0)
