@@ -57,6 +57,12 @@ class Machine:
 
     spec: MachineFile = field(default_factory=nominal_machine_file)
 
+    def __repr__(self) -> str:
+        names = list(self.spec.parameters)
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        errors = ", ".join(names[:3]) + more if names else "no errors"
+        return f"<Machine {self.spec.name!r}: {errors}>"
+
     @classmethod
     def nominal(cls) -> Machine:
         """The Orthoglide of the papers, without errors."""

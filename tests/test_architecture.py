@@ -16,7 +16,7 @@ LONGEST = 400
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"errors", "parameters", "progress"}),
-    frozenset({"geometry", "files", "units", "numerals"}),
+    frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
     frozenset({"observations"}),

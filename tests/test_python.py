@@ -7,6 +7,7 @@ import copy
 import importlib
 import pickle
 import pkgutil
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -129,6 +130,40 @@ def test_compensate_is_the_command(tmp_path: Path) -> None:
         "--out", tmp_path / "c.csv")  # fmt: skip
     points = og.read_path(tmp_path / "path.csv").p
     assert commands_text(og.compensate(machine, points)) == (tmp_path / "c.csv").read_text()
+
+
+def test_what_is_shown_of_a_machine() -> None:
+    assert repr(og.Machine.nominal()) == "<Machine 'Orthoglide, nominal': no errors>"
+    many = og.Machine.nominal().with_parameters({"leg_length.common": 1e-4, **ERRORS})
+    assert repr(many).endswith("leg_length.x, leg_length.y, leg_length.z and 3 more>")
+
+
+def test_what_is_shown_of_an_estimate(estimate: og.Estimate) -> None:
+    rms = f"{estimate.scores.rms * 1e3:.4f} mm"
+    assert repr(estimate) == f"<Estimate of 6 parameters from 252 readings: residual rms {rms}>"
+    page = estimate._repr_html_()
+    assert page.startswith("<table><caption>Estimate of 6 parameters")
+    assert all(f"<td>{name}</td>" in page for name in estimate.names)
+    assert len(page) < 3000
+
+
+def test_the_frame_of_an_estimate(estimate: og.Estimate) -> None:
+    frame = estimate.to_frame()
+    assert list(frame.index) == list(estimate.names)
+    for name, row in frame.iterrows():
+        low, high = estimate.interval(name)
+        expected = np.array([estimate.values[name], estimate.sigmas[name], low, high]) * 1e3
+        shown = [row["value"], row["sigma"], row["lower"], row["upper"]]
+        assert np.allclose(np.array(shown, float), expected, rtol=1e-12)
+        assert row["unit"] == "mm"
+        assert row["tolerance"] == pytest.approx(estimate.problem.machine.tolerance(name) * 1e3)
+
+
+def test_frames_say_what_they_need(estimate: og.Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(og.InputError, match="pip install pandas"):
+        estimate.to_frame()
+    assert "<table>" in estimate._repr_html_()
 
 
 @copied

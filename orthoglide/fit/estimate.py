@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,9 +15,13 @@ from orthoglide.fit.least_squares import Linearised, Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import Scores
 from orthoglide.fit.weakness import WeakDirection
+from orthoglide.frames import data_frame, html_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,41 @@ class Estimate:
 
     def __str__(self) -> str:
         return fit_report(self)
+
+    def __repr__(self) -> str:
+        readings, rms = len(self.problem.measured), self.scores.rms * 1e3
+        return (
+            f"<Estimate of {len(self.names)} parameters from {readings} readings: residual rms "
+            f"{rms:.4f} mm>"
+        )
+
+    @property
+    def _columns(self) -> dict[str, list[Any]]:
+        """What was identified as files show it, a row a parameter."""
+        units = [family_of(name).unit for name in self.names]
+        si = np.array([unit.si for unit in units])
+        half = self.coverage_factor * np.sqrt(np.diag(self.covariance))
+        return {
+            "parameter": list(self.names),
+            "value": (self.x / si).tolist(),
+            "sigma": (np.sqrt(np.diag(self.covariance)) / si).tolist(),
+            "lower": ((self.x - half) / si).tolist(),
+            "upper": ((self.x + half) / si).tolist(),
+            "unit": [unit.name for unit in units],
+            "tolerance": (self.problem.tolerance / si).tolist(),
+        }
+
+    def to_frame(self) -> pd.DataFrame:
+        """What was identified, a row a parameter in the units of files: value, sigma, the limits
+        of the 95 % interval, unit and tolerance.
+
+        Raises:
+            InputError: where pandas is not installed.
+        """
+        return data_frame(self._columns, index="parameter")
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self)[1:-1], self._columns)
 
 
 def fit_report(estimate: Estimate) -> str:

@@ -1,0 +1,54 @@
+"""Tables for notebooks: data frames where pandas is installed, and plain HTML everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from orthoglide.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["data_frame", "html_table"]
+
+
+def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -> pd.DataFrame:
+    """A pandas data frame of columns.
+
+    Args:
+        columns: of equal length, by name.
+        index: the column that names the rows; they are numbered where absent.
+
+    Raises:
+        InputError: where pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError:
+        raise InputError("data frames need pandas: pip install pandas") from None
+    frame = pd.DataFrame(dict(columns))
+    return frame if index is None else frame.set_index(index)
+
+
+def html_table(caption: str, columns: Mapping[str, Sequence[Any]], rows: int = 20) -> str:
+    """An HTML table of columns, its long middle left out.
+
+    Args:
+        caption: above it.
+        columns: of equal length, by name; floats are shown with five digits.
+        rows: to show at most.
+    """
+    lines = list(zip(*columns.values(), strict=True))
+    if len(lines) > rows:
+        half = rows // 2
+        lines = [*lines[:half], ("...",) * len(columns), *lines[-half:]]
+    body = "".join(f"<tr>{_cells('td', line)}</tr>" for line in lines)
+    head = f"<thead><tr>{_cells('th', columns)}</tr></thead>"
+    return f"<table><caption>{escape(caption)}</caption>{head}<tbody>{body}</tbody></table>"
+
+
+def _cells(kind: str, values: Iterable[Any]) -> str:
+    shown = (f"{v:.5g}" if isinstance(v, float) else str(v) for v in values)
+    return "".join(f"<{kind}>{escape(text)}</{kind}>" for text in shown)
