@@ -29,17 +29,12 @@ def workspace(geometry: Geometry, count: int = GRID) -> Array:
     return np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def tcp_slopes(
-    machine: Machine,
-    values: Mapping[str, float],
-    names: Sequence[str],
-    commands: Array | None = None,
-) -> Array:
-    """TCP by parameter ``(g, 3, P)``, SI, at commands ``(g, 3)`` or over the workspace."""
-    where = workspace(machine.geometry) if commands is None else commands
+def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
+    """TCP by parameter ``(g, 3, P)``, SI, in the conditions given or over the workspace."""
+    where = Conditions.at(workspace(machine.geometry)) if at is None else at
     known = machine.catalogue.motions
-    own = {n: v for n, v in values.items() if n in known}
-    _, slopes = machine.model.sensitivities(own, Conditions.at(where), tuple(names))
+    values = {n: v for n, v in machine.values.items() if n in known}
+    _, slopes = machine.model.sensitivities(values, where, tuple(names))
     return slopes[:, :3]
 
 
@@ -84,7 +79,7 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
     """
     where = workspace(machine.geometry) if commands is None else commands
     known = machine.posterior
-    slopes = without_place(tcp_slopes(machine, machine.values, known.names, where))
+    slopes = without_place(tcp_slopes(machine, known.names, Conditions.at(where)))
     variance = np.einsum("gip,pq,giq->gi", slopes, known.covariance, slopes)
     nominal = machine.with_only({}).forward(where)
     return Map(where, nominal, machine.forward(where), np.sqrt(np.maximum(variance, 0.0)))
@@ -93,7 +88,7 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
 def variance_by_effect(machine: Machine) -> dict[str, float]:
     """Variance of the TCP's shape over the workspace from each effect alone, square metres."""
     known, shares = machine.posterior, {}
-    slopes = without_place(tcp_slopes(machine, machine.values, known.names))
+    slopes = without_place(tcp_slopes(machine, known.names))
     effects = [machine.catalogue.effect_of(n).name for n in known.names]
     for effect in dict.fromkeys(effects):
         own = np.flatnonzero([e == effect for e in effects])
@@ -140,7 +135,7 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
     known, wanted = machine.posterior, machine.with_only({}).forward(workspace(machine.geometry))
     commands = machine.with_only(settings).inverse(wanted)
     mean = machine.forward(commands) - wanted
-    slopes = tcp_slopes(machine, machine.values, known.names, commands)
+    slopes = tcp_slopes(machine, known.names, Conditions.at(commands))
     draws = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names))) @ known.root.T
     errors = mean + np.einsum("gip,np->ngi", slopes, draws)
     place = errors.mean(axis=1)

@@ -162,7 +162,13 @@ class Machine:
         Args:
             values: elementary parameters, SI.
             posterior: of them and others about these values, 0 where there is none.
+
+        Raises:
+            InputError: for a name that is no single parameter of the machine.
         """
+        for name in posterior.names:
+            if name not in self.catalogue.motions:
+                raise InputError(f"the covariance names {name!r}, which is no single parameter")
         return self._with({}, values, posterior.sigmas, posterior.about(values))
 
     def _with(

@@ -103,7 +103,6 @@ class _Seen:
         # Where the fit lacks something, the readings are worse witnesses of all else as well.
         project, noise = estimate.nuisance.project, estimate.sigma_scale
         machine = _machine_parameters(wide)
-        values = wide.values(len(wide.campaigns) - 1, x)
         return cls(
             wide.names,
             x,
@@ -115,7 +114,7 @@ class _Seen:
             ],
             project(wide.measured - at.value) / noise,
             project(at.jacobian) / noise * sd,
-            _translations(tcp_slopes(problem.machine, values, machine[0]) @ machine[1] * sd),
+            _translations(tcp_slopes(estimate.machine, machine[0]) @ machine[1] * sd),
             machine,
         )
 

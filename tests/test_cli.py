@@ -512,7 +512,8 @@ def test_a_name_that_is_too_long(command: tuple[str, ...], here: Path) -> None:
 # --- What is made ---------------------------------------------------------------------------
 
 FILES = {
-    "result.json", "calibrated.toml", "residuals.csv", "report.html", "figures/readings.svg",
+    "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
+    "figures/readings.svg",
     "figures/residuals.svg", "figures/parameters.svg", "figures/correlations.svg",
 }  # fmt: skip
 

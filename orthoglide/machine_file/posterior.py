@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide import files
-from orthoglide.errors import FileError
+from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
 
 _CONTENT = ("names", "mean", "covariance", "sha256")
@@ -31,6 +31,16 @@ class Posterior:
     names: tuple[str, ...]
     mean: Array
     covariance: Array
+
+    def __post_init__(self) -> None:
+        count = (len(self.names),)
+        if self.mean.shape != count or self.covariance.shape != 2 * count:
+            raise InputError(
+                f"{count[0]} names need as many values, and a covariance of that many rows and "
+                f"columns"
+            )
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
+            raise InputError("a mean and a covariance are finite numbers")
 
     @classmethod
     def independent(cls, values: Mapping[str, float], sigmas: Mapping[str, float]) -> Posterior:
@@ -97,7 +107,7 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
     with zipfile.ZipFile(stream, "w") as archive:
         for name, array in arrays.items():
             content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(array), allow_pickle=False)
+            np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy")  # of no date, where np.savez may differ
             archive.writestr(entry, content.getvalue())
     return stream.getvalue()
@@ -125,13 +135,8 @@ def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
         found = Posterior(tuple(map(str, names)), mean.astype(float), covariance.astype(float))
-        count = (len(found.names),)
-        whole = found.mean.shape == count and found.covariance.shape == 2 * count
-        whole = whole and bool(np.isfinite(found.mean).all() and np.isfinite(covariance).all())
     except (ValueError, KeyError, EOFError, OSError, TypeError, zipfile.BadZipFile):
-        whole = False
-    if not whole:
-        raise FileError("is damaged: write the machine again", file=file)
+        raise FileError("is damaged: write the machine again", file=file) from None
     if str(belongs_to) != digest:
         raise FileError(
             "belongs to another machine file than the one beside it: put back the one it was "
