@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -90,15 +91,15 @@ def _files(
 ) -> dict[str, str | bytes]:
     from orthoglide import __version__
     from orthoglide.machine_file import machine_files
-    from orthoglide.report.result import to_json
 
     source = {"file": path.name, "sha256": points.sha256}
     provenance: dict[str, Any] = {"version": __version__, "command": "identify", "points": [source]}
     calibrated = replace(estimate.machine.spec, provenance=provenance)
+    result = _result(estimate, source, frame, priors, __version__)
     return {
         **machine_files(calibrated, "calibrated.toml"),
         "residuals.csv": _residuals(estimate, points),
-        "result.json": to_json(_result(estimate, source, frame, priors, __version__)),
+        "result.json": json.dumps(result, indent=1) + "\n",
     }
 
 
@@ -106,7 +107,7 @@ def _result(
     estimate: TcpEstimate, source: dict[str, str], frame: str, priors: bool, version: str
 ) -> dict[str, Any]:
     from orthoglide.effects import family_of
-    from orthoglide.report.result import number
+    from orthoglide.report.result_json import number
 
     parameters = {}
     for name, value in estimate.values.items():

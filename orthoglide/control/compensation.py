@@ -13,7 +13,7 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
-from orthoglide.observations.campaign import derive_approach
+from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.prediction import Conditions
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,6 +37,7 @@ class Signatures:
         weight: 1 / sigma of each reading ``(n,)``.
         candidates: all that are made of these.
         invisible: names that these readings cannot show, whatever their size within reason.
+        slopes: derivative of the readings ``(n,)`` by every unknown, of the fit and beyond it.
     """
 
     estimate: Estimate
@@ -48,6 +49,7 @@ class Signatures:
     weight: Array
     candidates: tuple[Candidate, ...]
     invisible: tuple[str, ...]
+    slopes: Mapping[str, Array]
 
     @property
     def count(self) -> int:
@@ -152,6 +154,7 @@ def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
         weight,
         candidates(visible, families),
         tuple(n for n, s in zip(names, seen, strict=True) if not s),
+        dict(zip(wide.names, at.jacobian.T, strict=True)),
     )
 
 
