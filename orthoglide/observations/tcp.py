@@ -57,6 +57,9 @@ class TcpPoints:
     def __len__(self) -> int:
         return len(self.p)
 
+    def __repr__(self) -> str:
+        return f"<TcpPoints: {len(self)} points{f' of {self.file}' if self.file else ''}>"
+
 
 def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = None) -> TcpPoints:
     """Reads TCP points.
