@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -10,6 +11,7 @@ from typing import Any
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
+from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
 from orthoglide.request.request import Request
 
@@ -29,14 +31,14 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
         FileError: where a part of it is not as it was written.
     """
     try:
-        inputs, told, seed = result["inputs"], result["arguments"], result["seed"]
+        inputs, given, seed = result["inputs"], result["arguments"], result["seed"]
         single = result["command"] == "identify"
         _check_inputs(inputs)
-        _check_arguments(told, single)
+        _check_arguments(given, single)
         # Nothing is drawn to identify, and any seed went.
         if not isinstance(seed, int) or isinstance(seed, bool) or (seed < 0 and not single):
             raise ValueError("seed is no number that counts")
-        noise = told["noise_mm"]
+        noise = given["noise_mm"]
         machine = _machine(result["machine"])
     except FileError:  # of the machine file
         raise
@@ -50,7 +52,7 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
         result["command"],
         tuple(_campaign(i, machine) for i in by_role["campaign"]),
         machine,
-        own=tuple(told["own"]),
+        own=tuple(given["own"]),
         noise=None if noise is None else noise * 1e-3,
         seed=seed,
         holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
@@ -58,16 +60,18 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
     )
     if not single:
         return request
-    free, priors, reduced = tuple(told["free"]), told["priors"], told["reduced"]
+    free, priors, reduced = tuple(given["free"]), given["priors"], given["reduced"]
     return replace(request, free=free, priors=priors, reduced=reduced)
 
 
-def _machine(told: Mapping[str, Any]) -> Machine:
-    name = told["file"] or ""
+def _machine(given: Mapping[str, Any]) -> Machine:
+    name = given["file"] or ""
     if name:
         _check_name(name)
-    spec = parse_machine_file(told["toml"], name)
-    return Machine(replace(spec, file=name, sha256=told["sha256"] or ""))
+    spec, digest = parse_machine_file(given["toml"], name), given["sha256"] or ""
+    kept = given.get("npz")
+    known = kept and parse_posterior(b64decode(kept, validate=True), digest, name)
+    return Machine(replace(spec, file=name, sha256=digest, posterior=known))
 
 
 def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:
@@ -91,7 +95,7 @@ def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:
     )
 
 
-def _check_arguments(told: Mapping[str, Any], single: bool) -> None:
+def _check_arguments(given: Mapping[str, Any], single: bool) -> None:
     """ValueError or KeyError where an argument is none that the command takes."""
 
     def names(value: Any) -> bool:
@@ -110,8 +114,8 @@ def _check_arguments(told: Mapping[str, Any], single: bool) -> None:
         truth: Callable[[Any], bool] = lambda value: isinstance(value, bool)  # noqa: E731
         checks |= {"free": names, "priors": truth, "reduced": truth}
     for name, check in checks.items():
-        if not check(told[name]):
-            raise ValueError(f"{name} is {told[name]!r}")
+        if not check(given[name]):
+            raise ValueError(f"{name} is {given[name]!r}")
 
 
 def _check_inputs(found: Any) -> None:
