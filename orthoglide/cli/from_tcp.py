@@ -88,16 +88,16 @@ def _summary(estimate: TcpEstimate) -> str:
 
 def _files(
     estimate: TcpEstimate, points: TcpPoints, path: Path, frame: str, priors: bool
-) -> dict[str, str]:
+) -> dict[str, str | bytes]:
     from orthoglide import __version__
-    from orthoglide.machine_file import machine_text
+    from orthoglide.machine_file import machine_files
 
     source = {"file": path.name, "sha256": points.sha256}
     provenance: dict[str, Any] = {"version": __version__, "command": "identify", "points": [source]}
     calibrated = replace(estimate.machine.spec, provenance=provenance)
     result = _result(estimate, source, frame, priors, __version__)
     return {
-        "calibrated.toml": machine_text(calibrated, "calibrated.toml"),
+        **machine_files(calibrated, "calibrated.toml"),
         "residuals.csv": _residuals(estimate, points),
         "result.json": json.dumps(result, indent=1) + "\n",
     }

@@ -110,4 +110,7 @@ def load_machine(path: Path | None) -> Machine:
     """The machine of ``--machine``."""
     from orthoglide.machine import Machine
 
-    return Machine.nominal() if path is None else Machine.load(path)
+    machine = Machine.nominal() if path is None else Machine.load(path)
+    for warning in machine.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    return machine
