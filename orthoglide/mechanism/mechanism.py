@@ -160,7 +160,7 @@ class Mechanism:
         import pinocchio as pin
 
         residual = self.loops.update(q)
-        by_loop = self.loops.by_loop(residual)
+        by_loop = self.tree.by_loop(residual)
         if not float(np.abs(residual).max()) <= CLOSED:
             worst = max(by_loop, key=lambda name: by_loop[name])
             reason = (
