@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -171,6 +172,10 @@ class Machine:
                 raise InputError(f"the covariance names {name!r}, which is no single parameter")
         return self._with({}, values, posterior.sigmas, posterior.about(values))
 
+    def with_provenance(self, provenance: Mapping[str, Any]) -> Machine:
+        """The same machine, with where its parameters come from."""
+        return self._like(replace(self.spec, provenance=dict(provenance)))
+
     def _with(
         self,
         entries: dict[str, ParameterValue],
@@ -188,8 +193,12 @@ class Machine:
                     weight * float(value), abs(weight) * float(sigma), unit
                 )
         made = replace(self.spec, parameters=entries, posterior=posterior, warnings=())
-        machine = Machine(replace(made, file="", sha256=""))
-        if "model" in self.__dict__:  # the tree is the same: share what is costly to build
+        return self._like(replace(made, file="", sha256=""))
+
+    def _like(self, spec: MachineFile) -> Machine:
+        """A machine of the same tree, which shares what is costly to build."""
+        machine = Machine(spec)
+        if "model" in self.__dict__:
             machine.__dict__["model"] = self.__dict__["model"]
         return machine
 

@@ -245,8 +245,8 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     page = files_of("partial")["report.html"]
     section = words(page[page.index('id="controller"') : page.index('id="judged"')])
     assert "No numbers are given to enter" in section
-    assert "add to the display" not in section
-    assert "add to the display" in words(files_of("ambiguous")["report.html"])
+    assert "add to every command" not in section
+    assert "add to every command" in words(files_of("ambiguous")["report.html"])
 
 
 def test_a_machine_with_nothing_wrong() -> None:

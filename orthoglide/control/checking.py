@@ -78,21 +78,18 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
         offsets: joint offsets that the new zeros take off ``(3,)``, metres.
 
     Returns:
-        One check for each drive whose zero moves.
+        One check for each drive whose zero moves by what a dial shows.
     """
     sheet = protocol("standard", machine.geometry)
+    pairs = [pair for setup in range(len(sheet.setups)) for pair in _pairs(sheet, setup)]
     right = _readings(machine, sheet, -offsets)
     found = []
     for drive in np.flatnonzero(offsets):
-        moved = np.where(np.arange(3) == drive, offsets, -offsets)
-        wrong = _readings(machine, sheet, moved)
-        pairs = [
-            (first, row)
-            for setup in range(len(sheet.setups))
-            for first, *others in [_first_visits(sheet, setup)]
-            for row in others
-        ]
-        first, row = max(pairs, key=lambda p: abs((right - wrong)[p[1]] - (right - wrong)[p[0]]))
+        wrong = _readings(machine, sheet, np.where(np.arange(3) == drive, offsets, -offsets))
+        apart = right - wrong
+        first, row = max(pairs, key=lambda p: abs(apart[p[1]] - apart[p[0]]))
+        if abs(apart[row] - apart[first]) < 2 * machine.spec.dial.resolution:
+            continue
         setup = sheet.setups[sheet.setup[row]]
         found.append(
             ZeroCheck(
@@ -111,11 +108,12 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     return tuple(found)
 
 
-def _first_visits(sheet: Campaign, setup: int) -> list[int]:
-    """The first row of each posture of a setup, Zero before the others."""
+def _pairs(sheet: Campaign, setup: int) -> list[tuple[int, int]]:
+    """First rows of a setup at Zero and at each of its other postures."""
     rows = np.flatnonzero(sheet.setup == setup)
     first = {sheet.posture[row]: int(row) for row in rows[::-1]}
-    return [first.pop("zero"), *first.values()]
+    zero = first.pop("zero")
+    return [(zero, row) for row in first.values()]
 
 
 def _readings(machine: Machine, sheet: Campaign, by: Array) -> Array:

@@ -135,7 +135,8 @@ def compensate(
         force: compensate whatever the verdict that is kept with the machine says.
 
     Raises:
-        InputError: where that verdict says not to act on the machine's numbers, for points that are not numbers, or an approach that cannot be settled.
+        InputError: where that verdict says not to act on the machine's numbers, for points that
+            are not numbers, or an approach that cannot be settled.
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
     refuse_withheld(machine, force)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 
-from orthoglide.accuracy import best_zeros, tool_errors
+from orthoglide.accuracy import ExpectedError, best_zeros, tool_errors
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 
 RULE = (
-    "A carriage stands at the commanded joint coordinate plus its joint offset. new zero = old "
-    "zero - sign x joint_offset: what the controller shows, counted as now, when the carriage is "
-    "at mechanical zero. Enter it as the zero, once, or add new zero - old zero to every command; "
-    "never both."
+    "new zero = old zero - sign x joint_offset: what the controller shows, counted as now, when "
+    "the carriage is at mechanical zero; for it stands at the commanded joint coordinate plus its "
+    "joint offset. Enter the new zero once, or add new zero - old zero to every command; never "
+    "both."
 )
 """The sign of a zero, wherever one is given."""
 
@@ -116,8 +117,7 @@ class ControllerNumbers:
         left_over: parameters of the machine that no such number can hold.
         zeros_only: zeros for a controller that takes nothing else, metres.
         checks: readings that prove the sign of each new zero.
-        expected: mean TCP error over the workspace after the best translation, metres: ``now``,
-            with ``zeros`` alone, with ``zeros_and_lengths``, and ``compensated``.
+        expected: errors of the TCP, see :func:`~orthoglide.accuracy.tool_errors`.
     """
 
     name: str
@@ -125,7 +125,7 @@ class ControllerNumbers:
     left_over: tuple[str, ...]
     zeros_only: tuple[float, ...]
     checks: tuple[ZeroCheck, ...]
-    expected: dict[str, float]
+    expected: dict[str, ExpectedError]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""
@@ -135,25 +135,23 @@ class ControllerNumbers:
             "drives": {d.leg: d.as_dict() for d in self.drives},
             "zeros_only_mm": dict(zip(LEGS, map(_mm, self.zeros_only), strict=True)),
             "checks": {c.drive: c.as_dict() for c in self.checks},
-            "expected_shape_mm": {name: _mm(v) for name, v in self.expected.items()},
+            "expected": {name: error.as_dict() for name, error in self.expected.items()},
             "not_held": list(self.left_over),
         }
 
     def text(self) -> str:
         """For people: the rule in words, one worked line, a table, and the checks."""
-        now, zeros, _, everything = (f"{v * 1e3:.4f}" for v in self.expected.values())
+        shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
         return _TEXT.format(
             name=self.name,
-            rule=RULE,
+            rule=fill(RULE, 100),
             worked=self.drives[0].worked(),
             table="\n".join(map(_line, self.drives)),
-            checks="\n".join(f"- {check}" for check in self.checks) or "- no zero moves.",
+            checks="\n".join(f"- {check}" for check in self.checks) or _NONE,
             alone=", ".join(
                 f"{leg} {_mm(v):.4f}" for leg, v in zip(LEGS, self.zeros_only, strict=True)
             ),
-            now=now,
-            zeros=zeros,
-            everything=everything,
+            **shape,
             rest=_rest(self.left_over),
         )
 
@@ -198,7 +196,7 @@ def controller_numbers(
         tuple(n for n, v in machine.values.items() if v and of(n).controller not in held),
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
-        {name: error.shape for name, error in tool_errors(machine).items()},
+        tool_errors(machine),
     )
 
 
@@ -234,10 +232,11 @@ def _rest(names: tuple[str, ...]) -> str:
     )
 
 
+_NONE = "- no zero moves by what a dial shows."
 _TEXT = """Numbers for the controller: {name}
 All lengths in mm, in the controller's own counting.
 
-The rule. {rule}
+{rule}
 Worked: {worked}
 
 Scale factor: multiply commanded distances from mechanical zero (or the counts per millimetre) by
@@ -257,7 +256,7 @@ controller shows for x, y, z.
 
 Zeros only. For a controller that takes nothing but zeros these are best: {alone}.
 Mean error of the TCP over the workspace to expect, after one translation of everything: {now} now,
-{zeros} with these zeros, {everything} with commands from `orthoglide compensate`.
+{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`.
 
 {rest}
 """

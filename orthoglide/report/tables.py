@@ -36,7 +36,7 @@ def calibrated_machine(result: Result) -> MachineFile:
     request, spec = result.request, result.machine.spec
     provenance: dict[str, Any] = {
         **_origin(request),
-        "verdict": result.word,
+        **spec.provenance,
         "sigma": "noise alone" if result.posterior is None else "all other effects allowed",
     }
     if result.effects:
