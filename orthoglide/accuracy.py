@@ -172,20 +172,19 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     return settings
 
 
-def tool_errors(machine: Machine) -> dict[str, ExpectedError]:
-    """Mean TCP error to expect over the workspace, by what the controller is given.
+def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
+    """Parameters that the commands allow for, SI, by what the controller is given.
 
     Args:
         machine: calibrated.
 
     Returns:
-        ``now``: of a controller that knows of no error; ``zeros``: with the best zeros alone;
-        ``zeros_and_lengths``: with bar lengths besides; ``compensated``: with everything.
+        ``now``: nothing; ``zeros``: the best zeros alone; ``zeros_and_lengths``: bar lengths
+        besides; ``compensated``: everything. :func:`expected_error` says what each leaves.
     """
-    settings = {
+    return {
         "now": {},
         "zeros": best_zeros(machine),
         "zeros_and_lengths": best_zeros(machine, ["bar_length"]),
         "compensated": machine.values,
     }
-    return {name: expected_error(machine, given) for name, given in settings.items()}

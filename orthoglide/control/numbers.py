@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.accuracy import ExpectedError, best_zeros, tool_errors
+from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.geometry import LEGS
@@ -117,7 +117,7 @@ class ControllerNumbers:
         left_over: parameters of the machine that no such number can hold.
         zeros_only: zeros for a controller that takes nothing else, metres.
         checks: readings that prove the sign of each new zero.
-        expected: errors of the TCP, see :func:`~orthoglide.accuracy.tool_errors`.
+        expected: errors of the TCP, see :func:`~orthoglide.accuracy.tool_settings`.
     """
 
     name: str
@@ -171,7 +171,8 @@ def controller_numbers(
         InputError: where the verdict says not to act on the machine's numbers.
     """
     refuse_withheld(machine, force)
-    alone = _by_kind(machine, best_zeros(machine))["zero"]
+    settings = tool_settings(machine)
+    alone = _by_kind(machine, settings["zeros"])["zero"]
     held = _by_kind(machine, machine.values)
     if zeros_only:
         held = {"zero": alone}
@@ -196,7 +197,7 @@ def controller_numbers(
         tuple(n for n, v in machine.values.items() if v and of(n).controller not in held),
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
-        tool_errors(machine),
+        {name: expected_error(machine, given) for name, given in settings.items()},
     )
 
 
