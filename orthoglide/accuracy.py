@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, family_of, is_dial
-from orthoglide.fit import Estimate, Problem
+from orthoglide.effects import MACHINE_PARAMETERS, is_dial
+from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
+from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise, normal
-from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array, Geometry
 from orthoglide.prediction import Conditions
 
@@ -62,18 +62,21 @@ def knowledge(estimate: Estimate) -> Knowledge:
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
     at = linearise(wide, x)
     here = normal(replace(wide, priors=True), at, estimate.nuisance)
-    prior = here.prior.copy()
-    prior[:own] = 1 / problem.prior_sd
+    known, target = problem.prior_rows
+    prior = np.zeros((len(known) + len(x) - own, len(x)))
+    prior[: len(known), :own] = known
+    prior[len(known) :, own:] = np.diag(1 / wide.tolerance[own:])
+    target = np.concatenate([target, np.zeros(len(x) - own)])
     scale = np.concatenate([problem.tolerance, wide.tolerance[own:]])
     # Where the fit lacks something, the readings are worse witnesses of everything else as well.
     noise = estimate.sigma_scale**2
     seen = here.jacobian.T @ here.jacobian / noise
-    information = (seen + np.diag(prior**2)) * scale * scale[:, None]
-    gradient = (here.jacobian.T @ here.residual / noise - prior**2 * x) * scale
+    information = (seen + prior.T @ prior) * scale * scale[:, None]
+    gradient = (here.jacobian.T @ here.residual / noise - prior.T @ (prior @ x - target)) * scale
     values, vectors = np.linalg.eigh(information)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
     covariance = root @ root.T
-    names, matrix = wide.elementary(len(wide.campaigns) - 1)
+    names, matrix = wide.elementary(wide.last)
     weights = np.zeros((len(MACHINE_PARAMETERS), len(wide.unknowns)))
     for name, row in zip(names, matrix, strict=True):
         if not is_dial(name):
@@ -88,25 +91,16 @@ def knowledge(estimate: Estimate) -> Knowledge:
 
 
 def _with_everything(problem: Problem) -> Problem:
-    """All other parameters of the catalogue freed, seen or not; screws of unknown pitch apart."""
-    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
-    families = [
-        f for f in CATALOGUE if f != "screw_error" or problem.machine.spec.screw_pitch is not None
+    """All other parameters freed, seen or not, that could move the TCP or the readings here."""
+    excited = {e.name for e in excited_effects(problem)}
+    pitch = problem.machine.spec.screw_pitch is not None
+    effects = [
+        name
+        for name, e in problem.machine.catalogue.items()
+        if name in excited
+        or ((e.at_rest or (e.of_dial and problem.campaigns)) and (pitch or "pitch" not in e.needs))
     ]
-    everything = build_unknowns(problem.machine, problem.campaigns, families, problem.own)
-    others = tuple(u for u in everything if not any(p in taken for parts in u.parts for p in parts))
-    # Without a load, drifting time or warmth in the question, their effects do not move the TCP.
-    quiet = {"drive_compliance", "thermal_growth", "thermal_drift"}
-    kept = tuple(
-        u for u in others if family_of(u.name).name not in quiet or _varies(problem, u.name)
-    )
-    return replace(problem, unknowns=(*problem.unknowns, *kept))
-
-
-def _varies(problem: Problem, name: str) -> bool:
-    from orthoglide.diagnosis.candidates import excited_families
-
-    return family_of(name).name in excited_families(problem)
+    return with_free(problem, elementary_beyond(problem, effects), release=False)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ import numpy as np
 from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round
 from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, is_dial
-from orthoglide.fit import Estimate, Problem, noise_of, solve
-from orthoglide.fit.problem import build_problem
+from orthoglide.fit import Estimate, Problem, build_problem, noise_of, solve
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns

@@ -17,8 +17,7 @@ from orthoglide.cli.design import design as design_command
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
-from orthoglide.effects import BASE_FAMILIES
-from orthoglide.effects.effect import relabelled
+from orthoglide.effects import BASE_FAMILIES, relabelled
 from orthoglide.errors import InputError
 from orthoglide.fit import build_problem, noise_of
 from orthoglide.observations import Campaign, protocol

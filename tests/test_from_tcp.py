@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from orthoglide.fit.from_tcp import Frame, identify_tcp
 
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.fit import from_tcp
-from orthoglide.fit.from_tcp import Frame, identify_tcp
 from tests.rig import Rig
 
 RIG = Path(__file__).parent / "data" / "rig"

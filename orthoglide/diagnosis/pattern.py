@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.faults import setup_names
 from orthoglide.fit import Estimate
-from orthoglide.fit.scores import leverage_basis
+from orthoglide.fit.least_squares import fitted_basis
 from orthoglide.geometry import LEGS, Array
 
 ALPHA = 0.005
@@ -123,7 +123,7 @@ def _left(estimate: Estimate) -> _Left:
     problem = estimate.problem
     leg = np.concatenate([c.leg for c in problem.campaigns])
     command = np.concatenate([c.command for c in problem.campaigns])
-    basis = leverage_basis(problem, estimate.nuisance, estimate.at)
+    basis = fitted_basis(problem, estimate.nuisance, estimate.at)[: len(problem.measured)]
     stations, taken = int(problem.station.max()) + 1, float(np.sum(basis**2))
     return _Left(
         estimate,

@@ -108,7 +108,7 @@ def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) ->
         except ClosureError:
             factor /= 2
             continue
-        cost = float(residual @ residual + np.sum((here.prior * x) ** 2))
+        cost = float(residual @ residual) + here.prior_chi2(x)
         if cost <= here.cost * (1 + 1e-12):
             return x
         factor /= 2

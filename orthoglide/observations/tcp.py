@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from orthoglide.geometry import Array
 from orthoglide.observations.campaign import Ints
@@ -34,3 +35,8 @@ class TcpPoints:
 
     def __len__(self) -> int:
         return len(self.p)
+
+    @property
+    def name(self) -> str:
+        """Of the file, without its folder and ending."""
+        return Path(self.file).stem or "points"

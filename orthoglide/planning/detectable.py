@@ -98,7 +98,7 @@ def smallest_effects(
     found = []
     for place, k in enumerate(single):
         candidate = scoring.candidates[k]
-        if not families or candidate.family in families or candidate.name in families:
+        if not families or candidate.effect in families or candidate.name in families:
             found.append(_smallest(machine, seen, scoring, shown, single, place, threshold))
     wanted = [n for n in seen.invisible if not families or family_of(n).name in families]
     return Detectability(tuple(found), tuple(wanted), threshold)
@@ -123,7 +123,7 @@ def _smallest(
     own = shown[:, place]
     length = float(np.linalg.norm(own))
     tolerance = float(np.abs(seen.scaled(candidate)).max())
-    others = [k for k, c in enumerate(single) if scoring.candidates[c].family != candidate.family]
+    others = [k for k, c in enumerate(single) if scoring.candidates[c].effect != candidate.effect]
     sine, nearest = 1.0, ""
     if others:
         rest = shown[:, others]

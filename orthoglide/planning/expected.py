@@ -55,7 +55,7 @@ class Expected:
     def with_noise(self, noise: Noise) -> Expected:
         """The same with readings of another noise."""
         problem = replace(self.problem, noise=noise)
-        here = normal(problem, self.at, nuisances(problem, self.at.by_gauge))
+        here = normal(problem, self.at, nuisances(problem, self.at.slopes))
         return Expected(problem, self.at, here.jacobian * problem.tolerance)
 
     @property
@@ -83,7 +83,7 @@ def expected(
     level = noise or expected_noise(machine, told)
     problem = build_problem(machine, [told], families, level)
     at = linearise(problem, problem.start)
-    here = normal(problem, at, nuisances(problem, at.by_gauge))
+    here = normal(problem, at, nuisances(problem, at.slopes))
     return Expected(problem, at, here.jacobian * problem.tolerance)
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.diagnosis.ranking import extend
 from orthoglide.effects import BASE_FAMILIES, elementary, family_of, is_dial
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, Problem
+from orthoglide.fit import Estimate, Problem, with_free
 from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, normal
 from orthoglide.geometry import Array
 
@@ -97,7 +96,7 @@ def _problem(name: str, values: Values, like: Problem) -> Problem:
     missing = [n for n, v in values.items() if v and n not in covered]
     added = [name] if own and own >= set(missing) and missing else missing
     held: tuple[dict[str, float], ...] = tuple({} for _ in like.campaigns)
-    return extend(replace(like, unknowns=kept, held=held), added)
+    return with_free(replace(like, unknowns=kept, held=held), added)
 
 
 def _own(name: str, values: Values, like: Problem) -> set[str]:

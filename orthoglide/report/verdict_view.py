@@ -180,10 +180,10 @@ class View:
     @property
     def unexcited(self) -> tuple[str, ...]:
         """Families whose conditions the campaigns do not vary at all."""
-        from orthoglide.diagnosis.candidates import excited_families
         from orthoglide.effects import BASE_FAMILIES, CATALOGUE
+        from orthoglide.fit.excited import excited_effects
 
-        excited = excited_families(self.verdict.fit.problem)
+        excited = {e.name for e in excited_effects(self.verdict.fit.problem)}
         return tuple(f for f in CATALOGUE if f not in excited and f not in BASE_FAMILIES)
 
     @cached_property

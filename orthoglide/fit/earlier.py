@@ -1,0 +1,152 @@
+"""A machine that was calibrated before: what that says now, and what has changed since.
+
+The earlier calibration is a prior ``x ~ N(m, C)``. A parameter that changed since is known no
+better than its tolerance: ``C + tolerance^2 e e^T``. Which ones have is decided by the evidence of
+the new readings, one parameter after the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.least_squares import normal
+from orthoglide.fit.problem import Earlier, Problem
+from orthoglide.fit.solving import Method, solve
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.parameters import Parameter
+
+# One parameter in twenty changes between two visits: the log odds that a change must overcome,
+# and again the logarithm of the number of parameters that could have.
+_ODDS = 3.0
+_ALIKE = 2.0  # log Bayes factor within which two changes cannot be told apart
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter that is not what it was.
+
+    Attributes:
+        parameter: the most probable one.
+        members: all whose change these readings cannot tell from its, itself first.
+        between: names of the files before and after.
+        before: value before, SI.
+        after: value now, SI.
+        sigma: of the difference, SI.
+        evidence: log Bayes factor in its favour, the number of its like discounted.
+    """
+
+    parameter: Parameter
+    members: tuple[Parameter, ...]
+    between: tuple[str, str]
+    before: float
+    after: float
+    sigma: float
+    evidence: float
+
+
+def earlier_of(machine: Machine) -> Earlier | None:
+    """What a machine file says of its parameters; ``None`` where it gives no sigmas."""
+    entries = machine.spec.parameters
+    names = tuple(name for name, entry in entries.items() if entry.sigma > 0)
+    if not names:
+        return None
+    mean = np.array([entries[name].value for name in names])
+    return Earlier(names, mean, np.diag([entries[name].sigma ** 2 for name in names]))
+
+
+def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate:
+    """The fit with everything let go that has changed since the earlier calibration.
+
+    Args:
+        estimate: the fit with the earlier calibration as its prior; returned as it is where there
+            is none, or nothing has changed.
+        method: to solve again with.
+    """
+    found: list[tuple[Parameter, tuple[Parameter, ...], float]] = []
+    start, now = estimate, estimate
+    while now.problem.earlier is not None and len(found) < _MOST:
+        change = _most_probable(now, {p for p, _, _ in found})
+        if change is None:
+            break
+        found.append(change)
+        loosened = _loosened(now.problem, change[0])
+        now = solve(loosened, method="nested" if method == "auto" else method, start=now.x)
+    if not found:
+        return estimate
+    last = now.problem.factors[now.problem.last]
+    old = Path(now.problem.machine.spec.file).name or "earlier calibration"
+    changes = tuple(
+        Change(
+            parameter,
+            members,
+            (old, last.name),
+            _earlier_value(start.problem, parameter)[0],
+            now.values[parameter],
+            float(np.hypot(now.sigmas[parameter], _earlier_value(start.problem, parameter)[1])),
+            evidence,
+        )
+        for parameter, members, evidence in found
+    )
+    return replace(now, changes=changes)
+
+
+def _earlier_value(problem: Problem, parameter: Parameter) -> tuple[float, float]:
+    assert problem.earlier is not None
+    place = problem.earlier.names.index(parameter)
+    sd = float(np.sqrt(problem.earlier.covariance[place, place]))
+    return float(problem.earlier.mean[place]), sd
+
+
+def _most_probable(
+    estimate: Estimate, done: set[Parameter]
+) -> tuple[Parameter, tuple[Parameter, ...], float] | None:
+    """The change that the readings speak for most, with those like it, and its evidence."""
+    problem = estimate.problem
+    assert problem.earlier is not None
+    here = normal(problem, estimate.at, estimate.nuisance)
+    scale = problem.tolerance
+    noise = estimate.sigma_scale**2
+    data = here.jacobian.T @ here.jacobian / noise * scale * scale[:, None]
+    root = np.linalg.inv(here.prior * scale)
+    spread: Array = root @ root.T
+    mean = np.linalg.solve(here.prior * scale, here.target)
+    along = here.jacobian.T @ here.residual / noise * scale + data @ (here.x / scale - mean)
+    known = [k for k, n in enumerate(problem.names) if n in problem.earlier.names and n not in done]
+    plain = _evidence(data, spread, along)
+    gains = []
+    for k in known:
+        changed = spread.copy()
+        changed[k, k] += 1.0
+        gains.append(_evidence(data, changed, along) - plain)
+    if not gains:
+        return None
+    best = int(np.argmax(gains))
+    evidence = gains[best] - np.log(len(problem.names)) - _ODDS
+    if evidence <= 0:
+        return None
+    like = [problem.names[k] for k, g in zip(known, gains, strict=True) if gains[best] - g < _ALIKE]
+    name = problem.names[known[best]]
+    return name, (name, *(n for n in like if n != name)), float(evidence)
+
+
+def _evidence(data: Array, spread: Array, along: Array) -> float:
+    """Log marginal likelihood of data of information ``data`` and gradient ``along``."""
+    inner = np.eye(len(data)) + data @ spread
+    # (data + spread^-1)^-1 along = spread (1 + data spread)^-1 along
+    mean = spread @ np.linalg.solve(inner, along)
+    return float(along @ mean - np.linalg.slogdet(inner)[1]) / 2
+
+
+def _loosened(problem: Problem, parameter: Parameter) -> Problem:
+    earlier = problem.earlier
+    assert earlier is not None
+    place = earlier.names.index(parameter)
+    covariance = earlier.covariance.copy()
+    covariance[place, place] += problem.machine.tolerance(parameter) ** 2
+    return replace(problem, earlier=replace(earlier, covariance=covariance))
