@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.from_tcp import FRAMES, run_fit_tcp
 from orthoglide.cli.options import (
     PATH,
     Names,
@@ -26,7 +25,7 @@ from orthoglide.progress import Step
 
 if TYPE_CHECKING:
     from orthoglide.fit import Estimate
-    from orthoglide.fit.from_tcp import Frame
+    from orthoglide.fit.factors import Frame
     from orthoglide.report import Run
 
 
@@ -51,6 +50,8 @@ class Asked:
     reduced: bool = False
     noise_mm: float | None = None
     seed: int = 0
+    fit_tcp: Path | None = None
+    frame: Frame = "rigid"
 
     def arguments(self, campaigns: Sequence[Path]) -> dict[str, Any]:
         """As `result.json` keeps them: names of files, no places."""
@@ -64,6 +65,7 @@ class Asked:
             "machine": self.machine.name if self.machine else None,
             "reduced": self.reduced,
             "noise_mm": self.noise_mm,
+            **({"fit_tcp": self.fit_tcp.name, "frame": self.frame} if self.fit_tcp else {}),
         }
 
     def command_line(self, campaigns: Sequence[Path]) -> str:
@@ -94,11 +96,11 @@ class Asked:
 @click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
 @fit_options
 @click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
-@click.option("--fit-tcp", type=PATH, metavar="FILE", help="Identify from TCP points instead.")
+@click.option("--fit-tcp", type=PATH, metavar="FILE", help="TCP points that are readings as well.")
 @click.option(
     "--frame",
-    type=click.Choice(FRAMES),
-    default=FRAMES[0],
+    type=click.Choice(("rigid", "translation", "none")),
+    default="rigid",
     show_default=True,
     help="How the instrument of --fit-tcp may stand to the machine.",
 )
@@ -119,24 +121,9 @@ def identify(
     as_json: bool,
 ) -> None:
     """Identify joint offsets and leg lengths (or more) from campaigns of dial readings."""
-    if fit_tcp is not None:
-        if campaigns or own or reduced:
-            raise click.UsageError("--fit-tcp takes no campaigns, no --own and no --reduced")
-        run_fit_tcp(
-            fit_tcp,
-            out,
-            free,
-            machine_path,
-            frame=frame,
-            priors=not no_priors,
-            noise_mm=noise_mm,
-            quiet=quiet,
-            as_json=as_json,
-        )
-        return
-    if not campaigns:
+    if not campaigns and fit_tcp is None:
         raise click.UsageError("name at least one campaign, or TCP points with --fit-tcp")
-    asked = Asked(free, not no_priors, own, machine_path, reduced, noise_mm, seed)
+    asked = Asked(free, not no_priors, own, machine_path, reduced, noise_mm, seed, fit_tcp, frame)
     run_identify(campaigns, out, asked, quiet=quiet, as_json=as_json)
 
 
@@ -196,13 +183,16 @@ def _identified(paths: Sequence[Path], asked: Asked, step: Any) -> Estimate:
     campaigns = [read_campaign(path, machine.spec) for path in paths]
     step(Step("identifying", f"from {sum(map(len, campaigns))} readings"))
     from orthoglide.fit import identify
+    from orthoglide.observations import read_tcp
 
+    points = [] if asked.fit_tcp is None else [read_tcp(asked.fit_tcp, machine.spec)]
     return identify(
-        campaigns,
+        [*campaigns, *points],
         machine,
         asked.free or BASE_FAMILIES,
         own=asked.own,
         priors=asked.priors,
         noise=noise,
         method="reduction" if asked.reduced else "auto",
+        frame=asked.frame,
     )

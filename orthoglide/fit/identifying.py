@@ -67,10 +67,10 @@ def identify(
         CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
     """
     machine = machine or Machine.nominal()
+    chosen = machine.catalogue.base if free is None else free
     problem = assemble(
-        campaigns, machine, machine.catalogue.base if free is None else free, own=own, priors=priors, noise=noise,
-        bounds=bounds, frame=frame,
-    )  # fmt: skip
+        campaigns, machine, chosen, own=own, priors=priors, noise=noise, bounds=bounds, frame=frame
+    )
     for name in problem.own:
         plain = name.partition("@")[0]
         if not any(n.plain == plain or n.startswith(f"{plain}.") for n in problem.names):
