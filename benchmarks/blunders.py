@@ -31,7 +31,7 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from orthoglide.diagnosis.blunders import Blunder, find_blunders
+from orthoglide.diagnosis.blunders import Blunder, examine
 from orthoglide.errors import OrthoglideError
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
@@ -93,7 +93,7 @@ class Outcome:
         exact: and by row, within one of a knock's.
         false: faults that were not put in.
         refused: by the checks on reading, or by the identification.
-        seconds: of ``find_blunders``.
+        seconds: of ``examine``.
         told: kinds and setups.
     """
 
@@ -207,7 +207,7 @@ def judge(job: tuple[Case, World]) -> Outcome:
         campaign = Campaign.from_frame(columns, name="campaign", machine_file=chosen.spec)
         estimate = identify(campaign, chosen, method="nested")
         began = time.perf_counter()
-        found = find_blunders(estimate, np.random.default_rng(world.seed))
+        found = examine(estimate).blunders
         seconds = time.perf_counter() - began
     except OrthoglideError as error:
         return Outcome(case, visible, False, False, 0, True, 0.0, str(error)[:90])
@@ -277,7 +277,7 @@ def report(outcomes: Sequence[Outcome]) -> str:
                 lines.append(_line(kind, size, seen) + _unseen(own))
     took = sorted(o.seconds for o in outcomes if not o.refused)
     lines.append("")
-    lines.append(f"find_blunders: median {took[len(took) // 2]:.3f} s, slowest {took[-1]:.3f} s")
+    lines.append(f"examine: median {took[len(took) // 2]:.3f} s, slowest {took[-1]:.3f} s")
     lines.append(
         "found: right kind and setup; rows: and those very rows, give or take one; refused: on\n"
         "reading or by the identification; false: campaigns with a fault named of sound rows."

@@ -40,7 +40,8 @@ from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.nlp import Nlp
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, read_campaign
+from orthoglide.planning import next_measurements
 from tests.rig import Rig
 from tests.rig_campaigns import protocol_rows, simulate
 
@@ -48,6 +49,7 @@ ERRORS = {
     "joint_offset.x": -5e-4, "joint_offset.y": 6e-4, "joint_offset.z": -1.7e-3,
     "leg_length.x": 3e-5, "leg_length.y": -4e-5, "leg_length.z": 2e-5,
 }  # fmt: skip
+RIVALS = ("axis_tilt.y.z", "axis_offset.y.z", "rail_bow.y.z", "encoder_scale.y")
 SAME = 1e-9  # metres, between all ways of solving one problem
 
 
@@ -180,6 +182,19 @@ def large(machine: Machine, rounds: int) -> Iterator[Row]:
         yield Row(name, "identify(), again", again)
 
 
+def following(rounds: int) -> Iterator[Row]:
+    """What to measure next, between rivals that the readings cannot decide."""
+    rig = ROOT / "tests" / "data" / "rig"
+    machine = Machine.load(rig / "machine.toml")
+    readings = read_campaign(rig / "rig-3.csv", machine.spec)
+    base = ("joint_offset", "leg_length")
+    fits = [identify(readings, machine, [*base, name]) for name in RIVALS]
+    rivals = [(name, fit.problem.values(0, fit.x)) for name, fit in zip(RIVALS, fits, strict=True)]
+    next_measurements(fits[0], rivals, machine)  # compiles what it needs
+    seconds = timed(lambda: next_measurements(fits[0], rivals, machine), rounds)
+    yield Row(f"{len(readings)} readings, four rivals", "next_measurements()", seconds)
+
+
 def processes(rounds: int) -> Iterator[Row]:
     """Whole processes."""
     python = [sys.executable, "-c", "import orthoglide"]
@@ -216,7 +231,9 @@ def main() -> None:
     machine = Machine.nominal()
     before = ""
     rounds = options.rounds
-    for rows in (small(machine, rounds), large(machine, max(1, rounds // 3)), processes(rounds)):
+    few = max(1, rounds // 3)
+    blocks = (small(machine, rounds), large(machine, few), following(few), processes(rounds))
+    for rows in blocks:
         for row in rows:
             if row.problem != before:
                 print(f"\n{row.problem}")

@@ -46,7 +46,6 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         read_campaign as read_campaign,
         read_tcp as read_tcp,
         write_campaign as write_campaign,
-        write_protocol as write_protocol,
     )
     from orthoglide.planning import (
         Design as Design,
@@ -76,9 +75,7 @@ _WHERE = {
     "geometry": "Geometry",
     "machine": "Machine Pose",
     "mechanism": "Mechanism",
-    "observations": (
-        "Campaign Setup TcpPoints protocol read_campaign read_tcp write_campaign write_protocol"
-    ),
+    "observations": "Campaign Setup TcpPoints protocol read_campaign read_tcp write_campaign",
     "planning": "Design Suggestion design next_measurements repeats_needed smallest_effects",
     "simulation": "simulate simulate_tcp",
 }

@@ -12,7 +12,7 @@ import numpy as np
 from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
 from orthoglide.diagnosis.ranking import Round
 from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, is_dial
-from orthoglide.fit import Estimate, Problem, build_problem, noise_of, solve
+from orthoglide.fit import Estimate, build_problem, noise_of, solve
 from orthoglide.judging import HoldOut, TcpErrors, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
@@ -44,6 +44,7 @@ class Verdict:
         known: what the readings say with everything else allowed.
         own: what each campaign has for itself.
         blunders: faults of the data, found before any physics.
+        changed: parameters that are not the same in all campaigns, found before any physics.
         faulty: the base fit with the faulty readings in, where there are any.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
@@ -61,6 +62,7 @@ class Verdict:
     known: Knowledge
     own: tuple[str, ...] = ()
     blunders: tuple[Any, ...] = ()
+    changed: tuple[Any, ...] = ()
     faulty: Estimate | None = None
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
@@ -177,17 +179,29 @@ def close_loop(
     level = noise_of(several, machine.spec.dial, noise)
     problem = build_problem(machine, several, BASE_FAMILIES, level, own=own)
     base = solve(problem)
-    from orthoglide.diagnosis.blunders import find_blunders, without
+    from orthoglide.diagnosis.blunders import examine, without
+    from orthoglide.diagnosis.changes import separated
 
     progress(Step("faults"))
-    blunders = find_blunders(base, np.random.default_rng([seed, 0]))
-    faulty = None
+    findings = examine(base)
+    blunders, changes = findings.blunders, findings.changes
+    faulty = base if blunders else None
     if blunders:
-        faulty, problem = base, without(problem, blunders)
+        problem = without(problem, blunders)
+    # What a change put right is no cause now; what is still wrong is named as one.
+    causes = [c for c in changes if c.is_cause and c.parameter not in base.names]
+    if changes:
+        problem = separated(problem, [c for c in changes if c not in causes])
+        problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
+    if blunders or changes:
         base = solve(problem)
+    search = Search(problem, progress, np.random.default_rng([seed, 1]))
+    search.changed = [c.parameter for c in causes]
+    verdict = _search(search, base, tuple(own))
     verdict = replace(
-        _search(problem, base, seed, progress, tuple(own)),
+        verdict,
         blunders=blunders,
+        changed=tuple(c.measured(verdict.fit) for c in changes),
         faulty=faulty,
         seed=seed,
     )
@@ -209,12 +223,9 @@ def judge(verdict: Verdict, holdout: Campaign | None, tcp: TcpPoints | None) -> 
     return replace(verdict, hold_out=scored, tcp=errors, judges=(holdout, tcp))
 
 
-def _search(
-    problem: Problem, base: Estimate, seed: int, progress: Progress, own: tuple[str, ...]
-) -> Verdict:
-    search = Search(problem, progress, np.random.default_rng([seed, 1]))
+def _search(search: Search, base: Estimate, own: tuple[str, ...]) -> Verdict:
     fit, left, stopped = search.run(base)
-    progress(Step("allowing"))
+    search.progress(Step("allowing"))
     effects = tuple(search.effects)
     return Verdict(
         _word(effects, left),

@@ -1,26 +1,26 @@
-"""Notes: sentences that a user should read, each with its kind, so that nobody parses words."""
+"""Remarks that are no errors: sentences that know what they are about."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
-
-Kind = Literal["campaign", "lack_of_fit", "bound", "tolerance", "second_order", "machine"]
+from typing import Any
 
 
 class Note(str):
-    """A sentence for the user.
+    """A sentence for people that programs can tell from others.
 
     Attributes:
-        kind: what it is about.
+        kind: what it is about, one word.
+        lines: lines of the file in question, where it is about lines.
     """
 
-    kind: Kind
+    kind: str
+    lines: tuple[int, ...]
 
-    def __new__(cls, text: str, kind: Kind) -> Note:
-        """A sentence and what it is about."""
+    def __new__(cls, text: str, kind: str, lines: tuple[int, ...] = ()) -> Note:
+        """A sentence of a kind."""
         made = super().__new__(cls, text)
-        made.kind = kind
+        made.kind, made.lines = kind, lines
         return made
 
     def __getnewargs__(self) -> Any:
-        return str(self), self.kind
+        return str(self), self.kind, self.lines

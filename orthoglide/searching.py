@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -103,6 +104,7 @@ class Search:
         effects: added so far.
         tried: all that were identified.
         limit: parameters that may be added in all.
+        changed: causes to begin with: parameters that are known to differ between campaigns.
     """
 
     problem: Problem
@@ -111,6 +113,7 @@ class Search:
     effects: list[Effect] = field(default_factory=list)
     tried: list[Tried] = field(default_factory=list)
     limit: int = 0
+    changed: Sequence[str] = ()
 
     def added(self, but: Effect | None = None) -> list[str]:
         """What is freed for the effects, one of them left out where asked."""
@@ -125,11 +128,29 @@ class Search:
         self.progress(Step("testing"))
         self.limit = budget(look(base, 0, self.rng).signatures)
         fit, stopped = base, ""
+        for name in self.changed:
+            fit = self._begin_with(name, fit)
         while not stopped:
             fit, stopped = self._step(fit)
         self._settle()
         fit = refit(self.problem, self.added(), fit) if self.effects else base
         return fit, look(fit, max(self.limit - len(self.added()), 1), self.rng), stopped
+
+    def _begin_with(self, name: str, fit: Estimate) -> Estimate:
+        """Add a cause that is known already."""
+        found = look(fit, self.limit, self.rng)
+        candidate = next((c for c in found.scoring.candidates if c.name == name), None)
+        if candidate is None:
+            return fit
+        trial = attempt(self.problem, self.added(), candidate, fit)
+        if trial is None:
+            return fit
+        self._note([trial], found)
+        naming, scores = found.naming(candidate, self.rng), (fit.scores, trial.estimate.scores)
+        before, after = (s.cv_rms for s in scores)
+        detection = found.detection.p_value
+        self.effects.append(Effect(trial, 1.0, (), detection, naming, (before, after)))
+        return trial.estimate
 
     def _step(self, fit: Estimate) -> tuple[Estimate, str]:
         """Add one more cause, or say why not."""

@@ -188,7 +188,7 @@ def write_csv(rows: Sequence[Row], path: str | Path) -> None:
 
 def read_csv(path: str | Path) -> list[Row]:
     """Rows of a campaign or TCP file, numbers as numbers."""
-    text = {"setup", "leg", "direction", "posture", "bar"}
+    text = {"kind", "setup", "leg", "direction", "posture", "bar"}
     whole = {"repeat", "order"}
     with open(path, newline="", encoding="utf-8") as file:
         return [

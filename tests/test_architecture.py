@@ -15,7 +15,7 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "parameters", "progress"}),
+    frozenset({"errors", "notes", "parameters", "progress"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
@@ -138,12 +138,3 @@ def test_nothing_heavy_is_loaded_early(module: str) -> None:
     loaded = fresh(f"import sys, {module}; print(*sys.modules)").split()
     assert module in loaded
     assert not set(HEAVY) & set(loaded)
-
-
-def test_import_is_quick() -> None:
-    """The quickest of three: a busy computer says nothing of the package."""
-    code = (
-        "import time; begin = time.perf_counter(); import orthoglide; "
-        "print(time.perf_counter() - begin)"
-    )
-    assert min(float(fresh(code)) for _ in range(3)) < 0.5

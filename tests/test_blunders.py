@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orthoglide.diagnosis.blunders import Blunder, find_blunders, without
+from orthoglide.diagnosis.blunders import Blunder, examine, without
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, identify, solve
 from orthoglide.machine import Machine
@@ -46,7 +46,7 @@ def estimate_of(rows: list[rc.Row], machine: Machine) -> Estimate:
 
 
 def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
-    return find_blunders(estimate_of(rows, machine), np.random.default_rng(0))
+    return examine(estimate_of(rows, machine)).blunders
 
 
 # -- nothing where there is nothing ----------------------------------------------------------------
@@ -56,14 +56,14 @@ def found_in(rows: list[rc.Row], machine: Machine) -> tuple[Blunder, ...]:
 def test_the_rig_campaigns_have_no_faults(k, machine):
     campaign = read_campaign(RIG / f"rig-{k}.csv", machine.spec)
     estimate = identify(campaign, machine, method="nested")
-    assert find_blunders(estimate, np.random.default_rng(0)) == ()
+    assert examine(estimate).blunders == ()
 
 
 @pytest.mark.parametrize("name", ["1-differences", "2", "2-differences", "3", "3-differences"])
 def test_the_published_experiments_have_no_faults(name, nominal):
     file = PUBLISHED / f"experiment{name}.csv"
     estimate = identify(read_campaign(file, nominal.spec), nominal, method="nested")
-    assert find_blunders(estimate, np.random.default_rng(0)) == ()
+    assert examine(estimate).blunders == ()
 
 
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
@@ -192,7 +192,7 @@ def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
     rc.write_csv(rc.outlier(rows_of("standard"), 20, 0.5).rows, path)
     campaign = read_campaign(path, machine.spec)
     estimate = identify(campaign, machine, method="nested")
-    (blunder,) = find_blunders(estimate, np.random.default_rng(0))
+    (blunder,) = examine(estimate).blunders
     assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5': ")
     assert "measure this posture again" in blunder.message
     assert blunder.lines([campaign]) == {str(path): (22,)}
@@ -200,7 +200,7 @@ def test_the_message_names_file_line_setup_and_remedy(tmp_path, machine):
 
 def test_scores_with_and_without(nominal):
     estimate = estimate_of(rc.outlier(rows_of("standard"), 20, 0.5).rows, nominal)
-    blunders = find_blunders(estimate, np.random.default_rng(0))
+    blunders = examine(estimate).blunders
     again = solve(without(estimate.problem, blunders), method="nested")
     (blunder,) = blunders
     assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
@@ -213,7 +213,7 @@ def test_scores_with_and_without(nominal):
 def test_a_knocked_setup_becomes_two(machine):
     rows, touched = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5)
     estimate = estimate_of(rows, machine)
-    clean = without(estimate.problem, find_blunders(estimate, np.random.default_rng(0)))
+    clean = without(estimate.problem, examine(estimate).blunders)
     (campaign,) = clean.campaigns
     assert len(campaign) == len(rows)
     assert len(campaign.setups) == 7
@@ -230,7 +230,7 @@ def test_two_knocks_of_one_setup_make_three(machine):
     rows = rc.knocked_stand(rows_of(seed=2), "yz-0.5", 0.5, after=0.3).rows
     rows = rc.knocked_stand(rows, "yz-0.5", -0.3, after=0.7).rows
     estimate = estimate_of(rows, machine)
-    blunders = find_blunders(estimate, np.random.default_rng(0))
+    blunders = examine(estimate).blunders
     assert [b.kind for b in blunders] == ["knocked_stand", "knocked_stand"]
     for order in (blunders, blunders[::-1]):
         (campaign,) = without(estimate.problem, order).campaigns
@@ -242,7 +242,7 @@ def test_rows_are_counted_within_their_campaign(machine):
     first = campaign_of(rows_of("standard", seed=1), machine, "first")
     second = campaign_of(rc.outlier(rows_of("standard", seed=2), 11, 0.5).rows, machine, "second")
     estimate = identify([first, second], machine, method="nested")
-    (blunder,) = find_blunders(estimate, np.random.default_rng(0))
+    (blunder,) = examine(estimate).blunders
     assert blunder.rows == ((1, 11),)
     assert blunder.message.startswith("second, line 13,")
     clean = without(estimate.problem, [blunder])

@@ -1,5 +1,6 @@
 """Two campaigns of one machine: what changed between them, from what to what."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import close_loop
+from orthoglide.diagnosis.blunders import examine
+from orthoglide.diagnosis.changes import Change
 from orthoglide.errors import InputError
+from orthoglide.fit import identify
 from orthoglide.observations import Campaign
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -57,3 +61,94 @@ def test_own_takes_known_effects_and_campaigns(machine):
         close_loop(both, machine, own=["axis_tlit"])
     with pytest.raises(InputError, match="no campaign 'monday'"):
         close_loop(both, machine, own=["axis_tilt@monday"])
+
+
+# -- what changed ----------------------------------------------------------------------------------
+
+
+def changes_of(*campaigns: Campaign, machine: og.Machine) -> tuple[Change, ...]:
+    findings = examine(identify(campaigns, machine, method="nested"))
+    assert findings.blunders == ()
+    return findings.changes
+
+
+def test_a_tilt_that_was_put_right(machine, tmp_path):
+    verdict = close_loop(tilted(machine, 1.5e-3, 0.3e-3), machine)
+    (change,) = verdict.changed
+    assert set(change.members) == {"axis_tilt.y.z", "rail_tilt.y.z"}
+    assert change.between == ("c0", "c1")
+    assert change.before == pytest.approx(1.5e-3, abs=3 * change.sigma)
+    assert change.after == pytest.approx(0.3e-3, abs=3 * change.sigma)
+    assert change.sigma < 1.5e-4
+    assert verdict.blunders == ()
+    # The machine as it is now: a tilt is left, whichever of the two, and nothing of the dials.
+    (effect,) = verdict.effects
+    assert {effect.name, *effect.indistinguishable_from} == set(change.members)
+    now = [verdict.machine.values[name] for name in change.members]
+    assert sum(now) == pytest.approx(0.3e-3, abs=1.5e-4)
+    verdict.report(str(tmp_path / "run"))
+    (told,) = json.loads((tmp_path / "run" / "result.json").read_text())["changed"]
+    assert told["parameter"] == change.parameter
+    assert (told["unit"], told["between"]) == ("rad", ["c0", "c1"])
+    assert told["from"] == pytest.approx(change.before, rel=1e-4)
+    assert told["to"] == pytest.approx(change.after, rel=1e-4)
+    assert told["sigma"] == pytest.approx(change.sigma, rel=1e-4)
+
+
+def test_a_tilt_that_is_gone_is_no_cause_any_more(machine):
+    verdict = close_loop(tilted(machine, 1.5e-3, 0.0), machine)
+    assert [c.before for c in verdict.changed] == [pytest.approx(1.5e-3, abs=2e-4)]
+    assert (verdict.word, verdict.effects) == ("adequate", ())
+
+
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+def test_a_drive_with_a_new_zero(protocol, machine):
+    old = campaign(machine, "old", 1, protocol)
+    new = campaign(machine, "new", 2, protocol, **{"joint_offset.y": 1e-3})
+    (change,) = changes_of(old, new, machine=machine)
+    assert change.members == ("joint_offset.y",)
+    assert change.after - change.before == pytest.approx(1.8e-3, abs=4 * change.sigma)
+    assert change.sigma < 2e-5
+
+
+@pytest.mark.parametrize("errors", [{}, {"axis_tilt.x.y": 3e-3}, {"backlash.z": 1e-4}])
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+def test_nothing_changed(protocol, errors, machine):
+    both = [campaign(machine, f"c{k}", k, "standard" if k else protocol, **errors) for k in (0, 1)]
+    assert changes_of(*both, machine=machine) == ()
+
+
+def test_a_change_beside_effects_that_stay(machine):
+    stay = {"axis_tilt.x.y": 3e-3, "backlash.z": 1e-4}
+    old = campaign(machine, "old", 1, **stay)
+    new = campaign(machine, "new", 2, **stay, **{"joint_offset.x": -1.5e-3})
+    (change,) = changes_of(old, new, machine=machine)
+    assert change.parameter == "joint_offset.x"
+    assert change.after - change.before == pytest.approx(-2.7e-3, abs=4 * change.sigma)
+
+
+def test_two_changes_between_three_files(machine):
+    both = tilted(machine, 1.5e-3, 0.3e-3)
+    last = {"axis_tilt.y.z": 0.3e-3, "leg_length.x": 2e-4}
+    found = changes_of(*both, campaign(machine, "c2", 3, **last), machine=machine)
+    about = {change.between: change.members for change in found}
+    assert "axis_tilt.y.z" in about["c0", "c1"]
+    assert "leg_length.x" in about["c1", "c2"]
+    assert len(found) == 2
+
+
+def test_a_fault_of_one_file_is_no_change(machine):
+    rng = np.random.default_rng(3)
+    rows = [rc.simulate(Rig().with_errors(BASE), "standard", rng) for _ in range(2)]
+    rows[1] = rc.swapped_sign(rows[1], "yz-0.5").rows
+    both = [
+        Campaign.from_frame(
+            {key: [row[key] for row in table] for key in table[0]},
+            name=f"c{k}",
+            machine_file=machine.spec,
+        )
+        for k, table in enumerate(rows)
+    ]
+    findings = examine(identify(both, machine, method="nested"))
+    assert [b.kind for b in findings.blunders] == ["sign"]
+    assert findings.changes == ()

@@ -431,7 +431,7 @@ def test_a_swallowed_interrupt_stops_every_command(
 
 def test_commands_write_at_one_place() -> None:
     """Where they look first whether they were asked to stop."""
-    writers = re.compile(r"write_whole|write_folder|write_campaign|write_protocol|\.save\(")
+    writers = re.compile(r"write_whole|write_folder|write_campaign|\.save\(")
     found = {p.name for p in (ROOT / "orthoglide" / "cli").glob("*.py")
              if writers.search(p.read_text())}  # fmt: skip
     assert found == {"writing.py"}

@@ -14,7 +14,7 @@ from orthoglide.effects.page import GROUPS, effects_page
 from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import parse_machine_file
-from orthoglide.observations.reading import RHO, ROW_COLUMNS, SETUP_COLUMNS
+from orthoglide.observations.columns import RHO, ROW_COLUMNS, SETUP_COLUMNS
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])

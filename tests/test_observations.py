@@ -20,16 +20,21 @@ from orthoglide import units
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Controller, nominal_machine_file
+from orthoglide.notes import Note
 from orthoglide.observations import (
     CONDITIONS,
     Campaign,
+    Moves,
+    campaign_from_rows,
+    campaign_rows,
     campaign_text,
     derive_approach,
     protocol,
     read_campaign,
     read_tcp,
+    tcp_from_rows,
+    tcp_rows,
     write_campaign,
-    write_protocol,
 )
 
 KINDS = ("standard", "sweep", "two-gauges")
@@ -40,9 +45,12 @@ PUBLISHED = sorted(
 )
 
 
-def measured(kind: str = "standard", seed: int = 0) -> Campaign:
-    """A protocol filled in with plausible readings."""
+def measured(kind: str = "standard", seed: int = 0, moves: bool = False) -> Campaign:
+    """A protocol filled in with plausible readings, without its moves or with them."""
     sheet = protocol(kind)  # type: ignore[arg-type]
+    if not moves:
+        place = np.arange(len(sheet))
+        sheet = replace(sheet, moves=Moves(), order=place, line=place + 2)
     noise = np.random.default_rng(seed).normal(size=len(sheet))
     return sheet.with_readings(np.round(5e-3 + 1e-4 * noise, 5))
 
@@ -392,7 +400,7 @@ def test_travel_columns_go_through_the_controller(tmp_path: Path) -> None:
 
 
 def test_readings_may_wait_in_a_sheet(tmp_path: Path) -> None:
-    write_protocol("sweep", tmp_path / "sheet.csv")
+    write_campaign(protocol("sweep"), tmp_path / "sheet.csv")
     sheet = read_campaign(tmp_path / "sheet.csv", require_readings=False)
     assert sheet.same_as(replace(protocol("sweep"), name="sheet"))
     with pytest.raises(FileError, match="no readings yet"):
@@ -443,6 +451,139 @@ def test_two_dials_of_one_visit_share_their_approach() -> None:
     sweep = protocol("sweep")
     for axis in range(3):
         assert np.array_equal(sweep.approach[::2, axis], sweep.approach[1::2, axis])
+
+
+def with_moves(tmp_path: Path, *faults: Fault) -> Path:
+    rows = chained(*faults)(list(csv.reader(io.StringIO(campaign_text(measured(moves=True))))))
+    return write(tmp_path / "standard.csv", as_text(rows))
+
+
+def test_moves_are_rows_that_are_not_read(tmp_path: Path) -> None:
+    campaign = read_campaign(with_moves(tmp_path))
+    assert campaign.same_as(measured(moves=True))
+    assert campaign.warnings == ()
+    assert len(campaign) == 54
+    assert campaign.moves.line.tolist() == [2, 21, 40]
+    assert campaign.line[:2].tolist() == [3, 4]
+    # Of a move only the command and its place count.
+    bare = [cell(name, "", 2, 21, 40) for name in ("setup", "leg", "direction", "gauge_mm")]
+    assert read_campaign(with_moves(tmp_path, *bare)).same_as(campaign)
+
+
+def test_moves_say_where_a_reading_was_reached_from(tmp_path: Path) -> None:
+    above = [cell(name, "311.25", 2) for name in RHO]
+    campaign = read_campaign(with_moves(tmp_path, *above))
+    assert campaign.approach[:2].tolist() == [[-1, -1, -1], [-1, -1, -1]]
+    assert np.array_equal(campaign.approach[2:], measured().approach[2:])
+
+
+def test_every_mounting_of_a_protocol_is_begun_from_a_known_side() -> None:
+    for kind in KINDS:
+        sheet = protocol(kind)  # type: ignore[arg-type]
+        assert len(sheet.moves) == len({(s.leg, s.gauge) for s in sheet.setups})
+        assert np.array_equal(sheet.derived_approach, sheet.approach)
+        for k in np.unique(sheet.setup):
+            first = np.flatnonzero(sheet.setup == k)[0]
+            before = sheet.moves.command[sheet.moves.order < sheet.order[first]][-1]
+            assert np.array_equal(np.sign(sheet.command[first] - before), sheet.approach[first])
+
+
+def test_a_reading_of_a_move_is_ignored_and_said(tmp_path: Path) -> None:
+    (note,) = read_campaign(with_moves(tmp_path, cell("reading_mm", "3.21", 21))).warnings
+    assert isinstance(note, Note)
+    assert (note.kind, note.lines) == ("reading", (21,))
+
+
+@pytest.mark.parametrize(
+    ("fault", "phrase", "line"),
+    [
+        (cell("kind", "jump", 2), "none of leg, move", 2),
+        (cell("kind", "move"), "has moves only", 2),
+        (cell("rho_x_mm", "400", 21), "outside its stroke", 21),
+        (cell("order", "20", 21), "order 20 stands for another command on line 21", 22),
+    ],
+)
+def test_malformed_moves_are_refused(fault: Fault, phrase: str, line: int, tmp_path: Path) -> None:
+    file = with_moves(tmp_path, fault)
+    with pytest.raises(FileError) as caught:
+        read_campaign(file)
+    assert_refused(caught.value, file, phrase, line)
+
+
+def test_an_approach_that_the_order_cannot_produce_is_a_warning(tmp_path: Path) -> None:
+    text = campaign_text(measured())
+    rows = list(csv.reader(io.StringIO(text)))
+    signs = measured().approach
+    for axis, name in enumerate(("approach_x", "approach_y", "approach_z")):
+        rows = added(name, "")(rows)
+        for row, sign in zip(rows[1:], signs[:, axis], strict=True):
+            row[-1] = f"{sign:.0f}"
+    as_driven = write(tmp_path / "as_driven.csv", as_text(rows))
+    assert read_campaign(as_driven).warnings == ()
+    # The first posture may have been reached from anywhere, if both its dials say the same.
+    elsewhere = cell("approach_z", "-1", 2, 3)(rows)
+    assert read_campaign(write(tmp_path / "c.csv", as_text(elsewhere))).warnings == ()
+    wrong = cell("approach_y", "1", 4, 6)(rows)
+    (note,) = read_campaign(write(tmp_path / "c.csv", as_text(wrong))).warnings
+    assert isinstance(note, Note)
+    assert (note.kind, note.lines) == ("approach", (4, 6))
+    assert "approach_y cannot come from the order" in note
+    # A gap in the order may hide the moves that explain it.
+    gaps = [row for k, row in enumerate(wrong) if k not in (2, 4, 6)]
+    assert read_campaign(write(tmp_path / "c.csv", as_text(gaps))).warnings == ()
+
+
+CONTROLLERS = [
+    Controller(zero=(0.5, -0.2, 0.0), sign=(1, -1, 1)),
+    Controller(zero=(0.1234567, 1e-9, -0.3), sign=(-1, -1, -1)),
+]
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS, ids=["one-axis", "all-axes"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_sheets_show_what_the_controller_shows(
+    kind: str, controller: Controller, tmp_path: Path
+) -> None:
+    machine = replace(nominal_machine_file(), controller=controller)
+    campaign = replace(measured(kind, moves=True), name="sheet")
+    write_campaign(campaign, tmp_path / "sheet.csv", machine)
+    with open(tmp_path / "sheet.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert not [name for name in rows[0] if name.startswith("rho_")]
+    first = rows[1]  # behind a move
+    for axis, leg in enumerate("xyz"):
+        assert float(first[f"travel_{leg}_mm"]) == pytest.approx(controller.zero[axis] * 1e3)
+        step = float(first[f"travel_{leg}_mm"]) - float(rows[0][f"travel_{leg}_mm"])
+        assert step == pytest.approx(controller.sign[axis])
+    again = read_campaign(tmp_path / "sheet.csv", machine)
+    assert again.same_as(campaign)
+    assert campaign_text(again, machine) == (tmp_path / "sheet.csv").read_text()
+    assert campaign_text(again, nominal_machine_file()) == campaign_text(campaign)
+
+
+# --- Rows of text ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("campaign", [measured(moves=True), measured("sweep")], ids=["moves", ""])
+def test_rows_of_a_result_are_read_without_a_file(campaign: Campaign) -> None:
+    rows = campaign_rows(campaign)
+    again = campaign_from_rows(rows, name=campaign.name, file="c.csv", sha256="abc")
+    assert again.same_as(campaign)
+    assert (again.file, again.sha256) == ("c.csv", "abc")
+    rows[7] = rows[7] | {"reading_mm": "far"}
+    lines = [10 * k for k in range(len(rows))]
+    with pytest.raises(FileError, match=r"c\.csv, line 70: reading_mm is 'far'"):
+        campaign_from_rows(rows, name="c", file="c.csv", lines=lines)
+
+
+def test_tcp_points_survive_their_rows(tmp_path: Path) -> None:
+    text = TCP.replace("\n", ",sigma_mm,approach_x\n") + "".join(
+        f"{row},{sigma},-1\n" for row, sigma in zip(POINTS, ("0.002", ""), strict=True)
+    )
+    points = read_tcp(write(tmp_path / "c.tcp.csv", text))
+    again = tcp_from_rows(tcp_rows(points), file="c.tcp.csv")
+    for name in ("command", "p", "sigma", "approach"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(points, name))
 
 
 # --- The campaign itself --------------------------------------------------------------------

@@ -104,7 +104,7 @@ def design(
             step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
         if out is not None:
-            write_file(out, campaign_text(found.campaign))
+            write_file(out, campaign_text(found.campaign, machine.spec))
     if quiet:
         return
     for line in report_design(found, compared):

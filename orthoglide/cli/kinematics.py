@@ -109,7 +109,7 @@ def _run(
         found = solve(load_machine(machine_path), _vector(numbers), False, _refuse)
         click.echo(" ".join(_number(value) for value in found[0]))
         return
-    from orthoglide.observations.reading import POINT, RHO, TRAVEL
+    from orthoglide.observations.columns import POINT, RHO, TRAVEL
     from orthoglide.observations.table import read_table
 
     table = read_table(path)

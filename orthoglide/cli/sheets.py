@@ -13,7 +13,7 @@ from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
-    from orthoglide.observations import TcpPoints
+    pass
 
 KINDS = ("standard", "sweep", "two-gauges")
 
@@ -36,11 +36,12 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     """Write a measuring sheet: every row but the reading."""
     from orthoglide.observations import campaign_text, protocol as make
 
-    sheet = make(kind, load_machine(machine_path).geometry)  # type: ignore[arg-type]
-    write_file(out, campaign_text(sheet))
+    machine = load_machine(machine_path)
+    sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
+    write_file(out, campaign_text(sheet, machine.spec))
     click.echo(
         f"{click.format_filename(out)}: {len(sheet)} readings in {len(sheet.setups)} setups, to be "
-        f"filled in as reading_mm"
+        f"filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing"
     )
 
 
@@ -70,11 +71,13 @@ def simulate(
     Each dial has its own datum and stands up to some placement error off its place; readings are
     noisy and rounded to the dial's resolution.
     """
+    from dataclasses import replace
+
     import numpy as np
 
     from orthoglide import simulation
     from orthoglide.files import check_new
-    from orthoglide.observations import campaign_text
+    from orthoglide.observations import campaign_text, csv_text, tcp_rows
 
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
@@ -89,7 +92,8 @@ def simulate(
     filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
     texts = {out: campaign_text(filled)}
     if tcp is not None:
-        texts[tcp] = _tcp_text(simulation.simulate_tcp(machine, seed=draw))
+        points = simulation.simulate_tcp(machine, seed=draw)
+        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9))))
     _write_all(texts)
     for path, text in texts.items():
         click.echo(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
@@ -109,19 +113,3 @@ def _write_all(texts: dict[Path, str]) -> None:
         for path in written:
             path.unlink(missing_ok=True)
         raise
-
-
-def _tcp_text(points: TcpPoints) -> str:
-    import csv
-    import io
-
-    import numpy as np
-
-    from orthoglide.observations.reading import POINT, RHO
-
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*RHO, *POINT])
-    for row in np.hstack([points.command, points.p]) * 1e3:
-        writer.writerow([f"{value:.6f}" for value in row])
-    return stream.getvalue()

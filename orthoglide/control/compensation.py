@@ -14,7 +14,7 @@ from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.functions import TCP
-from orthoglide.observations.campaign import derive_approach
+from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.prediction import Conditions
 

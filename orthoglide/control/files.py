@@ -15,7 +15,7 @@ from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
-from orthoglide.observations.reading import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orthoglide.diagnosis.changes import Change, separated
 from orthoglide.diagnosis.fault_view import set_free
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
@@ -26,6 +27,8 @@ from orthoglide.observations import Campaign
 
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
+
+_MOST_CHANGES = 4
 
 _MEANINGS = ("sign", "unit", "exchanged_labels")
 
@@ -63,37 +66,54 @@ class Blunder:
         return found
 
 
-def find_blunders(
-    estimate: Estimate, rng: np.random.Generator, *, most: int = 8
-) -> tuple[Blunder, ...]:
-    """Find the faults of the data that no cause of the machine explains as well.
+@dataclass(frozen=True)
+class Findings:
+    """What is wrong with readings before any cause is looked for.
+
+    Attributes:
+        blunders: stuck dials first, then outliers and knocks that repeats show, then the rest.
+        changes: parameters of the machine that changed between campaigns, values included.
+    """
+
+    blunders: tuple[Blunder, ...]
+    changes: tuple[Change, ...]
+
+
+def examine(estimate: Estimate, *, most: int = 8) -> Findings:
+    """Find faults of the data, and changes between campaigns, that no cause explains as well.
+
+    Every test here is closed form: the answer has no seed.
 
     Args:
         estimate: the fit of the base model.
-        rng: not drawn from: every test here is closed form, so that the answer has no seed.
         most: more faults than this are no slips: what is left is for a person to look at.
-
-    Returns:
-        Faults, stuck dials first, then outliers and knocks that repeats show, then the rest.
     """
     seen = signatures(estimate)
     found = stuck_faults(seen)
     found += repeat_faults(estimate, found)
-    now = seen
-    for again in range(_REFITS):
-        if found and (again or len(found) < most):
+    changes: list[Change] = []
+    now, stale = seen, 0 < len(found) < most
+    several = len(estimate.problem.campaigns) > 1
+    for _ in range(_REFITS + (_MOST_CHANGES if several else 0)):
+        if stale:
+            problem = separated(_muted(estimate.problem, found), changes)
             try:
-                now = signatures(solve(_muted(estimate.problem, found), method="nested"))
+                now = signatures(solve(problem, method="nested"))
             except NumericsError:
                 break
         fault = fit_fault(now, found)
         if fault is None:
             break
-        found.append(fault)
+        if isinstance(fault, Change):
+            changes.append(fault)
+        else:
+            found.append(fault)
+        stale = True
     if len(found) < most and not any(f.kind in _MEANINGS for f in found):
         beside = joint_fault(now, found)
         found += [beside] if beside is not None else []
-    return _reported(seen, found[:most])
+    measured = tuple(c.measured(now.estimate) for c in changes)
+    return Findings(_reported(seen, found[:most]), measured)
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:

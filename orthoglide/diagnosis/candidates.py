@@ -25,7 +25,7 @@ class Candidate:
 
     name: str
     effect: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[str, ...]
     weights: tuple[Mapping[str, float], ...]
 
     @property

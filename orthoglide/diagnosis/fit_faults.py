@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orthoglide.diagnosis.changes import Change, likeliest_change
 from orthoglide.diagnosis.fault_view import View, set_free, with_effect
 from orthoglide.diagnosis.faults import UNITS, Fault, Rows, in_order
 from orthoglide.diagnosis.repeat_faults import EVIDENCE, Within, scatter
@@ -25,7 +26,12 @@ from orthoglide.geometry import Array
 MARGIN = 5.0
 """Log Bayes factor by which a fault must beat the best effect of the catalogue."""
 
+CHANGE_MARGIN = 3.0
+"""The same for a change between campaigns: there are about as many changes as effects."""
+
 _EFFECTS = 2  # of the catalogue that may be in the model beside a fault
+_EFFECTS_BESIDE_A_CHANGE = 5
+_WORTH = 2.0  # evidence of an effect that is taken into the model beside a change
 _LACK = 1.5  # chi2 a degree of freedom below which nothing is worth looking for
 _HALVED = 0.6  # share of the rms of its own setups that a fault may leave
 _APART = 3.0  # log Bayes factor between the best fault and the next one of other setups
@@ -40,8 +46,8 @@ _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited
 _SPOILT = 3.0  # resolutions that it must reach
 
 
-def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
-    """The fault that explains most of what a fit leaves, if any does better than all effects.
+def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | Change | None:
+    """The fault or change that explains most of what a fit leaves, if it does better than effects.
 
     Args:
         seen: signatures at the fit of the readings without the known faults.
@@ -50,15 +56,22 @@ def fit_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
     problem = seen.estimate.problem
     for fault in known:
         seen = set_free(seen, fault.columns(problem))
-    for _ in range(_EFFECTS + 1):
+    faulty = True
+    for effects in range(_EFFECTS_BESIDE_A_CHANGE + 1):
         view = View.of(seen)
         if view.chi2 < _LACK * view.dof * view.floor:
             return None
-        best = _best(list(_hypotheses(view, known)))
+        best = _best(list(_hypotheses(view, known))) if faulty else None
+        change = likeliest_change(view)
         rival, place = view.rival
+        if change is not None and change.evidence >= max(
+            EVIDENCE, rival + CHANGE_MARGIN, best.evidence if best else -np.inf
+        ):
+            return change
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
             return best
-        if place < 0 or rival < EVIDENCE:
+        faulty = faulty and rival >= EVIDENCE and effects < _EFFECTS
+        if place < 0 or rival < _WORTH or not (faulty or change):
             return None
         seen = with_effect(seen, place)
     return None

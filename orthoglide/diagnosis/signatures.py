@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +15,6 @@ from orthoglide.fit import Estimate, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise
 from orthoglide.geometry import Array
-from orthoglide.parameters import Parameter
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
 _VISIBLE = 0.3
@@ -38,17 +37,19 @@ class Signatures:
         weight: 1 / sigma of each reading ``(n,)``.
         candidates: all that are made of these.
         invisible: names that these readings cannot show, whatever their size within reason.
+        slopes: derivative of the readings ``(n,)`` by every unknown, of the fit and beyond it.
     """
 
     estimate: Estimate
-    names: tuple[Parameter, ...]
+    names: tuple[str, ...]
     tolerance: Array
     columns: Array
     residual: Array
     fitted: Array
     weight: Array
     candidates: tuple[Candidate, ...]
-    invisible: tuple[Parameter, ...]
+    invisible: tuple[str, ...]
+    slopes: Mapping[str, Array]
 
     @property
     def count(self) -> int:
@@ -141,4 +142,5 @@ def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
         weight,
         candidates(visible, effects, problem.machine.catalogue),
         tuple(n for n, s in zip(names, seen, strict=True) if not s),
+        dict(zip(wide.names, at.jacobian.T, strict=True)),
     )

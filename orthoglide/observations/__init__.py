@@ -1,30 +1,41 @@
 """What was measured: campaigns of dial readings and TCP points, read from files and checked."""
 
-from orthoglide.observations.campaign import (
-    CONDITIONS,
-    Campaign,
-    Reading,
-    Setup,
-    derive_approach,
-)
+from orthoglide.observations.approach import Moves, derive_approach
+from orthoglide.observations.campaign import CONDITIONS, Campaign, Reading, Setup
 from orthoglide.observations.protocols import protocol
-from orthoglide.observations.reading import Given, as_campaigns, read_campaign, read_tcp
-from orthoglide.observations.tcp import TcpPoints
-from orthoglide.observations.writing import campaign_text, write_campaign, write_protocol
+from orthoglide.observations.reading import (
+    Given,
+    as_campaigns,
+    campaign_from_rows,
+    read_campaign,
+)
+from orthoglide.observations.tcp import TcpPoints, read_tcp, tcp_from_rows
+from orthoglide.observations.writing import (
+    campaign_rows,
+    campaign_text,
+    csv_text,
+    tcp_rows,
+    write_campaign,
+)
 
 __all__ = [
     "CONDITIONS",
     "Campaign",
     "Given",
+    "Moves",
     "Reading",
     "Setup",
     "TcpPoints",
     "as_campaigns",
+    "campaign_from_rows",
+    "campaign_rows",
     "campaign_text",
+    "csv_text",
     "derive_approach",
     "protocol",
     "read_campaign",
     "read_tcp",
+    "tcp_from_rows",
+    "tcp_rows",
     "write_campaign",
-    "write_protocol",
 ]

@@ -5,20 +5,16 @@ Arrays hold one entry a reading. Nothing here reads files; units are SI througho
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array
-
-Ints = NDArray[np.int64]
-
-MOVED = 1e-6
-"""An axis counts as moved beyond this, in metres: sheets are rounded, encoders count microns."""
+from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
 
 CONDITIONS = (
     "rho_x", "rho_y", "rho_z", "approach_x", "approach_y", "approach_z",
@@ -94,7 +90,12 @@ class Campaign:
         sha256: digest of the file, or ``""``.
         warnings: what was noticed on reading and is no error.
         reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
+        moves: commands gone through between the readings.
+        from_frame: a campaign from a data frame; see
+            :func:`~orthoglide.observations.reading.campaign_from_frame`, which stands above.
     """
+
+    from_frame: ClassVar[Callable[..., Campaign]]
 
     name: str
     setups: tuple[Setup, ...]
@@ -114,6 +115,7 @@ class Campaign:
     sha256: str = ""
     warnings: tuple[str, ...] = ()
     reference_temperature: float = float("nan")
+    moves: Moves = field(default_factory=Moves)
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.reading))
@@ -177,6 +179,11 @@ class Campaign:
             ]
         )
 
+    @property
+    def derived_approach(self) -> Array:
+        """Approach as the order of readings and moves gives it ``(n, 3)``."""
+        return derive_approach(self.command, self.order, self.moves)
+
     def subset(self, rows: ArrayLike) -> Campaign:
         """Some of the readings, with the setups they need.
 
@@ -201,6 +208,18 @@ class Campaign:
         """The same campaign with other dial values ``(n,)``, metres."""
         return replace(self, reading=np.asarray(reading, dtype=float))
 
+    def with_moves(self) -> Campaign:
+        """The same readings in the order of their rows, with the moves that their approach takes.
+
+        See :func:`~orthoglide.observations.approach.planned_moves`; two dials that are read at one
+        visit were mounted together.
+        """
+        begins = np.zeros(len(self), dtype=bool)
+        begins[np.unique(self.setup, return_index=True)[1]] = True
+        begins[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
+        moves, order = planned_moves(self.command, self.approach, begins)
+        return replace(self, moves=moves, order=order, line=order + 2)
+
     def relabelled(self) -> Campaign:
         """The campaign of the machine with its legs renamed x -> y -> z -> x.
 
@@ -215,36 +234,20 @@ class Campaign:
             setups=tuple(turned),
             command=np.roll(self.command, 1, axis=1),
             approach=np.roll(self.approach, 1, axis=1),
+            moves=replace(self.moves, command=np.roll(self.moves.command, 1, axis=1)),
         )
 
     def same_as(self, other: Campaign) -> bool:
         """Whether both hold exactly the same readings; file, lines and warnings aside."""
-        return (self.name, self.setups, self.posture) == (
-            other.name,
-            other.setups,
-            other.posture,
-        ) and all(
-            np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
-            for name in _ARRAYS
-            if name != "line"
+        return (
+            (self.name, self.setups, self.posture) == (other.name, other.setups, other.posture)
+            and self.moves.same_as(other.moves)
+            and all(
+                np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
+                for name in _ARRAYS
+                if name != "line"
+            )
         )
-
-    @staticmethod
-    def from_frame(df: Any, *, name: str = "frame", **options: Any) -> Campaign:
-        """A campaign from a data frame with the columns of a campaign file.
-
-        Args:
-            df: a pandas data frame, or a mapping of columns; missing values are empty fields.
-            name: the campaign's name.
-            options: ``machine_file`` and ``require_readings`` as for `read_campaign`, or
-                ``controller`` alone to convert ``travel_*_mm``.
-
-        Raises:
-            FileError: as `read_campaign`, rows counted as lines of a file with a header.
-        """
-        from orthoglide.observations.reading import campaign_from_frame
-
-        return campaign_from_frame(df, name=name, **options)
 
     def _reference(self) -> float:
         recorded = self.temperature[np.isfinite(self.temperature)]
@@ -271,25 +274,3 @@ _SCALARS = ("time", "temperature", "load", "repeat", "order", "reading", "sigma"
 
 def _index_type(rows: ArrayLike) -> type:
     return bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats
-
-
-def derive_approach(command: ArrayLike, order: ArrayLike) -> Array:
-    """Direction of each axis' last move, from the sequence of commands.
-
-    An axis that does not move keeps its direction; the first posture counts as reached in +.
-
-    Args:
-        command: commands ``(n, 3)``, metres.
-        order: place in the sequence ``(n,)``; equal places are one visit.
-
-    Returns:
-        +1 or -1, shape ``(n, 3)``.
-    """
-    rho = np.asarray(command, dtype=float).reshape(-1, 3)
-    sequence = np.argsort(np.asarray(order), kind="stable")
-    step = np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1] - 1.0)
-    moved = np.abs(step) > MOVED
-    last = np.maximum.accumulate(np.where(moved, np.arange(len(rho))[:, None], 0), axis=0)
-    approach = np.empty_like(rho)
-    approach[sequence] = np.sign(np.take_along_axis(step, last, axis=0))
-    return approach

@@ -6,7 +6,7 @@ raises. What is no error is returned as a warning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -14,11 +14,16 @@ from numpy.typing import NDArray
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations.campaign import MOVED, Campaign
-from orthoglide.observations.tcp import TcpPoints
+from orthoglide.notes import Note
+from orthoglide.observations.approach import MOVED, Ints, impossible_approach
+from orthoglide.observations.campaign import Campaign
 
 Fail = Callable[[str, int | None], NoReturn]
 """Raises the error for a row, counted from 0."""
+
+DECIMALS = 12
+"""Of a metre: to these commands are rounded on their way through the controller's zero and sign, so
+that binary fractions leave no trace and files come back as they were written."""
 
 STROKE_SLACK = 1e-6
 """How far a command may lie beyond the stroke, metres."""
@@ -34,6 +39,8 @@ STILL = 2 - 1e-6
 
 NO_READING = 1e-8
 """Readings all below this are a simulated perfect machine's zeros, metres."""
+
+_SHOWN = 5  # lines named in a warning
 
 
 def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: Fail) -> Array:
@@ -51,7 +58,7 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     geometry, controller = machine.geometry, machine.controller
 
     def rho_of(given: Array, travel: bool) -> Array:
-        return controller.to_rho(given, geometry) if travel else given
+        return np.round(controller.to_rho(given, geometry), DECIMALS) if travel else given
 
     def fits(given: Array, travel: bool) -> NDArray[np.bool_]:
         return np.asarray(geometry.in_stroke(rho_of(given, travel), STROKE_SLACK).all(axis=-1))
@@ -80,7 +87,20 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     )
 
 
-def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tuple[str, ...]:
+def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail) -> None:
+    """Refuses two commands ``(n, 3)``, of readings or moves, at one place in the order ``(n,)``."""
+    first: dict[int, int] = {}
+    for row, place in enumerate(order.tolist()):
+        before = first.setdefault(place, row)
+        if np.abs(command[row] - command[before]).max() > MOVED:
+            fail(
+                f"order {place} stands for another command on line {lines[before]}: "
+                "number the postures in the sequence the machine took",
+                row,
+            )
+
+
+def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tuple[Note, ...]:
     """Refuses a campaign that cannot be meant as it stands.
 
     Args:
@@ -94,21 +114,6 @@ def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tupl
     for check in _CHECKS:
         check(campaign, machine, fail)
     return tuple(text for notice in _NOTICES for text in notice(campaign, machine))
-
-
-def check_tcp(points: TcpPoints, fail: Fail) -> None:
-    """Refuses TCP points that cannot be meant as they stand."""
-    missing = np.isnan(points.p).all(axis=1)
-    if missing.any():
-        fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
-    commanded = np.ptp(points.command, axis=0).max()
-    measured = max(np.ptp(p[np.isfinite(p)]) if np.isfinite(p).any() else 0.0 for p in points.p.T)
-    if commanded > HARDLY and 100 * measured < commanded:
-        fail(
-            f"the points lie within {measured * 1e3:.3g} mm while the commands span "
-            f"{commanded * 1e3:.3g} mm: give millimetres, not metres",
-            0,
-        )
 
 
 def _motion(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
@@ -164,18 +169,6 @@ def _duplicates(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-def _sequence(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
-    first: dict[int, int] = {}
-    for row, order in enumerate(campaign.order.tolist()):
-        before = first.setdefault(order, row)
-        if np.abs(campaign.command[row] - campaign.command[before]).max() > MOVED:
-            fail(
-                f"order {order} stands for another command on line {campaign.line[before]}: "
-                "number the postures in the sequence the machine took",
-                row,
-            )
-
-
 def _clock(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
     rows = np.lexsort((campaign.time, campaign.order))
     rows = rows[np.isfinite(campaign.time[rows])]
@@ -213,20 +206,38 @@ def _dial(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
             )
 
 
-_CHECKS = (_motion, _gauges, _postures, _duplicates, _sequence, _clock, _dial)
+_CHECKS = (_motion, _gauges, _postures, _duplicates, _clock, _dial)
 
 
-def _still_legs(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
+def _approaches(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
+    if np.array_equal(campaign.approach, campaign.derived_approach):
+        return
+    wrong = impossible_approach(campaign.command, campaign.approach, campaign.order, campaign.moves)
+    if not wrong.any():
+        return
+    columns = " and ".join(f"approach_{LEGS[k]}" for k in np.flatnonzero(wrong.any(axis=0)))
+    lines = tuple(campaign.line[wrong.any(axis=1)].tolist())
+    shown = ", ".join(map(str, lines[:_SHOWN])) + (" ..." if len(lines) > _SHOWN else "")
+    yield Note(
+        f"{columns} cannot come from the order of the rows ({len(lines)} rows: line {shown}): if "
+        "the machine made further moves enter them as rows of kind move, else correct the columns",
+        "approach",
+        lines,
+    )
+
+
+def _still_legs(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
     for leg in np.unique(campaign.leg):
         span = np.ptp(campaign.command[campaign.leg == leg, leg])
         if span <= HARDLY:
-            yield (
+            yield Note(
                 f"leg {LEGS[leg]} moves by only {span * 1e3:.3g} mm along its own axis in its "
-                "setups: they say little about its length and axis"
+                "setups: they say little about its length and axis",
+                "command",
             )
 
 
-def _still_dial(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
+def _still_dial(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
     read = np.isfinite(campaign.reading)
     if not read.any():
         return
@@ -236,13 +247,14 @@ def _still_dial(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
     ]
     # Two steps of the dial are what rounding and a trembling finger make of a standing one.
     if max(spans) < max(STILL * machine.dial.resolution, NO_READING):
-        yield (
+        yield Note(
             f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
-            "touching the leg? Unless the machine is as good as that, such readings say nothing"
+            "touching the leg? Unless the machine is as good as that, such readings say nothing",
+            "reading",
         )
 
 
-def _partly_recorded(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
+def _partly_recorded(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
     said = {
         "time_s": (campaign.time, "these count as taken at the start"),
         "temperature_C": (campaign.temperature, "these count as no warmer than the first"),
@@ -251,7 +263,8 @@ def _partly_recorded(campaign: Campaign, machine: MachineFile) -> Iterator[str]:
     for column, (values, consequence) in said.items():
         missing = int(np.isnan(values).sum())
         if 0 < missing < len(values):
-            yield f"{column} is empty in {missing} of {len(values)} rows: {consequence}"
+            text = f"{column} is empty in {missing} of {len(values)} rows: {consequence}"
+            yield Note(text, column, tuple(campaign.line[np.isnan(values)].tolist()))
 
 
-_NOTICES = (_still_legs, _still_dial, _partly_recorded)
+_NOTICES = (_approaches, _still_legs, _still_dial, _partly_recorded)

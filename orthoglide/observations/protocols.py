@@ -12,7 +12,8 @@ import numpy as np
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
-from orthoglide.observations.campaign import Campaign, Setup, derive_approach
+from orthoglide.observations.approach import derive_approach
+from orthoglide.observations.campaign import Campaign, Setup
 
 Kind = Literal["standard", "sweep", "two-gauges"]
 
@@ -50,7 +51,8 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
         geometry: whose stroke and length count; the nominal one if None.
 
     Returns:
-        The campaign, readings nan; times are those planned.
+        The campaign, readings nan; times are those planned. Every mounting begins with a move, so
+        that its first posture is reached from a known side.
 
     Raises:
         InputError: for an unknown kind.
@@ -79,7 +81,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     n = len(visit)
     order = np.arange(n)
     rho = np.round(command, 9)[visit]  # what fits on a sheet
-    return Campaign(
+    sheet = Campaign(
         name=kind,
         setups=setups,
         setup=2 * mounting + order % 2,
@@ -95,6 +97,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
         sigma=np.full(n, np.nan),
         line=order + 2,
     )
+    return sheet.with_moves()
 
 
 def _named(geometry: Geometry) -> list[Posture]:

@@ -1,9 +1,9 @@
-"""Campaigns and TCP points from CSV files and data frames."""
+"""Campaigns from CSV files, data frames, and rows as results keep them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,57 +11,24 @@ from typing import Any
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
-from orthoglide.observations.campaign import Campaign, Ints, Setup, derive_approach
-from orthoglide.observations.checks import check_campaign, check_commands, check_tcp
-from orthoglide.observations.table import (
-    DIRECTION,
-    LEG,
-    SIGN,
-    Column,
-    Table,
-    choice,
-    frame_table,
-    number,
-    positive,
-    read_table,
-    whole,
+from orthoglide.notes import Note
+from orthoglide.observations.approach import Ints, Moves, derive_approach
+from orthoglide.observations.campaign import Campaign, Setup
+from orthoglide.observations.checks import check_campaign, check_sequence
+from orthoglide.observations.columns import (
+    APPROACH,
+    DIRECTION_OF_MOVE,
+    RHO,
+    ROW_COLUMNS,
+    SETUP_COLUMNS,
+    TRAVEL,
+    columns,
+    command_names,
+    commands,
 )
-from orthoglide.observations.tcp import TcpPoints
-
-MM = 1e-3
-NAN = float("nan")
-
-RHO = tuple(f"rho_{leg}_mm" for leg in LEGS)
-TRAVEL = tuple(f"travel_{leg}_mm" for leg in LEGS)
-APPROACH = tuple(f"approach_{leg}" for leg in LEGS)
-POINT = tuple(f"p_{leg}_mm" for leg in LEGS)
-
-SETUP_COLUMNS: dict[str, Column] = {
-    "setup": Column(str),
-    "leg": Column(LEG),
-    "direction": Column(DIRECTION),
-    "gauge_mm": Column(number(MM)),
-    "bar": Column(choice({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty: correct it"), 0),
-}
-"""What one mounting of one dial has once and for all."""
-
-ROW_COLUMNS: dict[str, Column] = {
-    "posture": Column(str, ""),
-    "repeat": Column(whole(1), 1),
-    "order": Column(whole(0)),
-    "time_s": Column(number(), NAN),
-    "temperature_C": Column(number(low=-40, high=100), NAN),
-    "load_N": Column(number(low=0, high=1e4), 0.0),
-    "reading_mm": Column(number(MM), NAN),
-    "sigma_mm": Column(positive(MM), NAN),
-}
-"""What each reading has of its own, besides its command and approach."""
-
-_COMMAND = Column(number(MM))
-_APPROACH = Column(SIGN, 0)
-_COORDINATE = Column(number(MM), NAN)
+from orthoglide.observations.table import Column, Table, frame_table, read_table, rows_table
 
 
 def read_campaign(
@@ -82,10 +49,36 @@ def read_campaign(
     Raises:
         FileError: naming the line and what would be right.
     """
-    table = read_table(path)
-    machine = machine_file or nominal_machine_file()
-    campaign = _campaign(table, Path(path).stem, machine, require_readings)
-    return replace(campaign, file=str(path), sha256=table.sha256)
+    return _campaign(read_table(path), Path(path).stem, machine_file, require_readings)
+
+
+def campaign_from_rows(
+    rows: Sequence[Mapping[str, str]],
+    machine_file: MachineFile | None = None,
+    require_readings: bool = True,
+    *,
+    name: str,
+    lines: Sequence[int] = (),
+    file: str = "",
+    sha256: str = "",
+) -> Campaign:
+    """A campaign from rows of text, as a result keeps those of its files.
+
+    Args:
+        rows: from column to text; the first row names all columns.
+        machine_file: as for `read_campaign`.
+        require_readings: as for `read_campaign`.
+        name: the campaign's name.
+        lines: line of each row in the file; from 2 on where empty.
+        file: the file's name.
+        sha256: digest of the file.
+
+    Raises:
+        FileError: as `read_campaign`.
+    """
+    table = rows_table(rows, file or name, lines, sha256)
+    campaign = _campaign(table, name, machine_file, require_readings)
+    return replace(campaign, file=file)
 
 
 Given = Campaign | str | os.PathLike[str]
@@ -118,95 +111,94 @@ def campaign_from_frame(
     controller: Controller | None = None,
     require_readings: bool = True,
 ) -> Campaign:
-    """A campaign from a data frame: see `Campaign.from_frame`."""
+    """A campaign from a data frame with the columns of a campaign file.
+
+    Args:
+        df: a pandas data frame, or a mapping of columns; missing values are empty fields.
+        name: the campaign's name.
+        machine_file: as for `read_campaign`.
+        controller: to convert ``travel_*_mm``; the machine file's if None.
+        require_readings: as for `read_campaign`.
+
+    Raises:
+        FileError: as `read_campaign`, rows counted as lines of a file with a header.
+    """
     machine = machine_file or nominal_machine_file()
     if controller is not None:
         machine = replace(machine, controller=controller)
-    return _campaign(frame_table(df, name), name, machine, require_readings)
+    return replace(_campaign(frame_table(df, name), name, machine, require_readings), file="")
 
 
-def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = None) -> TcpPoints:
-    """Reads TCP points.
-
-    Args:
-        path: the CSV file, as for `read_campaign`.
-        machine_file: whose stroke and controller count; the nominal one if None.
-
-    Returns:
-        The points; a coordinate left empty is nan.
-
-    Raises:
-        FileError: naming the line and what would be right.
-    """
-    table = read_table(path)
-    commands = _command_names(table)
-    warnings = table.check_names(
-        (*RHO, *TRAVEL, *APPROACH, *POINT, "sigma_mm"), (*commands, *POINT)
-    )
-    points = TcpPoints(
-        command=_commands(table, commands, machine_file or nominal_machine_file()),
-        p=_columns(table, POINT, _COORDINATE),
-        sigma=np.array(table.values("sigma_mm", ROW_COLUMNS["sigma_mm"])),
-        approach=_columns(table, APPROACH, _APPROACH),
-        line=np.array(table.lines),
-        file=str(path),
-        sha256=table.sha256,
-        warnings=warnings,
-    )
-    check_tcp(points, table.fail)
-    return points
+Campaign.from_frame = staticmethod(campaign_from_frame)
 
 
-def _campaign(table: Table, name: str, machine: MachineFile, require_readings: bool) -> Campaign:
-    commands = _command_names(table)
+def _campaign(
+    table: Table, name: str, machine_file: MachineFile | None, require_readings: bool
+) -> Campaign:
+    machine = machine_file or nominal_machine_file()
+    names = command_names(table)
     known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH)
-    needed = ("setup", "leg", "direction", *commands, "gauge_mm")
+    needed = ("setup", "leg", "direction", *names, "gauge_mm")
     readings = ("reading_mm",) if require_readings else ()
     warnings = table.check_names(known, (*needed, *readings))
-    setups, setup = _setups(table)
-    command = _commands(table, commands, machine)
-    row: dict[str, Any] = {key: table.values(key, column) for key, column in ROW_COLUMNS.items()}
-    if "order" not in table.names:
-        row["order"] = range(1, len(table.rows) + 1)
+    moved = np.array(table.values("kind", ROW_COLUMNS["kind"]))
+    read = table.part(np.flatnonzero(~moved).tolist())
+    if not read.rows:
+        table.fail("has moves only: add rows with readings", 0)
+    setups, setup = _setups(read)
+    command, order = commands(table, names, machine), _order(table)
+    moves = Moves(command[moved], order[moved], np.array(table.lines)[moved])
     fields: dict[str, Any] = {
-        key.partition("_")[0]: np.array(row[key]) for key in row if key != "posture"
+        key.partition("_")[0]: read.values(key, column) for key, column in ROW_COLUMNS.items()
     }
+    del fields["kind"]
+    fields |= {"order": order[~moved], "posture": tuple(fields["posture"])}
     campaign = Campaign(
         name=name,
         setups=setups,
         setup=setup,
-        command=command,
-        approach=_approach(table, command, fields["order"]),
-        posture=tuple(row["posture"]),
-        line=np.array(table.lines),
+        command=command[~moved],
+        approach=_approach(read, command[~moved], order[~moved], moves),
+        line=np.array(read.lines),
+        file=table.file,
+        sha256=table.sha256,
+        moves=moves,
         **fields,
     )
     if require_readings:
-        _require_readings(table, campaign.reading)
-    noticed = check_campaign(campaign, machine, table.fail)
-    return replace(campaign, warnings=(*warnings, *noticed))
+        _require_readings(read, campaign.reading)
+    check_sequence(command, order, table.lines, table.fail)
+    noticed = check_campaign(campaign, machine, read.fail)
+    unread = _moves_with_readings(table.part(np.flatnonzero(moved).tolist()))
+    return replace(campaign, warnings=(*warnings, *unread, *noticed))
 
 
-def _command_names(table: Table) -> tuple[str, ...]:
-    """The three columns that hold the commands: joint coordinates or the controller's values."""
-    if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
-        table.fail("has both rho_ and travel_ columns: keep the three of one kind")
-    return TRAVEL if set(TRAVEL) & set(table.names) else RHO
+def _order(table: Table) -> Ints:
+    if "order" in table.names:
+        return np.array(table.values("order", ROW_COLUMNS["order"]))
+    return np.arange(1, len(table.rows) + 1)
 
 
-def _columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
-    return np.array([table.values(name, column) for name in names], dtype=float).T
+def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
+    read = [k for k, cell in enumerate(moves.values("reading_mm", Column(str, ""))) if cell]
+    if not read:
+        return ()
+    lines = tuple(moves.lines[k] for k in read)
+    return (
+        Note(
+            f"the reading of line {', '.join(map(str, lines))} was ignored: a row of kind move "
+            "is gone through, not read",
+            "reading",
+            lines,
+        ),
+    )
 
 
-def _commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:
-    return check_commands(_columns(table, names, _COMMAND), names == TRAVEL, machine, table.fail)
-
-
-def _approach(table: Table, command: Array, order: Ints) -> Array:
+def _approach(table: Table, command: Array, order: Ints, moves: Moves) -> Array:
     """Approach as recorded; axes without a column get theirs from the sequence."""
-    recorded = _columns(table, APPROACH, _APPROACH)
+    recorded = columns(table, APPROACH, DIRECTION_OF_MOVE)
     given = [name in table.names for name in APPROACH]
-    return np.where(given, recorded, derive_approach(command, order))
+    return np.where(given, recorded, derive_approach(command, order, moves))
 
 
 def _setups(table: Table) -> tuple[tuple[Setup, ...], Ints]:

@@ -6,14 +6,15 @@ import csv
 import io
 import os
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from orthoglide import files, units
 from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS
+from orthoglide.notes import Note
 
 _DELIMITERS = ",;\t"
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
@@ -74,7 +75,7 @@ class Table:
         except ValueError as error:
             self.fail(f"{name} is {cell!r}, {error}", row)
 
-    def check_names(self, known: Iterable[str], needed: Iterable[str]) -> tuple[str, ...]:
+    def check_names(self, known: Iterable[str], needed: Iterable[str]) -> tuple[Note, ...]:
         """Refuses missing and misspelt columns; returns warnings of those that are ignored."""
         known = tuple(known)
         if not set(known) & set(self.names):
@@ -87,7 +88,19 @@ class Table:
         missing = [name for name in needed if name not in self.names]
         if missing:
             self.fail(f"has no column {', '.join(missing)}: add what is missing to the first line")
-        return tuple(f"column {name!r} is not known and was ignored" for name in unknown if name)
+        return tuple(
+            Note(f"column {name!r} is not known and was ignored", "column")
+            for name in unknown
+            if name
+        )
+
+    def part(self, rows: Sequence[int]) -> Table:
+        """Some of the rows, by place."""
+        return replace(
+            self,
+            rows=tuple(self.rows[k] for k in rows),
+            lines=tuple(self.lines[k] for k in rows),
+        )
 
 
 def read_table(path: str | os.PathLike[str]) -> Table:
@@ -116,6 +129,22 @@ def frame_table(df: Any, name: str) -> Table:
         raise FileError("has columns of unequal length: pad them", file=name)
     rows = [list(row) for row in zip(*columns, strict=True)]
     return _table(names, rows, list(range(2, len(rows) + 2)), name)
+
+
+def rows_table(
+    rows: Sequence[Mapping[str, str]], file: str, lines: Sequence[int] = (), sha256: str = ""
+) -> Table:
+    """Cells of rows by column, as results keep them.
+
+    Args:
+        rows: from column to text, the first row naming all columns.
+        file: name for errors.
+        lines: line of each row; from 2 on where empty.
+        sha256: digest of the file they came from.
+    """
+    names = list(rows[0]) if rows else []
+    cells = [[str(row.get(name, "")).strip() for name in names] for row in rows]
+    return _table(names, cells, list(lines or range(2, len(rows) + 2)), file, sha256)
 
 
 def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[str]], list[int]]:

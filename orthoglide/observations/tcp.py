@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from orthoglide.geometry import Array
-from orthoglide.observations.campaign import Ints
+from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.observations.approach import Ints
+from orthoglide.observations.checks import HARDLY, Fail
+from orthoglide.observations.columns import (
+    APPROACH,
+    DIRECTION_OF_MOVE,
+    MM,
+    NAN,
+    POINT,
+    RHO,
+    ROW_COLUMNS,
+    TRAVEL,
+    columns,
+    command_names,
+    commands,
+)
+from orthoglide.observations.table import Column, Table, number, read_table, rows_table
+
+_COORDINATE = Column(number(MM), NAN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,3 +62,67 @@ class TcpPoints:
     def name(self) -> str:
         """Of the file, without its folder and ending."""
         return Path(self.file).stem or "points"
+
+
+def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = None) -> TcpPoints:
+    """Reads TCP points.
+
+    Args:
+        path: the CSV file, as for `read_campaign`.
+        machine_file: whose stroke and controller count; the nominal one if None.
+
+    Returns:
+        The points; a coordinate left empty is nan.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    return _tcp(read_table(path), machine_file)
+
+
+def tcp_from_rows(
+    rows: Sequence[Mapping[str, str]],
+    machine_file: MachineFile | None = None,
+    *,
+    file: str,
+    lines: Sequence[int] = (),
+    sha256: str = "",
+) -> TcpPoints:
+    """TCP points from rows of text; arguments as for `campaign_from_rows`.
+
+    Raises:
+        FileError: as `read_tcp`.
+    """
+    return _tcp(rows_table(rows, file, lines, sha256), machine_file)
+
+
+def _tcp(table: Table, machine_file: MachineFile | None) -> TcpPoints:
+    names = command_names(table)
+    warnings = table.check_names((*RHO, *TRAVEL, *APPROACH, *POINT, "sigma_mm"), (*names, *POINT))
+    points = TcpPoints(
+        command=commands(table, names, machine_file or nominal_machine_file()),
+        p=columns(table, POINT, _COORDINATE),
+        sigma=np.array(table.values("sigma_mm", ROW_COLUMNS["sigma_mm"])),
+        approach=columns(table, APPROACH, DIRECTION_OF_MOVE),
+        line=np.array(table.lines),
+        file=table.file,
+        sha256=table.sha256,
+        warnings=warnings,
+    )
+    _check(points, table.fail)
+    return points
+
+
+def _check(points: TcpPoints, fail: Fail) -> None:
+    """Refuses TCP points that cannot be meant as they stand."""
+    missing = np.isnan(points.p).all(axis=1)
+    if missing.any():
+        fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
+    commanded = np.ptp(points.command, axis=0).max()
+    measured = max(np.ptp(p[np.isfinite(p)]) if np.isfinite(p).any() else 0.0 for p in points.p.T)
+    if commanded > HARDLY and 100 * measured < commanded:
+        fail(
+            f"the points lie within {measured * 1e3:.3g} mm while the commands span "
+            f"{commanded * 1e3:.3g} mm: give millimetres, not metres",
+            0,
+        )

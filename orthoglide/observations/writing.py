@@ -1,124 +1,171 @@
-"""Campaigns and measuring sheets as CSV files; what is written reads back exactly."""
+"""Campaigns, measuring sheets and TCP points as rows of text and CSV; all of it reads back."""
 
 from __future__ import annotations
 
 import csv
 import io
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from orthoglide import files, units
-from orthoglide.geometry import LEGS, Geometry
-from orthoglide.observations.campaign import Campaign, derive_approach
-from orthoglide.observations.protocols import Kind, protocol
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine_file import Controller, MachineFile
+from orthoglide.observations.campaign import Campaign
+from orthoglide.observations.checks import DECIMALS
+from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.tcp import TcpPoints
 
-MM = 1e-3
+Row = dict[str, str]
+"""From column to text."""
 
 
 def write_campaign(
-    campaign: Campaign, path: str | os.PathLike[str], *, overwrite: bool = False
+    campaign: Campaign,
+    path: str | os.PathLike[str],
+    machine_file: MachineFile | None = None,
+    *,
+    overwrite: bool = False,
 ) -> None:
-    """Writes a campaign; optional columns only where they say something.
+    """Writes a campaign or a measuring sheet; optional columns only where they say something.
 
     Args:
         campaign: what to write; readings that are nan are left empty.
         path: where to.
+        machine_file: as for `campaign_rows`.
         overwrite: whether an existing file may be replaced.
 
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
     """
-    files.write_whole(path, campaign_text(campaign), overwrite=overwrite)
+    files.write_whole(path, campaign_text(campaign, machine_file), overwrite=overwrite)
 
 
-def write_protocol(
-    kind: Kind,
-    path: str | os.PathLike[str],
-    geometry: Geometry | None = None,
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Writes a measuring sheet: every column filled in but the readings.
-
-    Args:
-        kind: as for `protocol`.
-        path: where to.
-        geometry: whose stroke and length count; the nominal one if None.
-        overwrite: whether an existing file may be replaced.
-
-    Raises:
-        InputError: for an unknown kind.
-        FileError: as `write_campaign`.
-    """
-    write_campaign(protocol(kind, geometry), path, overwrite=overwrite)
+def campaign_text(campaign: Campaign, machine_file: MachineFile | None = None) -> str:
+    """The CSV text of a campaign; arguments as for `campaign_rows`."""
+    return csv_text(campaign_rows(campaign, machine_file))
 
 
-def campaign_text(campaign: Campaign) -> str:
-    """The CSV text of a campaign."""
-    columns = {name: cells(campaign) for name, cells in _columns(campaign).items()}
+def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
+    """CSV text of rows that all have the columns of the first."""
     stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    writer = csv.DictWriter(stream, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     return stream.getvalue()
 
 
-Cells = Callable[[Campaign], Sequence[Any]]
+def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -> list[Row]:
+    """The rows of a campaign's file, moves included.
 
+    Args:
+        campaign: readings that are nan are left empty.
+        machine_file: where its controller counts in a way of its own, commands are written as the
+            controller shows them; joint coordinates otherwise.
 
-def _columns(campaign: Campaign) -> dict[str, Cells]:
-    """The columns that this campaign needs, in the order of FORMAT's table."""
-    derived = derive_approach(campaign.command, campaign.order)
+    Returns:
+        From column to text; all rows have the same columns, in the order of FORMAT's table.
+    """
+    derived = np.array_equal(campaign.approach, campaign.derived_approach)
     needed = {
+        "kind": bool(len(campaign.moves)),
         "bar": any(s.bar for s in campaign.setups),
-        **dict.fromkeys(_APPROACH, not np.array_equal(campaign.approach, derived)),
+        **dict.fromkeys(APPROACH, not derived),
         "time_s": bool(np.isfinite(campaign.time).any()),
         "temperature_C": bool(np.isfinite(campaign.temperature).any()),
         "load_N": bool(campaign.load.any()),
         "sigma_mm": bool(np.isfinite(campaign.sigma).any()),
     }
-    return {name: cells for name, cells in _WRITERS.items() if needed.get(name, True)}
+    columns: dict[str, Sequence[Any]] = {}
+    for name, cells in _WRITERS.items():
+        if name == "gauge_mm":
+            columns |= _commands(campaign.command, machine_file)
+        if needed.get(name, True):
+            columns[name] = cells(campaign)
+    rows = _rows(columns)
+    return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
 
 
-def _number(value: float, factor: float = 1.0) -> str:
-    return "" if np.isnan(value) else str(units.from_si(value, factor))
+def tcp_rows(points: TcpPoints) -> list[Row]:
+    """The rows of a file of TCP points; optional columns only where they say something."""
+    columns = _commands(points.command, None) | {
+        name: _numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)
+    }
+    if points.approach.any():
+        columns |= {name: _signs(points.approach[:, axis]) for axis, name in enumerate(APPROACH)}
+    if np.isfinite(points.sigma).any():
+        columns["sigma_mm"] = _numbers(points.sigma, MM)
+    return _rows(columns)
 
 
-def _numbers(field: str, factor: float = 1.0) -> Cells:
-    return lambda campaign: [_number(v, factor) for v in getattr(campaign, field).tolist()]
+def _rows(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
+    cells = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, map(str, row), strict=True)) for row in cells]
+
+
+def _with_moves(rows: list[Row], campaign: Campaign, machine_file: MachineFile | None) -> list[Row]:
+    """Moves among the readings by line, each with the mounting that it leads to, for people."""
+    moves, told = campaign.moves, ("setup", "leg", "direction", "gauge_mm", "bar")
+    commands = _rows(_commands(moves.command, machine_file))
+    sequence = np.argsort(campaign.order, kind="stable")
+    following = np.searchsorted(campaign.order[sequence], moves.order)
+    found = list(zip(campaign.line.tolist(), rows, strict=True))
+    for k, place in enumerate(np.minimum(following, len(rows) - 1).tolist()):
+        cells = {n: c if n in told else "" for n, c in rows[sequence[place]].items()}
+        own = {"kind": "move", "posture": "move", "order": str(moves.order[k])}
+        found.append((int(moves.line[k]), cells | commands[k] | own))
+    return [row for _, row in sorted(found, key=lambda at: at[0])]
+
+
+def _commands(command: Array, machine_file: MachineFile | None) -> dict[str, list[str]]:
+    names, values = RHO, command
+    if machine_file is not None and machine_file.controller != Controller():
+        names = TRAVEL
+        shown = machine_file.controller.from_rho(command, machine_file.geometry)
+        values = np.round(shown, DECIMALS) + 0.0
+    return {name: _numbers(values[:, axis], MM) for axis, name in enumerate(names)}
+
+
+def _numbers(values: Array, factor: float = 1.0) -> list[str]:
+    return ["" if np.isnan(v) else str(units.from_si(v, factor)) for v in values.tolist()]
+
+
+def _signs(values: Array) -> list[str]:
+    return ["" if v == 0 else f"{v:.0f}" for v in values.tolist()]
+
+
+Cells = Callable[[Campaign], Sequence[Any]]
 
 
 def _of_setup(cell: Callable[[Any], Any]) -> Cells:
     return lambda campaign: [cell(campaign.setups[place]) for place in campaign.setup]
 
 
-def _command(axis: int) -> Cells:
-    return lambda campaign: [_number(v, MM) for v in campaign.command[:, axis].tolist()]
+def _field(name: str, factor: float = 1.0) -> Cells:
+    return lambda campaign: _numbers(getattr(campaign, name), factor)
 
 
 def _approach(axis: int) -> Cells:
-    signs = {1: "1", -1: "-1", 0: ""}
-    return lambda campaign: [signs[int(v)] for v in campaign.approach[:, axis]]
+    return lambda campaign: _signs(campaign.approach[:, axis])
 
 
-_APPROACH = tuple(f"approach_{leg}" for leg in LEGS)
 _WRITERS: dict[str, Cells] = {
+    "kind": lambda campaign: ["leg"] * len(campaign),
     "setup": _of_setup(lambda s: s.name),
     "leg": _of_setup(lambda s: LEGS[s.leg]),
     "direction": _of_setup(lambda s: s.direction),
     "posture": lambda campaign: campaign.posture,
-    **{f"rho_{leg}_mm": _command(axis) for axis, leg in enumerate(LEGS)},
-    "gauge_mm": _of_setup(lambda s: _number(s.gauge, MM)),
+    "gauge_mm": _of_setup(lambda s: units.from_si(s.gauge, MM)),
     "bar": _of_setup(lambda s: s.bar or ""),
     "repeat": lambda campaign: campaign.repeat.tolist(),
     "order": lambda campaign: campaign.order.tolist(),
-    **{name: _approach(axis) for axis, name in enumerate(_APPROACH)},
-    "time_s": _numbers("time"),
-    "temperature_C": _numbers("temperature"),
-    "load_N": _numbers("load"),
-    "reading_mm": _numbers("reading", MM),
-    "sigma_mm": _numbers("sigma", MM),
+    **{name: _approach(axis) for axis, name in enumerate(APPROACH)},
+    "time_s": _field("time"),
+    "temperature_C": _field("temperature"),
+    "load_N": _field("load"),
+    "reading_mm": _field("reading", MM),
+    "sigma_mm": _field("sigma", MM),
 }
+"""Columns in the order of FORMAT's table; the commands stand before the gauge."""

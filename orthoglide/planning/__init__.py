@@ -2,7 +2,7 @@
 
 from orthoglide.planning.designs import Design, design, report_design
 from orthoglide.planning.detectable import Detectability, Smallest, smallest_effects
-from orthoglide.planning.following import Suggestion, as_result, next_measurements
+from orthoglide.planning.following import Suggestion, as_result, next_measurements, next_sheet
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.precision import Repeats, repeats_needed
@@ -17,6 +17,7 @@ __all__ = [
     "as_result",
     "design",
     "next_measurements",
+    "next_sheet",
     "observability",
     "reading_pool",
     "repeats_needed",

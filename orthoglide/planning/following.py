@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -13,7 +14,7 @@ from orthoglide.effects import is_dial
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, campaign_rows
 from orthoglide.planning.alike import groups, in_words
 from orthoglide.planning.bench import Bench
 from orthoglide.planning.choosing import choose, replayed
@@ -45,26 +46,39 @@ class Suggestion:
         aim: ``separate`` rivals, ``narrow`` a weak direction, or ``none`` where nothing helps.
         gain: for rivals the sigmas between the two least separated; for a direction how many times
             narrower it gets.
-        campaign: the readings without their values; ``None`` where nothing helps.
+        pool: the readings to choose from.
+        chosen: those chosen, with repetitions; none where nothing helps.
     """
 
     reason: str
     aim: Aim
     gain: float
-    campaign: Campaign | None
+    pool: Campaign
+    chosen: tuple[int, ...] = ()
+
+    @property
+    def campaign(self) -> Campaign | None:
+        """The readings without their values; ``None`` where nothing helps."""
+        return sheet(self.pool, self.chosen) if self.chosen else None
 
     @property
     def rows(self) -> tuple[dict[str, str], ...]:
-        """The rows as campaign files have them, the reading left out."""
+        """The rows as campaign files have them, moves included, the reading left out."""
         if self.campaign is None:
             return ()
-        import csv
-        import io
-
-        from orthoglide.observations import campaign_text
-
-        table = csv.DictReader(io.StringIO(campaign_text(self.campaign)))
+        table = campaign_rows(self.campaign)
         return tuple({k: v for k, v in row.items() if k != "reading_mm"} for row in table)
+
+
+def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
+    """One measuring sheet for all suggestions of a run; ``None`` where nothing helps.
+
+    A visit that serves two purposes stands once.
+    """
+    visits: Counter[int] = Counter()
+    for suggestion in suggestions:
+        visits |= Counter(suggestion.chosen)
+    return sheet(suggestions[0].pool, tuple(visits.elements())) if visits else None
 
 
 def next_measurements(
@@ -150,7 +164,10 @@ def _to_separate(
     never = {pair: sigmas for pair, sigmas in together.items() if sigmas < _NEVER}
     found = [
         Suggestion(
-            in_words(machine, bench, [several[k] for k in group], sigmas), "none", sigmas, None
+            in_words(machine, bench, [several[k] for k in group], sigmas),
+            "none",
+            sigmas,
+            bench.pool,
         )
         for group, sigmas in groups({**never, **weak})
     ]
@@ -167,7 +184,7 @@ def _to_separate(
     reason = f"{_size(chosen)} expected to separate {text}{more}"
     if gain < _DECIDES:
         reason += ": too little to decide, but the most that so few readings can do"
-    return [Suggestion(reason, "separate", gain, chosen), *found]
+    return [Suggestion(reason, "separate", gain, bench.pool, rows), *found]
 
 
 def _for_pairs(
@@ -268,13 +285,13 @@ def _to_narrow(
             f"no {count} readings of a dial on a leg narrow {along} noticeably: sigma stays at "
             f"{before:.2g} {unit.name}, which is knowledge of the tolerances"
         )
-        return Suggestion(reason, "none", float(before / after), None)
+        return Suggestion(reason, "none", float(before / after), here.pool)
     chosen = sheet(here.pool, rows)
     reason = (
         f"{_size(chosen)} expected to narrow {what}: sigma along {along} from {before:.2g} to "
         f"{after:.2g} {unit.name}"
     )
-    return Suggestion(reason, "narrow", float(before / after), chosen)
+    return Suggestion(reason, "narrow", float(before / after), here.pool, rows)
 
 
 def _size(campaign: Campaign) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
+from orthoglide.observations.approach import OVERSHOOT
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
 """Where the dials may stand, as fractions of the leg."""
@@ -23,7 +25,6 @@ DIAL_TRAVEL = 5e-3
 _STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
 _SIDEWAYS = 6e-3  # metres off the axis
 _CLEARANCE = 5e-3  # metres that a dial keeps from either end of the leg
-_OVERSHOOT = 1e-3  # metres from beyond which a command is approached
 _GRID = 9  # decimals of a metre that fit on a sheet
 
 
@@ -77,7 +78,7 @@ def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> 
     return [
         Station(label, rho, p, side)
         for side in sides
-        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * _OVERSHOOT).all()
+        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * OVERSHOOT).all()
     ]
 
 
@@ -141,19 +142,16 @@ def reading_pool(
 
 
 def sheet(pool: Campaign, chosen: Sequence[int], name: str = "next") -> Campaign:
-    """Chosen rows of a pool, mounting by mounting, visits to a station numbered.
+    """Chosen rows of a pool, mounting by mounting, visits numbered, with the moves they take.
 
     Args:
         pool: as from :func:`reading_pool`.
         chosen: indices, with repetitions where a station is visited again.
         name: of the campaign.
     """
-    from dataclasses import replace
-
     rows = np.array(sorted(chosen, key=lambda k: (pool.setup[k], k)), dtype=np.int64)
     repeat = np.array([int(np.sum(rows[:i] == k)) + 1 for i, k in enumerate(rows)], dtype=np.int64)
     # All stations once, then again: repeats in a row would not see the mounting creep.
     order = np.lexsort([rows, repeat, pool.setup[rows]])
-    part = pool.subset(rows[order])
-    place = np.arange(len(rows))
-    return replace(part, name=name, repeat=repeat[order], order=place, line=place + 2)
+    part = replace(pool.subset(rows[order]), name=name, repeat=repeat[order])
+    return part.with_moves()

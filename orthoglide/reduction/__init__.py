@@ -11,7 +11,6 @@ from orthoglide.reduction.fit import ReadingFit, fit_readings
 from orthoglide.reduction.kinematics import (
     CONFIGURATIONS,
     NOMINAL,
-    Jacobians,
     forward,
     inverse,
     jacobians,
@@ -19,7 +18,6 @@ from orthoglide.reduction.kinematics import (
 )
 from orthoglide.reduction.linear import (
     COLUMNS,
-    Coefficients,
     G,
     LinearFit,
     LinearSystem,
@@ -33,26 +31,18 @@ from orthoglide.reduction.linear import (
     system11,
 )
 from orthoglide.reduction.spheres import (
-    Mode,
-    SphereDerivatives,
     intersect_spheres,
     reading,
-    reading_derivatives,
-    sphere_derivatives,
 )
 
 __all__ = [
     "COLUMNS",
     "CONFIGURATIONS",
     "NOMINAL",
-    "Coefficients",
     "G",
-    "Jacobians",
     "LinearFit",
     "LinearSystem",
-    "Mode",
     "ReadingFit",
-    "SphereDerivatives",
     "coefficients",
     "covariance",
     "fit_readings",
@@ -62,12 +52,10 @@ __all__ = [
     "jacobians",
     "leg_deviations",
     "reading",
-    "reading_derivatives",
     "reading_jacobian",
     "readings",
     "reduced_system",
     "solve",
-    "sphere_derivatives",
     "stroke_angles",
     "system8",
     "system11",

@@ -176,22 +176,10 @@ def reading_jacobian(
     """Derivatives of ``readings`` by offsets and lengths: system (11) for any list of readings.
 
     Rows of (11) are the differences between the rows of two postures at the nominal machine.
-
-    Args:
-        commands: ``(N, 3)``, metres.
-        legs: legs touched ``(N,)``.
-        axes: base axes the dials read along ``(N,)``.
-        gauges: places along the legs' own axes ``(N,)``, metres.
-        offsets: joint offsets at which to differentiate, metres.
-        lengths: leg lengths minus L at which to differentiate, metres.
-        geometry: nominal dimensions.
+    Arguments and errors are those of :func:`readings`.
 
     Returns:
         ``(N, 6)``, dimensionless: three offsets, three lengths.
-
-    Raises:
-        UnreachableError: where the legs do not meet.
-        InputError: for columns that do not fit together.
     """
     dials = Readings.checked(commands, legs, axes, gauges)
     return observe(dials, _six(offsets, lengths), geometry.L).gradient

@@ -22,8 +22,13 @@ from orthoglide.reduction.kinematics import NOMINAL
 RANK_TOLERANCE = 1e-9
 """Directions seen less than this (relative, columns scaled) are left where they started."""
 
+TOLERANCE = 1e-13
+"""Metres: a step no longer than this is the last."""
+
 LONGEST_STEP = 5e-3
 """Metres: along weak directions a longer one can end in a minimum far from any machine."""
+
+_MOST_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -55,12 +60,15 @@ class ReadingFit:
     iterations: int
 
 
+_Parts = tuple[tuple[slice | Indices, Array], ...]
+
+
 @dataclass(frozen=True)
 class _State:
-    """The problem at one x: whitened residual without the nuisances' share, and the objective."""
+    """One x: readings, whitened residual without the nuisances' share, and the objective."""
 
     x: Array
-    model: Array
+    values: Array
     residual: Array
     cost: float
     observed: Observed
@@ -68,17 +76,22 @@ class _State:
 
 @dataclass(frozen=True)
 class _Problem:
+    """The objective, its nuisances projected out; every campaign has a map to its six parameters.
+
+    ``basis`` spans the whitened nuisances with their priors, ``inverse`` is their pseudoinverse.
+    """
+
     dials: Readings
     length: float
+    nominal: Observed | None
+    parts: _Parts
     target: Array
     weight: Array
-    signs: Array
-    free: Indices
     prior: Array
-    group: Indices
-    maps: Array
+    free: Indices
+    columns: Array
     basis: Array
-    nominal: Observed | None
+    inverse: Array
 
     def project(self, rows: Array) -> Array:
         """Readings' rows ``(N, ...)``, padded by the nuisances' priors, without U's share."""
@@ -86,96 +99,101 @@ class _Problem:
         padded[: len(rows)] = rows
         return np.asarray(padded - self.basis @ (self.basis.T @ padded))
 
-    def six(self, x: Array) -> Array:
-        return x @ self.maps[0].T if len(self.maps) == 1 else (self.maps @ x)[self.group]
-
     def at(self, x: Array) -> _State:
-        six = self.six(x)
+        six = np.empty((len(self.weight), 6))
+        for rows, six_from_x in self.parts:
+            six[rows] = six_from_x @ x
         if self.nominal is None:
             observed = observe(self.dials, six, self.length)
             values = observed.values
         else:
             observed = self.nominal
             values = observed.values + np.sum(observed.gradient * six, axis=-1)
-        model = self.signs * values
-        residual = self.project((self.target - model) * self.weight)
+        residual = self.project((self.target - values) * self.weight)
         cost = float(residual @ residual + np.sum((x * self.prior) ** 2))
-        return _State(x, model, residual, cost, observed)
+        return _State(x, values, residual, cost, observed)
 
     def jacobian(self, state: _State) -> Array:
         """Augmented rows: readings, nuisances' priors, parameters' priors; free columns."""
-        factor = (self.signs * self.weight)[:, None]
-        maps = self.maps[:, :, self.free]
-        gradient = state.observed.gradient * factor
-        if len(maps) == 1:
-            columns = gradient @ maps[0]
-        else:
-            columns = (gradient[:, None, :] @ maps[self.group])[:, 0, :]
+        gradient = state.observed.gradient * self.weight[:, None]
+        columns = np.empty((len(self.weight), len(self.free)))
+        for rows, six_from_x in self.parts:
+            columns[rows] = gradient[rows] @ six_from_x[:, self.free]
         return np.concatenate([self.project(columns), np.diag(self.prior)[:, self.free]])
 
     def curvature(self, state: _State) -> Array:
         """Second derivatives of the model, weighted by the residual; free parameters."""
-        count = len(self.free)
-        total = np.zeros((count, count))
+        total = np.zeros((len(self.free), len(self.free)))
         if self.nominal is not None:
             return total
-        weights = state.residual[: len(self.weight)] * self.weight * self.signs
-        rows = state.observed.curvature(weights)
-        for index, six_from_x in enumerate(self.maps[:, :, self.free]):
-            block = rows if len(self.maps) == 1 else rows[self.group == index]
-            total += six_from_x.T @ block.sum(axis=0) @ six_from_x
+        bend = state.observed.curvature(state.residual[: len(self.weight)] * self.weight)
+        for rows, six_from_x in self.parts:
+            columns = six_from_x[:, self.free]
+            total += columns.T @ bend[rows].sum(axis=0) @ columns
         return total
 
+    def step(self, state: _State) -> tuple[Array, float, Array]:
+        """Newton step of the free parameters, its gain, and the map from whitened coordinates."""
+        left, unwhiten = _factor(self.jacobian(state))
+        slope = left.T @ np.concatenate([state.residual, -state.x * self.prior])
+        bend = unwhiten.T @ self.curvature(state) @ unwhiten
+        values, vectors = np.linalg.eigh(np.eye(len(slope)) - (bend + bend.T) / 2)
+        # Modulus and floor keep every step a descent where the curvature outweighs the readings.
+        whitened = vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 0.01))
+        return unwhiten @ whitened, float(slope @ whitened), unwhiten
 
-def _factor(jacobian: Array) -> tuple[Array, Array]:
-    """Orthonormal left vectors, and the map to free parameters, of the directions seen."""
-    scale = np.linalg.norm(jacobian, axis=0)
+    def search(self, state: _State, step: Array, gain: float) -> _State | None:
+        """Halve the step until the objective falls; None where it never does."""
+        # Rounding of carriages and readings moves the objective so much: no fall shows below it.
+        size = self.length + np.abs(self.target) + np.abs(state.values)
+        slack = 4e-16 * (float(np.linalg.norm(size * self.weight)) * state.cost**0.5 + state.cost)
+        for share in 0.5 ** np.arange(40):
+            trial = state.x.copy()
+            trial[self.free] += step * share
+            try:
+                moved = self.at(trial)
+            except (UnreachableError, NumericsError):
+                continue
+            if moved.cost <= state.cost - 1e-4 * share * gain + slack:
+                return moved
+        return None
+
+    def solve(self, start: Array) -> tuple[_State, Array, bool, int]:
+        """Where Newton's method ends, its last map, whether it converged and after how many."""
+        state, iterations = self.at(start), 0
+        while True:
+            step, gain, unwhiten = self.step(state)
+            longest = float(np.max(np.abs(step), initial=0.0))
+            if longest <= TOLERANCE or iterations == _MOST_STEPS:
+                return state, unwhiten, longest <= TOLERANCE, iterations
+            reach = min(1.0, LONGEST_STEP / longest)
+            moved = self.search(state, reach * step, reach * gain)
+            if moved is None:
+                return state, unwhiten, False, iterations
+            state, iterations = moved, iterations + 1
+
+    def fit(self, start: Array, signs: Array) -> ReadingFit:
+        """The result, with the nuisances and the covariance, as the dials count."""
+        state, unwhiten, converged, iterations = self.solve(start)
+        left = self.target - state.values
+        z = self.inverse[:, : len(left)] @ (left * self.weight)
+        left = signs * (left - self.columns @ z)
+        covariance = np.zeros((len(start), len(start)))
+        covariance[np.ix_(self.free, self.free)] = unwhiten @ unwhiten.T
+        six = np.array([six_from_x @ state.x for _, six_from_x in self.parts])
+        return ReadingFit(
+            state.x, six, z, signs * self.target - left, left, state.cost, covariance,
+            unwhiten.shape[1], converged, iterations,
+        )  # fmt: skip
+
+
+def _factor(columns: Array, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array]:
+    """Orthonormal left vectors of the directions seen, and the map from these to the factors."""
+    scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
-    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    seen = singular > RANK_TOLERANCE * max(singular.max(initial=0.0), 1e-300)
+    left, singular, right = np.linalg.svd(columns / scale, full_matrices=False)
+    seen = singular > tolerance * max(singular.max(initial=0.0), 1e-300)
     return left[:, seen], (right[seen].T / singular[seen]) / scale[:, None]
-
-
-def _step(problem: _Problem, state: _State) -> tuple[Array, Array, Array]:
-    """Newton step on the free parameters, its gain, and the map from whitened coordinates."""
-    jacobian = problem.jacobian(state)
-    left, unwhiten = _factor(jacobian)
-    slope = left.T @ np.concatenate([state.residual, -state.x * problem.prior])
-    bend = unwhiten.T @ problem.curvature(state) @ unwhiten
-    values, vectors = np.linalg.eigh(np.eye(len(slope)) - (bend + bend.T) / 2)
-    # Modulus and floor keep every step a descent where the curvature outweighs the readings.
-    whitened = vectors @ ((vectors.T @ slope) / np.maximum(np.abs(values), 0.01))
-    return unwhiten @ whitened, slope @ whitened, unwhiten
-
-
-def _search(problem: _Problem, state: _State, step: Array, gain: float) -> _State | None:
-    """Halve the step until the objective falls; None where it never does."""
-    # Rounding of carriages and readings moves the objective by this much: no fall shows below it.
-    size = problem.length + np.abs(problem.target) + np.abs(state.model)
-    slack = 4e-16 * (float(np.linalg.norm(size * problem.weight)) * state.cost**0.5 + state.cost)
-    for halving in range(40):
-        trial = state.x.copy()
-        trial[problem.free] += step * 0.5**halving
-        try:
-            moved = problem.at(trial)
-        except (UnreachableError, NumericsError):
-            continue
-        if moved.cost <= state.cost - 1e-4 * 0.5**halving * gain + slack:
-            return moved
-    return None
-
-
-def _basis(nuisance: Array, weight: Array, precision: Array) -> tuple[Array, Array]:
-    """Orthonormal columns of the whitened nuisances with their priors, and the pseudoinverse."""
-    augmented = np.concatenate([nuisance * weight[:, None], np.diag(np.sqrt(precision))])
-    if augmented.shape[1] == 0:
-        return augmented, augmented.T
-    scale = np.linalg.norm(augmented, axis=0)
-    scale[scale == 0] = 1.0
-    left, singular, right = np.linalg.svd(augmented / scale, full_matrices=False)
-    seen = singular > 1e-12 * singular.max()
-    inverse = (right[seen].T / singular[seen]) @ left[:, seen].T / scale[:, None]
-    return left[:, seen], inverse
 
 
 def _positive(value: ArrayLike, shape: int, name: str) -> Array:
@@ -183,6 +201,39 @@ def _positive(value: ArrayLike, shape: int, name: str) -> Array:
     if not np.all(array > 0):
         raise InputError(f"{name} must be positive standard deviations, in metres")
     return array
+
+
+def _parts(maps: ArrayLike | None, group: ArrayLike | None, count: int) -> _Parts:
+    """Each campaign's readings and its map ``(6, P)``."""
+    found = np.eye(6)[None] if maps is None else np.asarray(maps, dtype=float)
+    groups = np.zeros(count, np.intp) if group is None else np.asarray(group, dtype=np.intp)
+    if found.ndim != 3 or found.shape[1] != 6 or groups.shape != (count,):
+        raise InputError("maps has the shape (G, 6, P) and group one campaign for every reading")
+    if np.any((groups < 0) | (groups >= len(found))):
+        raise InputError("group runs from 0 to G - 1, a campaign for every map")
+    if len(found) == 1:
+        return ((slice(None), found[0]),)
+    return tuple((np.flatnonzero(groups == k), one) for k, one in enumerate(found))
+
+
+def _measured(
+    measured: ArrayLike, sigma: ArrayLike, nuisance: ArrayLike | None, count: int
+) -> tuple[Array, Array, Array]:
+    """Readings, their weights and the columns U, checked."""
+    readings = np.asarray(measured, dtype=float)
+    if readings.shape != (count,) or not np.isfinite(readings).all():
+        raise InputError("measured has one finite reading for every command, in metres")
+    columns = np.empty((count, 0)) if nuisance is None else np.asarray(nuisance, dtype=float)
+    if columns.ndim != 2 or len(columns) != count:
+        raise InputError("nuisance has the shape (N, k), one row for every reading")
+    return readings, 1.0 / _positive(sigma, count, "sigma"), columns
+
+
+def _basis(whitened: Array, precision: ArrayLike) -> tuple[Array, Array]:
+    """Orthonormal columns of the nuisances with their priors, and the pseudoinverse."""
+    known = np.broadcast_to(np.asarray(precision, dtype=float), whitened.shape[1:])
+    left, unwhiten = _factor(np.concatenate([whitened, np.diag(np.sqrt(known))]), 1e-12)
+    return left, unwhiten @ left.T
 
 
 def fit_readings(
@@ -203,106 +254,43 @@ def fit_readings(
     maps: ArrayLike | None = None,
     geometry: Geometry = NOMINAL,
     linear: bool = False,
-    tolerance: float = 1e-13,
-    max_iterations: int = 60,
 ) -> ReadingFit:
     """Least ``|(y - s f(S x) - U z) / sigma|^2 + |x / prior_sd|^2 + sum(precision z^2)``.
 
     Args:
-        commands: ``(N, 3)``, metres.
-        legs: legs touched ``(N,)``: 0, 1 or 2.
+        commands: ``(N, 3)``, metres; the dials as for :func:`readings`.
+        legs: legs touched ``(N,)``.
         axes: base axes the dials read along ``(N,)``.
         gauges: places along the legs' own axes ``(N,)``, metres.
         measured: readings y ``(N,)``, metres.
         sigma: standard deviations of the readings ``(N,)`` or a scalar, metres.
         signs: +1, or -1 where a dial counts the other way, ``(N,)``.
-        free: which parameters may move ``(P,)``, booleans.
-        prior_sd: standard deviations of the parameters about zero ``(P,)``, metres; inf for none.
+        free: which parameters may move ``(P,)``, booleans; the others stay at x0.
+        prior_sd: standard deviations of the parameters about zero ``(P,)``, metres.
         nuisance: columns U ``(N, k)``; a setup's datum is a column of ones on its rows.
         precision: of the nuisances about zero ``(k,)``; 0 for a datum.
-        x0: where to start ``(P,)``, metres; parameters not free stay there.
+        x0: where to start ``(P,)``, metres.
         group: campaign of each reading ``(N,)``, 0 to G - 1.
         maps: offsets and lengths of each campaign from the parameters ``(G, 6, P)``; default: one
             campaign, P = 6.
         geometry: nominal dimensions.
-        linear: fit the machine linearised at the nominal instead: system (11) for any readings.
-        tolerance: largest change of a parameter at which to stop, metres.
-        max_iterations: most steps to take.
-
-    Returns:
-        The fit; look at ``converged`` and ``rank``.
+        linear: fit the machine linearised at the nominal: system (11) for any readings.
 
     Raises:
-        InputError: for columns that do not fit together.
-        UnreachableError: where the legs do not meet at the start.
+        InputError: for columns that do not fit together, or legs that do not meet at the start.
         NumericsError: where the start is singular.
     """
     dials = Readings.checked(commands, legs, axes, gauges)
-    count = len(dials.legs)
-    selector = np.eye(6)[None] if maps is None else np.asarray(maps, dtype=float)
-    groups = np.zeros(count, np.intp) if group is None else np.asarray(group, dtype=np.intp)
-    if selector.ndim != 3 or selector.shape[1] != 6 or groups.shape != (count,):
-        raise InputError("maps has the shape (G, 6, P) and group one campaign for every reading")
-    if np.any((groups < 0) | (groups >= len(selector))):
-        raise InputError("group runs from 0 to G - 1, a campaign for every map")
-    total = selector.shape[2]
-    weight = 1.0 / _positive(sigma, count, "sigma")
-    columns = np.empty((count, 0)) if nuisance is None else np.asarray(nuisance, dtype=float)
-    if columns.ndim != 2 or len(columns) != count:
-        raise InputError("nuisance has the shape (N, k), one row for every reading")
-    target = np.asarray(measured, dtype=float)
-    if target.shape != (count,) or not np.isfinite(target).all():
-        raise InputError("measured has one finite reading for every command, in metres")
-    known = np.broadcast_to(np.asarray(precision, dtype=float), columns.shape[1:])
-    basis, inverse = _basis(columns, weight, known)
+    counted = np.broadcast_to(np.asarray(signs, dtype=float), dials.legs.shape)
+    y, weight, columns = _measured(measured, sigma, nuisance, len(counted))
+    columns = counted[:, None] * columns  # s y = f + s U z: the dials' signs are gone
+    parts = _parts(maps, group, len(counted))
+    start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), parts[0][1].shape[1:]))
+    prior = 1.0 / _positive(prior_sd, len(start), "prior_sd")
+    moving = np.flatnonzero(np.broadcast_to(np.asarray(free, dtype=bool), start.shape))
+    nominal = observe(dials, np.zeros(6), geometry.L) if linear else None
     problem = _Problem(
-        dials=dials,
-        length=geometry.L,
-        target=target,
-        weight=weight,
-        signs=np.broadcast_to(np.asarray(signs, dtype=float), (count,)),
-        free=np.flatnonzero(np.broadcast_to(np.asarray(free, dtype=bool), (total,))),
-        prior=1.0 / _positive(prior_sd, total, "prior_sd"),
-        group=groups,
-        maps=selector,
-        basis=basis,
-        nominal=observe(dials, np.zeros(6), geometry.L) if linear else None,
-    )
-    start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), (total,)))
-    state, unwhiten, converged, iterations = _iterate(problem, start, tolerance, max_iterations)
-    whitened = np.zeros(len(basis))
-    whitened[:count] = (target - state.model) * weight
-    z = inverse @ whitened
-    fitted = state.model + columns @ z
-    covariance = np.zeros((total, total))
-    covariance[np.ix_(problem.free, problem.free)] = unwhiten @ unwhiten.T
-    return ReadingFit(
-        values=state.x,
-        six=selector @ state.x,
-        nuisance=z,
-        readings=fitted,
-        residuals=target - fitted,
-        cost=state.cost,
-        covariance=covariance,
-        rank=unwhiten.shape[1],
-        converged=converged,
-        iterations=iterations,
-    )
-
-
-def _iterate(
-    problem: _Problem, start: Array, tolerance: float, most: int
-) -> tuple[_State, Array, bool, int]:
-    state = problem.at(start)
-    iteration = 0
-    while True:
-        step, gain, unwhiten = _step(problem, state)
-        small = float(np.max(np.abs(step), initial=0.0)) <= tolerance
-        if small or iteration == most:
-            return state, unwhiten, small, iteration
-        reach = min(1.0, LONGEST_STEP / float(np.max(np.abs(step))))
-        moved = _search(problem, state, reach * step, reach * float(gain))
-        if moved is None:
-            return state, unwhiten, False, iteration
-        state = moved
-        iteration += 1
+        dials, geometry.L, nominal, parts, counted * y, weight, prior, moving, columns,
+        *_basis(columns * weight[:, None], precision),
+    )  # fmt: skip
+    return problem.fit(start, counted)

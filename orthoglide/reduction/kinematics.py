@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.reduction.spheres import DEGENERATE, TOUCH, Mode, check_mode, explain_miss
+from orthoglide.reduction.spheres import DEGENERATE, TOUCH, Mode, check_mode, explain_miss, place
 
 NOMINAL = Geometry()
 """The prototype's dimensions, the default of every function here."""
@@ -89,20 +89,16 @@ def _out_of_reach(excess: Array) -> Exception:
     index = tuple(int(i) for i in np.argwhere(failed)[0])
     leg = int(np.argmax(excess[index]))
     amount = float(excess[index][leg])
+    where = place(index, int(failed.sum()))
     if not np.isfinite(excess[index]).all():
-        return InputError(f"the pose{_at(index)} is not finite: give numbers in metres")
-    more = f" ({int(failed.sum())} of the batch fail)" if failed.sum() > 1 else ""
+        return InputError(f"the pose{where} is not finite: give numbers in metres")
     return UnreachableError(
-        f"the pose{_at(index)} is out of reach of leg {LEGS[leg]} by {amount * 1e3:.4g} mm{more}; "
+        f"the pose{where} is out of reach of leg {LEGS[leg]} by {amount * 1e3:.4g} mm; "
         "bring the TCP nearer to that leg's axis",
         leg=LEGS[leg],
         excess=amount,
         index=index,
     )
-
-
-def _at(index: tuple[int, ...]) -> str:
-    return f" at index {index}" if index else ""
 
 
 def forward(
@@ -145,11 +141,16 @@ def meet(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Arr
     flat = [_rows(array, shape) for array in (rho, offsets, bars)]
     count = int(np.prod(shape[:-1], dtype=int))
     p = np.empty((count, 3))
+    missed: list[int] = []
     for start in range(0, count, _BLOCK):
         block = slice(start, min(start + _BLOCK, count))
         part = [array.T if len(array) == 1 else array[block].T for array in flat]
-        if not _solve_block(part[0], part[1], part[2], mode, p[block].T):
-            raise _no_meeting(flat[0] + flat[1], flat[2], shape)
+        missed += [start + k for k in _solve_block(part[0], part[1], part[2], mode, p[block].T)]
+    if missed:
+        carriages, lengths = (np.broadcast_to(x, p.shape) for x in (flat[0] + flat[1], flat[2]))
+        index = tuple(int(i) for i in np.unravel_index(missed[0], shape[:-1] or (1,)))
+        place = index if shape[:-1] else ()
+        raise _no_meeting(carriages[missed[0]], lengths[missed[0]], place, len(missed))
     return p.reshape(shape)
 
 
@@ -160,8 +161,8 @@ def _rows(array: Array, shape: tuple[int, ...]) -> Array:
     return np.broadcast_to(array, shape).reshape(-1, 3)
 
 
-def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) -> bool:
-    """Fill p ``(3, n)``; False where a leg does not reach. Rows are axes: contiguous passes."""
+def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) -> list[int]:
+    """Fill p ``(3, n)``; which poses do not meet. Rows are axes: contiguous passes."""
     carriage = np.add(rho, offsets, order="C")
     with np.errstate(all="ignore"):
         inverse_r = np.divide(0.5, carriage)  # 1 / (2 R)
@@ -175,37 +176,30 @@ def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) 
         square = half_b * half_b
         root = square - leading * constant
         if not root.min(initial=0.0) >= 0:
-            if not (root >= -TOUCH * square).all():
-                return False
+            missed = np.flatnonzero(~(root >= -TOUCH * square))
+            if missed.size:
+                return missed.tolist()
             np.maximum(root, 0.0, out=root)
         np.sqrt(root, out=root)
         root += half_b
         t = np.divide(constant, root) if mode == "machine" else np.divide(root, leading)
     inverse_r *= t
     np.add(share, inverse_r, out=p)
-    return True
+    return []
 
 
-def _no_meeting(carriages: Array, bars: Array, shape: tuple[int, ...]) -> Exception:
-    """The error of the first pose that fails."""
-    count = int(np.prod(shape[:-1], dtype=int))
-    carriages, bars = (np.broadcast_to(x, (count, 3)) for x in (carriages, bars))
-    with np.errstate(all="ignore"):
-        share = (carriages - bars) * (carriages + bars) / (2 * carriages)
-        half_b = 1 - np.sum(share / carriages, axis=-1)
-        root = half_b**2 - np.sum(share**2, axis=-1) * np.sum(carriages**-2.0, axis=-1)
-        failed = ~(root >= -TOUCH * half_b**2)
-    first = int(np.argmax(failed))
-    index = tuple(int(i) for i in np.unravel_index(first, shape[:-1])) if shape[:-1] else ()
-    if not np.isfinite(carriages[first] + bars[first]).all():
-        return InputError(f"the command{_at(index)} is not finite: give numbers in metres")
-    if np.any(carriages[first] == 0):
-        leg = LEGS[int(np.argmax(carriages[first] == 0))]
+def _no_meeting(carriage: Array, bars: Array, index: tuple[int, ...], total: int) -> InputError:
+    """The error of the first pose that fails, one of ``total``."""
+    where = place(index, total)
+    if not np.isfinite(carriage + bars).all():
+        return InputError(f"the command{where} is not finite: give numbers in metres")
+    if np.any(carriage == 0):
+        leg = LEGS[int(np.argmax(carriage == 0))]
         return InputError(
-            f"carriage {leg} stands at the origin{_at(index)}, where the quadratic has no "
+            f"carriage {leg} stands at the origin{where}, where the quadratic has no "
             "coefficients: use intersect_spheres"
         )
-    return explain_miss(np.diag(carriages[first]), bars[first], index, int(failed.sum()))
+    return explain_miss(np.diag(carriage), bars, index, total)
 
 
 def row_inverse(p: Array, carriage: Array) -> Array:
@@ -236,12 +230,8 @@ def jacobians(
 ) -> Jacobians:
     """``M dp/drho = diag(p_i - R_i)`` and ``M dp/dL = diag(L_i)``, M = 1 p^T - diag(R) (2008, (5)).
 
-    Args:
-        p: TCP ``(..., 3)``, metres.
-        rho: the command that belongs to it ``(..., 3)``, metres.
-        offsets: joint offsets ``(..., 3)``, metres.
-        lengths: leg lengths minus L ``(..., 3)``, metres.
-        geometry: nominal dimensions.
+    Takes the TCP ``(..., 3)`` with the command that belongs to it; the rest is as for
+    :func:`forward`.
 
     Returns:
         J_rho and J_L, ``(..., 3, 3)`` each.
@@ -259,18 +249,7 @@ def jacobians(
 def velocity_jacobian(
     p: ArrayLike, rho: ArrayLike, offsets: ArrayLike = 0.0, *, geometry: Geometry = NOMINAL
 ) -> Array:
-    """TCP velocity per drive velocity: J_rho of eq. (5) (the matrix of 2006, eq. (4), inverted).
-
-    Args:
-        p: TCP ``(..., 3)``, metres.
-        rho: the command that belongs to it ``(..., 3)``, metres.
-        offsets: joint offsets ``(..., 3)``, metres.
-        geometry: nominal dimensions.
-
-    Returns:
-        dp/drho ``(..., 3, 3)``, dimensionless.
-
-    Raises:
-        NumericsError: at a singular posture.
+    """TCP velocity per drive velocity, dp/drho ``(..., 3, 3)``: J_rho of :func:`jacobians`, whose
+    arguments these are (the matrix of 2006, eq. (4), inverted).
     """
     return jacobians(p, rho, offsets, geometry=geometry).rho

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,14 +28,6 @@ G: Array = np.array(
 G.flags.writeable = False
 
 _BLOCKS = ((0, 1), (1, 2), (0, 2))  # pairs of axes, as (11) stacks them: xy, yz, xz
-
-
-class Coefficients(NamedTuple):
-    """The entries of (11) for one posture, dimensionless."""
-
-    a: float | Array
-    b: float | Array
-    c: float | Array
 
 
 @dataclass(frozen=True)
@@ -113,7 +104,7 @@ def stroke_angles(geometry: Geometry = NOMINAL) -> tuple[float, float]:
     return float(np.arcsin(high / geometry.L)), float(np.arcsin(low / geometry.L))
 
 
-def coefficients(angle: ArrayLike) -> Coefficients:
+def coefficients(angle: ArrayLike) -> tuple[Array, Array, Array]:
     """``a = sin``, ``b = (1/2 + sin) tan``, ``c = (1/2 + sin) / cos - 1/2`` (2008, (11)).
 
     Args:
@@ -123,7 +114,7 @@ def coefficients(angle: ArrayLike) -> Coefficients:
         a, b, c, each ``(...)``, dimensionless, for gauges at the middle of the leg at Zero.
     """
     sine, cosine = np.sin(angle), np.cos(angle)
-    return Coefficients(sine, (0.5 + sine) * sine / cosine, (0.5 + sine) / cosine - 0.5)
+    return sine, (0.5 + sine) * sine / cosine, (0.5 + sine) / cosine - 0.5
 
 
 def leg_deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLike = 0.0) -> Array:
@@ -145,13 +136,6 @@ def leg_deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLik
     return np.asarray(table * (1.0 - np.eye(3)))
 
 
-def _row(leg: int, direction: int, abc: Coefficients) -> Array:
-    row = np.zeros(6)
-    row[[leg, 3 + leg]] = abc.b, -abc.b
-    row[[direction, 3 + direction]] = abc.a, -abc.c
-    return row
-
-
 def system11(
     geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
 ) -> LinearSystem:
@@ -164,12 +148,14 @@ def system11(
     Returns:
         The 12 x 6 system with the noise of eq. (14), gauges at the middle of the legs.
     """
-    ends = [coefficients(angle) for angle in (angles or stroke_angles(geometry))]
+    # Deviations of each parameter alone, the parameter first: (6, leg, direction) at each end.
+    one = np.eye(6)
+    ends = [leg_deviations(a, one[:, :3], one[:, 3:]) for a in angles or stroke_angles(geometry)]
     matrix, rows = [], []
     for first, second in _BLOCKS:
-        for abc, sign in zip(ends, "+-", strict=True):
+        for table, sign in zip(ends, "+-", strict=True):
             for direction, leg in ((first, second), (second, first)):
-                matrix.append(_row(leg, direction, abc))
+                matrix.append(table[:, leg, direction])
                 rows.append(f"{LEGS[direction]}_{LEGS[leg]}{sign}")
     noise = np.asarray(np.kron(np.eye(3), G), dtype=np.float64)
     return LinearSystem(np.array(matrix), tuple(rows), COLUMNS, noise)
@@ -197,15 +183,7 @@ def reduced_system(
 def system8(
     geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
 ) -> LinearSystem:
-    """System (8) of 2006, its right side mended: the offset columns of (11).
-
-    Args:
-        geometry: nominal dimensions; the stroke gives the angles.
-        angles: alpha at Max and at Min, radians, in place of the stroke's.
-
-    Returns:
-        The 12 x 3 system.
-    """
+    """System (8) of 2006, its right side mended: the offset columns of :func:`system11`, 12 x 3."""
     return system11(geometry, angles=angles).select("joint_offset")
 
 

@@ -7,12 +7,12 @@ checks every effect that only moves carriages or changes bars.
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, NumericsError, UnreachableError
+from orthoglide.errors import InputError, UnreachableError
 from orthoglide.geometry import LEGS, Array
 
 Mode = Literal["machine", "other"]
@@ -24,22 +24,16 @@ TOUCH = 4e-15
 """Legs that just touch give a discriminant of rounding size, of either sign (relative)."""
 
 
-class SphereDerivatives(NamedTuple):
-    """How the intersection moves.
-
-    Attributes:
-        centres: dp/dcentres ``(..., 3, 3, 3)``, indices (coordinate of p, leg, coordinate).
-        lengths: dp/dlengths ``(..., 3, 3)``, indices (coordinate of p, leg).
-    """
-
-    centres: Array
-    lengths: Array
-
-
 def check_mode(mode: str) -> None:
     """Raise ``InputError`` unless ``mode`` names an assembly mode."""
     if mode not in ("machine", "other"):
         raise InputError(f"there is no assembly mode {mode!r}: it is 'machine' or 'other'")
+
+
+def place(index: tuple[int, ...], total: int) -> str:
+    """Words for the first pose of a batch that fails, one of ``total``."""
+    where = f" at index {index}" if index else ""
+    return f"{where} ({total} of the batch fail)" if total > 1 else where
 
 
 def _gap(centres: Array, lengths: Array, leg: int) -> float:
@@ -77,18 +71,14 @@ def explain_miss(
     Returns:
         The error to raise; ``leg`` is empty where no two legs meet.
     """
-    where = f" at index {index}" if index else ""
-    more = f" ({total} of the batch fail)" if total > 1 else ""
+    where = place(index, total)
     gaps = [_gap(centres, lengths, leg) for leg in range(3)]
     leg = int(np.argmin(np.abs(gaps)))
     if np.isinf(gaps[leg]):
-        pairs = ((0, 1), (1, 2), (2, 0))
-        miss = max(
-            float(np.linalg.norm(centres[j] - centres[k]) - lengths[j] - lengths[k])
-            for j, k in pairs
-        )
+        apart = np.linalg.norm(centres - centres[[1, 2, 0]], axis=-1)
+        miss = float(np.max(apart - lengths - lengths[[1, 2, 0]]))
         return UnreachableError(
-            f"no two legs meet{where}{more}: their ends stay up to {miss * 1e3:.4g} mm apart; "
+            f"no two legs meet{where}: their ends stay up to {miss * 1e3:.4g} mm apart; "
             "bring the carriages nearer",
             excess=max(miss, 0.0),
             index=index,
@@ -96,7 +86,7 @@ def explain_miss(
     others = " and ".join(LEGS[k] for k in range(3) if k != leg)
     fault, remedy = ("short", "nearer") if gaps[leg] >= 0 else ("long", "further apart")
     return UnreachableError(
-        f"the legs do not meet{where}{more}: leg {LEGS[leg]} is {abs(gaps[leg]) * 1e3:.4g} mm too "
+        f"the legs do not meet{where}: leg {LEGS[leg]} is {abs(gaps[leg]) * 1e3:.4g} mm too "
         f"{fault} for where legs {others} meet; bring the carriages {remedy}",
         leg=LEGS[leg],
         excess=abs(gaps[leg]),
@@ -148,34 +138,6 @@ def intersect_spheres(centres: ArrayLike, lengths: ArrayLike, mode: Mode = "mach
     return np.asarray(c[..., 0, :] + foot + height[..., None] * w)
 
 
-def sphere_derivatives(centres: ArrayLike, lengths: ArrayLike, p: ArrayLike) -> SphereDerivatives:
-    """Derivatives of the intersection: ``(p - c_i) . dp = (p - c_i) . dc_i + L_i dL_i``.
-
-    Args:
-        centres: carriage points ``(..., 3, 3)``, metres.
-        lengths: bar lengths ``(..., 3)``, metres.
-        p: the intersection ``(..., 3)``, metres.
-
-    Returns:
-        dp/dcentres ``(..., 3, 3, 3)`` and dp/dlengths ``(..., 3, 3)``, both dimensionless.
-
-    Raises:
-        NumericsError: at a singular posture, where the TCP lies in the plane of the carriages.
-    """
-    bars = np.asarray(p, dtype=float)[..., None, :] - np.asarray(centres, dtype=float)
-    volume = np.linalg.det(bars / np.linalg.norm(bars, axis=-1, keepdims=True))
-    if np.any(np.abs(volume) < DEGENERATE):
-        raise NumericsError(
-            "the TCP lies in the plane of the carriages: stay off singular postures"
-        )
-    inverse = np.linalg.inv(bars)
-    scale = np.broadcast_to(np.asarray(lengths, dtype=float), bars.shape[:-1])
-    return SphereDerivatives(
-        centres=inverse[..., :, :, None] * bars[..., None, :, :],
-        lengths=inverse * scale[..., None, :],
-    )
-
-
 def reading(
     centres: ArrayLike, p: ArrayLike, leg: ArrayLike, direction: ArrayLike, gauge: ArrayLike
 ) -> Array:
@@ -194,58 +156,9 @@ def reading(
     Returns:
         Readings ``(...)``, metres.
     """
-    values, _, _ = _read(centres, p, leg, direction, gauge)
-    return values
-
-
-def _read(
-    centres: ArrayLike, p: ArrayLike, leg: ArrayLike, direction: ArrayLike, gauge: ArrayLike
-) -> tuple[Array, Array, Array]:
-    """The reading, with its derivatives by p and by the touched leg's carriage, ``(..., 3)``."""
     c, tcp = np.asarray(centres, dtype=float), np.asarray(p, dtype=float)
-    i, j = np.asarray(leg), np.asarray(direction)
-    carriage = np.sum(c * np.eye(3)[i][..., :, None], axis=-2)
-    own, read = np.eye(3)[i], np.eye(3)[j]
-    bar = carriage - tcp
+    own, read = np.eye(3)[np.asarray(leg)], np.eye(3)[np.asarray(direction)]
+    bar = np.sum(c * own[..., :, None], axis=-2) - tcp
     reach = np.sum(bar * own, axis=-1)
     share = (np.asarray(gauge, dtype=float) - np.sum(tcp * own, axis=-1)) / reach
-    slope = np.sum(bar * read, axis=-1) / reach
-    values = np.sum(tcp * read, axis=-1) + share * np.sum(bar * read, axis=-1)
-    across = read - slope[..., None] * own
-    return values, (1 - share)[..., None] * across, share[..., None] * across
-
-
-def reading_derivatives(
-    centres: ArrayLike,
-    lengths: ArrayLike,
-    p: ArrayLike,
-    leg: ArrayLike,
-    direction: ArrayLike,
-    gauge: ArrayLike,
-    paths: ArrayLike | None = None,
-) -> Array:
-    """Derivatives of ``reading`` by the joint offsets and leg lengths.
-
-    Args:
-        centres: carriage points ``(..., 3, 3)``, metres.
-        lengths: bar lengths ``(..., 3)``, metres.
-        p: their intersection ``(..., 3)``, metres.
-        leg: the leg touched, shape ``(...)``.
-        direction: the base axis the dial reads along, shape ``(...)``.
-        gauge: the dial's place along the leg's own axis, metres, shape ``(...)``.
-        paths: direction in which each carriage's drive moves it, ``(..., 3, 3)``; default: the
-            base axes.
-
-    Returns:
-        ``(..., 6)``, dimensionless: three offsets, three lengths.
-
-    Raises:
-        NumericsError: at a singular posture.
-    """
-    _, by_p, by_carriage = _read(centres, p, leg, direction, gauge)
-    moved = sphere_derivatives(centres, lengths, p)
-    drives = np.eye(3) if paths is None else np.asarray(paths, dtype=float)
-    offsets = np.einsum("...a,...aij,...ij->...i", by_p, moved.centres, drives)
-    touched = np.eye(3)[np.asarray(leg)]
-    offsets = offsets + touched * np.einsum("...j,...ij->...i", by_carriage, drives)
-    return np.concatenate([offsets, np.einsum("...a,...ai->...i", by_p, moved.lengths)], axis=-1)
+    return np.asarray(np.sum(tcp * read, axis=-1) + share * np.sum(bar * read, axis=-1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +52,7 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
         "calibrated": _calibrated(verdict),
         "candidates": _candidates(view),
         "blunders": [_blunder(verdict, b) for b in verdict.blunders],
+        "changed": [_change(c) for c in verdict.changed],
         "weak_directions": [weak_mapping(weak) for weak in fit.weak],
         "cross_check": check_mapping(base.check),
         "next_measurements": [dict(s) for s in as_result(view.following)],
@@ -65,6 +65,20 @@ def verdict_result(view: View, run: Run) -> dict[str, Any]:
             "last_step_in_sigmas": number(fit.optimality, 3),
         },
         "warnings": [*cautions(view), *view.warnings],
+    }
+
+
+def _change(change: Any) -> dict[str, Any]:
+    si = change.unit.si
+    return {
+        "parameter": change.parameter,
+        "members": list(change.members),
+        "from": number(change.before / si),
+        "to": number(change.after / si),
+        "sigma": number(change.sigma / si),
+        "unit": change.unit.name,
+        "between": [file.rpartition("/")[2] for file in change.between],
+        "words": change.message,
     }
 
 
@@ -261,21 +275,10 @@ def next_table(view: View) -> str:
 
     A visit that serves two purposes stands once; visits to a station are numbered through.
     """
-    rows: list[dict[str, str]] = []
-    seen: list[Mapping[str, str]] = []
-    for suggestion in view.following:
-        for row in suggestion.rows:
-            key = {k: v for k, v in row.items() if k != "order"}
-            if key not in seen:
-                seen.append(key)
-                rows.append(dict(row))
-    if not rows:
+    from orthoglide.observations import campaign_text
+    from orthoglide.planning import next_sheet
+
+    sheet = next_sheet(view.following)
+    if sheet is None:
         return ""
-    names = list(dict.fromkeys(k for row in rows for k in row))
-    for place, row in enumerate(rows, start=1):
-        row["order"] = str(place)
-    stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, [*names, "reading_mm"], restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
+    return campaign_text(sheet, view.verdict.fit.problem.machine.spec)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,25 +74,18 @@ def _declared(verdict: Verdict) -> float | None:
 
 
 def _campaign_input(campaign: Campaign, role: Role) -> InputFile:
-    from orthoglide.observations import campaign_text
+    from orthoglide.observations import campaign_rows, csv_text
 
-    text = campaign_text(campaign)
-    rows = tuple(csv.DictReader(io.StringIO(text)))
-    lines = tuple(int(line) for line in campaign.line)
+    rows = tuple(campaign_rows(campaign))
+    lines = tuple(sorted([*campaign.line.tolist(), *campaign.moves.line.tolist()]))
     follow = lines == tuple(range(2, len(rows) + 2))
-    digest = campaign.sha256 or sha256(text.encode())
+    digest = campaign.sha256 or sha256(csv_text(rows).encode())
     return InputFile(f"{campaign.name}.csv", digest, rows, role, () if follow else lines)
 
 
 def _tcp_input(points: TcpPoints) -> InputFile:
-    from orthoglide.observations.reading import APPROACH, POINT, RHO
+    from orthoglide.observations import tcp_rows
 
-    sigma = points.sigma[:, None] * 1e3
-    table = np.hstack([points.command * 1e3, points.p * 1e3, points.approach, sigma])
-    names = (*RHO, *POINT, *APPROACH, "sigma_mm")
-    rows = tuple(
-        {n: "" if np.isnan(v) else f"{v:.12g}" for n, v in zip(names, row, strict=True)}
-        for row in table.tolist()
-    )
+    rows = tuple(tcp_rows(points))
     name = Path(points.file).name or "points.tcp.csv"
     return InputFile(name, points.sha256 or sha256(repr(rows).encode()), rows, "tcp")

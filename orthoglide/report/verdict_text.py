@@ -29,6 +29,7 @@ def verdict_summary(view: View, ranked: bool = False) -> str:
     parts: list[Text | Table] = [Text(headline(view), style="bold")]
     parts.append(Text(f"Verdict {told(verdict.word)}.\n"))
     parts += [Text(f"- data: {b.message}") for b in verdict.blunders]
+    parts += [Text(f"- changed: {c.message}") for c in verdict.changed]
     if view.effects:
         parts.append(_causes(view))
     if ranked and view.tried:

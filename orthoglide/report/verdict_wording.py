@@ -30,9 +30,12 @@ def headline(view: View) -> str:
 def _faults(view: View) -> str:
     """Faults of the data belong to the verdict: a reader of the first lines must know."""
     count = len(view.verdict.blunders)
+    changed = "".join(f" {sentence(c.message)}" for c in view.verdict.changed)
     if not count:
-        return ""
-    return f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
+        return changed
+    return (
+        f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first.{changed}"
+    )
 
 
 def _adequate(view: View) -> str:

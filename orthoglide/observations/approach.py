@@ -1,0 +1,139 @@
+"""Which way each axis moved last, from the sequence of commands; and moves that see to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orthoglide.geometry import Array
+
+Ints = NDArray[np.int64]
+
+MOVED = 1e-6
+"""An axis counts as moved beyond this, in metres: sheets are rounded, encoders count microns."""
+
+OVERSHOOT = 1e-3
+"""How far beyond a command the machine goes to reach it from a side, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Commands that the machine goes through without a reading being taken.
+
+    Attributes:
+        command: joint coordinates ``(m, 3)``, metres, r removed.
+        order: place in the sequence that readings and moves share ``(m,)``.
+        line: line in the file ``(m,)``, header line 1.
+    """
+
+    command: Array = field(default_factory=lambda: np.empty((0, 3)))
+    order: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    line: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        for values in (self.command, self.order, self.line):
+            values.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def same_as(self, other: Moves) -> bool:
+        """Whether both are exactly the same moves; lines aside."""
+        return np.array_equal(self.command, other.command) and np.array_equal(
+            self.order, other.order
+        )
+
+
+def derive_approach(command: ArrayLike, order: ArrayLike, moves: Moves | None = None) -> Array:
+    """Direction of each axis' last move, from the sequence of commands.
+
+    An axis that does not move keeps its direction; the first posture counts as reached in +.
+
+    Args:
+        command: commands of the readings ``(n, 3)``, metres.
+        order: place in the sequence ``(n,)``; equal places are one visit.
+        moves: commands gone through between the readings.
+
+    Returns:
+        +1 or -1, shape ``(n, 3)``.
+    """
+    own = np.asarray(command, dtype=float).reshape(-1, 3)
+    moves = moves or Moves()
+    rho = np.vstack([moves.command, own])
+    sequence = np.argsort(np.concatenate([moves.order, np.asarray(order)]), kind="stable")
+    step = np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1] - 1.0)
+    moved = np.abs(step) > MOVED
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(rho))[:, None], 0), axis=0)
+    approach = np.empty_like(rho)
+    approach[sequence] = np.sign(np.take_along_axis(step, last, axis=0))
+    return approach[len(moves) :]
+
+
+def impossible_approach(
+    command: Array, approach: Array, order: ArrayLike, moves: Moves
+) -> NDArray[np.bool_]:
+    """Axes whose recorded direction cannot come from the sequence of commands.
+
+    A gap in the order may hide a move, and so may what came before the first row: the direction
+    recorded there is taken as it is.
+
+    Args:
+        command: commands of the readings ``(n, 3)``, metres.
+        approach: recorded directions ``(n, 3)``, 0 where unknown.
+        order: place in the sequence ``(n,)``.
+        moves: commands gone through between the readings.
+
+    Returns:
+        Booleans ``(n, 3)``.
+    """
+    m = len(moves)
+    rho = np.vstack([moves.command, command])
+    recorded = np.vstack([np.zeros((m, 3)), approach])
+    place = np.concatenate([moves.order, np.asarray(order)])
+    wrong = np.zeros(rho.shape, dtype=bool)
+    direction, before = np.zeros(3), -1
+    for row in np.argsort(place, kind="stable"):
+        if before < 0 or place[row] - place[before] > 1:
+            direction = np.zeros(3)
+        else:
+            step = rho[row] - rho[before]
+            direction = np.where(np.abs(step) > MOVED, np.sign(step), direction)
+        wrong[row] = recorded[row] * direction < 0
+        direction = np.where(direction == 0, recorded[row], direction)
+        before = row
+    return wrong[m:]
+
+
+def planned_moves(command: Array, approach: Array, begins: ArrayLike) -> tuple[Moves, Ints]:
+    """Moves that let commands, gone through in their order, be reached as they ask for.
+
+    A command that the one before does not lead to from the side asked for is preceded by a move
+    beyond it; so is every row that begins a mounting, as nobody knows what the machine did
+    while the dial was mounted.
+
+    Args:
+        command: commands ``(n, 3)``, metres, with room for an `OVERSHOOT` within the stroke.
+        approach: directions to be reached from ``(n, 3)``; 0: either.
+        begins: whether a row is the first of a mounting ``(n,)``.
+
+    Returns:
+        The moves, and the place of each row in the sequence of all ``(n,)``.
+    """
+    before, direction = np.full(3, np.nan), np.zeros(3)
+    beyond: list[Array] = []
+    places: list[int] = []
+    order: list[int] = []
+    for row, first in enumerate(np.asarray(begins, dtype=bool).tolist()):
+        step = command[row] - before
+        reached = np.where(np.abs(step) > MOVED, np.sign(step), direction)
+        if first or ((reached != approach[row]) & (approach[row] != 0)).any():
+            places.append(len(order) + len(places))
+            beyond.append(command[row] - OVERSHOOT * approach[row])
+            reached = approach[row]
+        order.append(len(order) + len(places))
+        before, direction = command[row], reached
+    place = np.array(places, dtype=np.int64)
+    moves = Moves(np.round(np.array(beyond).reshape(-1, 3), 9), place, place + 2)
+    return moves, np.array(order, dtype=np.int64)

@@ -1,0 +1,70 @@
+"""The columns of campaign and TCP files: names, parsers, and the commands among them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine_file import MachineFile
+from orthoglide.observations.checks import check_commands
+from orthoglide.observations.table import (
+    DIRECTION,
+    LEG,
+    SIGN,
+    Column,
+    Table,
+    choice,
+    number,
+    positive,
+    whole,
+)
+
+MM = 1e-3
+NAN = float("nan")
+
+RHO = tuple(f"rho_{leg}_mm" for leg in LEGS)
+TRAVEL = tuple(f"travel_{leg}_mm" for leg in LEGS)
+APPROACH = tuple(f"approach_{leg}" for leg in LEGS)
+POINT = tuple(f"p_{leg}_mm" for leg in LEGS)
+
+SETUP_COLUMNS: dict[str, Column] = {
+    "setup": Column(str),
+    "leg": Column(LEG),
+    "direction": Column(DIRECTION),
+    "gauge_mm": Column(number(MM)),
+    "bar": Column(choice({"1": 1, "2": 2, "1.0": 1, "2.0": 2}, "not 1, 2 or empty: correct it"), 0),
+}
+"""What one mounting of one dial has once and for all."""
+
+ROW_COLUMNS: dict[str, Column] = {
+    "kind": Column(choice({"leg": False, "move": True}), False),
+    "posture": Column(str, ""),
+    "repeat": Column(whole(1), 1),
+    "order": Column(whole(0)),
+    "time_s": Column(number(), NAN),
+    "temperature_C": Column(number(low=-40, high=100), NAN),
+    "load_N": Column(number(low=0, high=1e4), 0.0),
+    "reading_mm": Column(number(MM), NAN),
+    "sigma_mm": Column(positive(MM), NAN),
+}
+"""What each row has of its own, besides its command and approach; of ``kind``: is it a move?"""
+
+_COMMAND = Column(number(MM))
+DIRECTION_OF_MOVE = Column(SIGN, 0)
+
+
+def command_names(table: Table) -> tuple[str, ...]:
+    """The three columns that hold the commands: joint coordinates or the controller's values."""
+    if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
+        table.fail("has both rho_ and travel_ columns: keep the three of one kind")
+    return TRAVEL if set(TRAVEL) & set(table.names) else RHO
+
+
+def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
+    """Several columns of numbers ``(n, k)``."""
+    return np.array([table.values(name, column) for name in names], dtype=float).T
+
+
+def commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:
+    """Joint coordinates ``(n, 3)``, metres, of a table's commands, all within the stroke."""
+    return check_commands(columns(table, names, _COMMAND), names == TRAVEL, machine, table.fail)
