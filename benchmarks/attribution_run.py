@@ -225,14 +225,14 @@ def _said(verdict: Verdict) -> Record:
         "effects": effects,
         "stopped": verdict.stopped,
         "left": [left.p_value, left.lack_of_fit_p],
-        "chi2": [verdict.base.scores.chi2, verdict.fit.scores.chi2, verdict.fit.scores.dof],
+        "chi2": [verdict.before.scores.chi2, verdict.after.scores.chi2, verdict.after.scores.dof],
         "blunders": [[b.kind, [row for _, row in b.rows]] for b in verdict.blunders],
     }
 
 
 def _compared(drawn: Drawn, verdict: Verdict) -> Record:
     # The truth's size is that in all readings, whether or not the tool set some aside.
-    base = verdict.faulty or verdict.base
+    base = verdict.first
     found: Record = {"touched": list(drawn.touched), "truth": []}
     if not drawn.touched:
         seen = signatures(base)
@@ -260,10 +260,10 @@ def _freed(cause: Cause, seen: Signatures) -> tuple[str, ...]:
 
 def _told(drawn: Drawn, verdict: Verdict, names: Sequence[str]) -> list[float]:
     """Mean and largest TCP error of an identification told the effect, millimetres."""
-    base = verdict.faulty or verdict.base
+    base = verdict.first
     fit = refit(base.problem, names, base)
     values = fit.problem.values(0, fit.x)
-    errors = tcp_errors(machine(), drawn.points, verdict.before, values)["translation"]
+    errors = tcp_errors(machine(), drawn.points, verdict.values_before, values)["translation"]
     return [1e3 * errors.after[0], 1e3 * errors.after[1]]
 
 
@@ -275,7 +275,7 @@ def _tcp(verdict: Verdict) -> Record:
 
 def _covered(rig: Rig, verdict: Verdict) -> list[list[Any]]:
     """Name, error in stated sigmas and sigma in tolerances of each parameter that is seen."""
-    problem, values = verdict.fit.problem, verdict.fit.values
+    problem, values = verdict.after.problem, verdict.after.values
     setups = tuple(s.name for s in problem.campaigns[0].setups)
     found = []
     for unknown in problem.unknowns:

@@ -2,7 +2,7 @@
 
 Every effect of the catalogue at its tolerance, on the general mechanism; then the simplified
 model's six parameters fitted to it. ``python examples/compare_models.py`` prints what is left, one
-line a family, at its worst member; with ``--markdown`` the tables of
+line an effect, at its worst parameter; with ``--markdown`` the tables of
 ``docs/simplified-model.md``.
 """
 
@@ -11,16 +11,9 @@ from __future__ import annotations
 import sys
 
 from orthoglide import Machine
-from orthoglide.comparison import (
-    ALIKE,
-    LEGEND,
-    Row,
-    compare_effects,
-    compare_machine,
-    markdown_table,
-    verdict_text,
-    worst_of_families,
-)
+from orthoglide.comparison import Row, compare_effects, compare_machine, worst_by_effect
+from orthoglide.comparison.rows import SAME
+from orthoglide.comparison.tables import LEGEND, LIMITS, markdown_table
 
 # A machine with one error of every kind that a careful builder leaves, at half its tolerance.
 TYPICAL = (
@@ -35,36 +28,36 @@ def typical_machine() -> Machine:
 
 
 def effects() -> tuple[Row, ...]:
-    return worst_of_families(compare_effects())
+    return worst_by_effect(compare_effects())
 
 
 def machine() -> tuple[Row, ...]:
     return compare_machine(typical_machine())
 
 
-def families(rows: tuple[Row, ...]) -> str:
-    return ", ".join(f"`{row.name.partition('.')[0]}`" for row in rows) or "none"
+def names(rows: tuple[Row, ...]) -> str:
+    return ", ".join(f"`{row.effect}`" for row in rows) or "none"
 
 
 def summary(rows: tuple[Row, ...]) -> str:
-    seen = [r for r in rows if max(r.nominal.max, r.reading_change) > ALIKE]
-    exact = tuple(r for r in seen if max(r.fitted.max, r.reading_max) <= ALIKE)
+    seen = [r for r in rows if max(r.nominal.max, r.reading_change) > SAME]
+    exact = tuple(r for r in seen if max(r.fitted.max, r.reading_max) <= SAME)
     enough = tuple(r for r in seen if r.good_enough and r not in exact)
     not_enough = tuple(r for r in seen if not r.good_enough)
     unseen = tuple(r for r in rows if r not in seen)
     return (
-        f"- Represented exactly: {families(exact)}.\n"
-        f"- Not represented, but small enough at their tolerance: {families(enough)}.\n"
-        f"- Beyond the reduction at their tolerance: {families(not_enough)}.\n"
-        f"- Without effect on a machine that is else perfect: {families(unseen)}.\n"
+        f"- Represented exactly: {names(exact)}.\n"
+        f"- Not represented, but small enough at their tolerance: {names(enough)}.\n"
+        f"- Beyond the reduction at their tolerance: {names(not_enough)}.\n"
+        f"- Without effect on a machine that is else perfect: {names(unseen)}.\n"
     )
 
 
 def markdown() -> str:
     rows = effects()
     return (
-        f"{verdict_text()}\n\n{summary(rows)}\n{LEGEND}\n\n"
-        f"### Every family at its tolerance, its worst member\n\n{markdown_table(rows)}\n"
+        f"{LIMITS}\n\n{summary(rows)}\n{LEGEND}\n\n"
+        f"### Every effect at its tolerance, its worst parameter\n\n{markdown_table(rows)}\n"
         "### A machine with seven errors at half their tolerance\n\n"
         f"{markdown_table(machine())}"
     )
@@ -74,13 +67,9 @@ def main() -> None:
     if "--markdown" in sys.argv[1:]:
         print(markdown(), end="")
         return
-    print(verdict_text())
+    print(LIMITS)
     for row in (*effects(), *machine()[:1]):
-        answer = "will do" if row.good_enough else "will not do"
-        print(
-            f"{row.name:<24} TCP {row.fitted.max * 1e6:7.2f} µm at most after the fit, readings "
-            f"{row.reading_rms * 1e6:6.2f} µm rms: {answer}"
-        )
+        print(row)
 
 
 if __name__ == "__main__":

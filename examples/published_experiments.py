@@ -72,7 +72,7 @@ def alone(verdicts: dict[str, Verdict]) -> Iterator[str]:
     )
     yield "|---|---|---|---|---|---|---|---|"
     for name, verdict in verdicts.items():
-        before, after = verdict.base.scores, verdict.fit.scores
+        before, after = verdict.before.scores, verdict.after.scores
         scores = (
             f"{before.deviation_rms * 1e3:.3f}, {after.deviation_rms * 1e3:.3f} | "
             f"{before.cv_rms * 1e3:.3f}, {after.cv_rms * 1e3:.3f}"
@@ -87,7 +87,7 @@ def alone(verdicts: dict[str, Verdict]) -> Iterator[str]:
             )
     yield ""
     for name, verdict in verdicts.items():
-        scale = verdict.base.sigma_scale
+        scale = verdict.before.sigma_scale
         yield (
             f"- {name}: what offsets and lengths leave is {scale:.1f} times the noise. The search "
             f"ended because {verdict.stopped}."
@@ -107,7 +107,7 @@ def differences() -> Iterator[str]:
         verdict = close_loop(campaign(f"experiment{k}-differences"))
         named = ", ".join(e.name for e in verdict.effects)
         why = f"named: {named}" if named else verdict.stopped
-        rms = verdict.base.scores.deviation_rms * 1e3
+        rms = verdict.before.scores.deviation_rms * 1e3
         yield f"| {k} | **{verdict.word}** | {rms:.3f} | {why} |"
     yield ""
 
@@ -122,20 +122,20 @@ def together() -> Iterator[str]:
         "else are shared, offsets are own to each experiment."
     )
     yield ""
-    before, after = verdict.base.scores, verdict.fit.scores
+    before, after = verdict.before.scores, verdict.after.scores
     yield (
         f"Verdict **{verdict.word}**: deviations {before.deviation_rms * 1e3:.3f} mm before, "
         f"{after.deviation_rms * 1e3:.3f} mm after; stations left out {before.cv_rms * 1e3:.3f} mm "
         f"and {after.cv_rms * 1e3:.3f} mm."
     )
     for effect in verdict.effects:
-        values = verdict.fit.values
+        values = verdict.after.values
         shown = ", ".join(f"`{p}` {values[p]:+.2e}" for p in effect.parameters)
         others = ", ".join(effect.indistinguishable_from) or "nothing"
         yield f"Added: {effect.name} ({shown}; SI), not to be told from {others}."
     change = [
-        (verdict.base.values[f"joint_offset.{leg}@experiment3"]
-         - verdict.base.values[f"joint_offset.{leg}@experiment2"]) * 1e3
+        (verdict.before.values[f"joint_offset.{leg}@experiment3"]
+         - verdict.before.values[f"joint_offset.{leg}@experiment2"]) * 1e3
         for leg in "xyz"
     ]  # fmt: skip
     yield (

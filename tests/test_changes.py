@@ -49,7 +49,7 @@ def tilted(machine: og.Machine, *tilts: float) -> list[Campaign]:
 def test_an_effect_that_each_campaign_has_for_itself(machine):
     verdict = close_loop(tilted(machine, 1.5e-3, 0.3e-3), machine, own=["axis_tilt"])
     assert [e.name for e in verdict.effects] == ["axis_tilt.y.z"]
-    values = verdict.fit.values
+    values = verdict.after.values
     assert values["axis_tilt.y.z@c0"] == pytest.approx(1.5e-3, abs=0.15e-3)
     assert values["axis_tilt.y.z@c1"] == pytest.approx(0.3e-3, abs=0.15e-3)
     assert verdict.machine.values["axis_tilt.y.z"] == values["axis_tilt.y.z@c1"]

@@ -87,7 +87,7 @@ def test_the_judges_change_nothing(machine: og.Machine, verdicts: dict[str, Verd
         assert one.word == alone.word
         assert [e.name for e in one.effects] == [e.name for e in alone.effects]
         assert one.values == alone.values
-        np.testing.assert_array_equal(one.fit.x, alone.fit.x)
+        np.testing.assert_array_equal(one.after.x, alone.after.x)
 
 
 def test_the_same_seed_gives_the_same_answer(machine: og.Machine) -> None:
@@ -117,7 +117,7 @@ def test_few_readings_carry_few_parameters() -> None:
     verdict = close_loop(og.read_campaign(path))
     added = sum(len(e.parameters) for e in verdict.effects)
     assert added < 9 / 3  # twelve deviations less the three offsets that they determine
-    assert verdict.fit.scores.cv_rms < verdict.base.scores.cv_rms or not verdict.effects
+    assert verdict.after.scores.cv_rms < verdict.before.scores.cv_rms or not verdict.effects
 
 
 def test_what_the_readings_cannot_show_is_called_invisible(verdicts: dict[str, Verdict]) -> None:

@@ -19,20 +19,16 @@ from orthoglide import Machine, reduction
 from orthoglide.cli.compare import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.comparison import (
-    READING_LIMIT,
-    TCP_LIMIT,
     Circumstances,
     Row,
     compare_effects,
     compare_machine,
-    comparison_page,
-    csv_table,
-    cube,
-    markdown_table,
     slices,
-    worst_of_families,
+    worst_by_effect,
 )
-from orthoglide.comparison.bench import Bench
+from orthoglide.comparison.comparing import Comparison, cube
+from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT
+from orthoglide.comparison.tables import comparison_page, csv_table, markdown_table
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from tests.rig import Array, Rig
@@ -48,12 +44,12 @@ def row(name: str) -> Row:
 
 
 @cache
-def bench() -> Bench:
-    return Bench(Machine.nominal(), FEW)
+def comparison() -> Comparison:
+    return Comparison(Machine.nominal(), FEW)
 
 
 def rig_tcp(errors: dict[str, float]) -> tuple[Array, Array]:
-    seen = bench().seen
+    seen = comparison().seen
     rig = Rig(errors=errors, screw_pitch=FEW.pitch)
     pose = rig.pose(seen.command, seen.approach, seen.time, seen.warming, seen.load)
     return pose.p, pose.R
@@ -76,13 +72,13 @@ def test_the_cube_fills_the_stroke_and_no_more(stroke: tuple[float, float]) -> N
 def test_the_effect_itself_is_that_of_the_independent_machine(name: str) -> None:
     found, value = row(name), Machine.nominal().tolerance(name)
     p, R = rig_tcp({name: value})
-    apart = np.linalg.norm(p - bench().p, axis=1)
+    apart = np.linalg.norm(p - comparison().p, axis=1)
     assert found.value == value
     assert found.nominal.mean == pytest.approx(apart.mean(), abs=1e-9)
     assert found.nominal.max == pytest.approx(apart.max(), abs=1e-9)
-    at = np.all(bench().p == np.array(found.nominal.where), axis=1)
+    at = np.all(comparison().p == np.array(found.nominal.where), axis=1)
     assert apart[at].max() == pytest.approx(apart.max(), abs=2e-9)
-    moved = p - bench().p
+    moved = p - comparison().p
     centred = np.linalg.norm(moved - moved.mean(axis=0), axis=1)
     assert found.translated.max == pytest.approx(centred.max(), abs=1e-9)
     turn = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
@@ -106,7 +102,7 @@ def test_its_own_parameters_are_found_exactly(name: str) -> None:
 @pytest.mark.parametrize("name", ["axis_tilt.z.y", "bar_mismatch.y", "backlash.x"])
 def test_no_six_parameters_come_nearer_to_the_tcp(name: str) -> None:
     p, _ = rig_tcp({name: row(name).value})
-    commands = bench().seen.command
+    commands = comparison().seen.command
 
     def apart(six: Array) -> Array:
         return (reduction.forward(commands, six[:3], six[3:]) - p).ravel() * 1e6
@@ -121,7 +117,7 @@ def test_no_six_parameters_come_nearer_to_the_tcp(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["axis_tilt.z.y", "bar_mismatch.y", "backlash.x"])
 def test_no_six_parameters_come_nearer_to_the_readings(name: str) -> None:
-    c = bench().campaign
+    c = comparison().campaign
     axes, gauges = ([getattr(c.setups[k], f) for k in c.setup] for f in ("axis", "gauge"))
     rig = Rig(errors={name: row(name).value})
     pose = rig.pose(c.command, c.approach, c.time, c.temperature_rise, c.load)
@@ -166,7 +162,7 @@ def test_a_machine_is_all_of_its_parameters_together() -> None:
     assert [r.name for r in alone] == ["axis_tilt.z.y", "bar_mismatch.y"]
     assert alone[0] == row("axis_tilt.z.y")
     p, _ = rig_tcp(values)
-    apart = np.linalg.norm(p - bench().p, axis=1)
+    apart = np.linalg.norm(p - comparison().p, axis=1)
     assert together.nominal.max == pytest.approx(apart.max(), abs=1e-9)
     assert not together.good_enough
     assert compare_machine(Machine.nominal(), FEW)[0].fitted.max < 1e-12
@@ -209,18 +205,18 @@ def test_planes_show_the_same_difference() -> None:
 def test_constants_cannot_be_cold_and_warm_or_come_from_both_sides() -> None:
     for name in ("thermal_growth.y", "thermal_drift.x", "backlash.x"):
         assert row(name).fitted.mean > 1e-6
-    seen = bench().seen
+    seen = comparison().seen
     half = len(seen) // 2
     assert np.array_equal(seen.command[:half], seen.command[half:])
     assert np.all(seen.approach[:half] == 1)
     assert np.all(seen.approach[half:] == -1)
-    assert np.ptp(bench().campaign.temperature_rise) == pytest.approx(FEW.warming)
-    assert np.all(bench().campaign.load == FEW.load)
+    assert np.ptp(comparison().campaign.temperature_rise) == pytest.approx(FEW.warming)
+    assert np.all(comparison().campaign.load == FEW.load)
 
 
 def test_the_worst_of_a_family() -> None:
     rows = compare_effects(names=("rail_tilt", "joint_offset"), circumstances=FEW)
-    worst = worst_of_families(rows)
+    worst = worst_by_effect(rows)
     assert [r.name.partition(".")[0] for r in worst] == ["rail_tilt", "joint_offset"]
     assert worst[0].fitted.max == pytest.approx(max(r.fitted.max for r in rows), abs=1e-9)
     assert worst[1].name == "joint_offset.x"

@@ -549,7 +549,7 @@ def test_a_design_filled_in_row_by_row_gives_the_verdict(machine, tmp_path):
     assert len(campaign) == 32
     verdict = og.close_loop([campaign], machine)
     assert (verdict.word, [e.name for e in verdict.effects]) == ("explained", ["backlash.y"])
-    assert verdict.fit.values["backlash.y"] == pytest.approx(6e-5, rel=0.2)
+    assert verdict.after.values["backlash.y"] == pytest.approx(6e-5, rel=0.2)
 
 
 def test_a_sheet_without_its_moves_is_warned_of(machine, tmp_path):

@@ -20,17 +20,14 @@ import orthoglide as og
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.pattern import describe_left
 from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS
+from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
 from orthoglide.fit import Estimate, identify
 from orthoglide.judging import HoldOut
 from orthoglide.observations import Campaign, protocol
-from orthoglide.report import verdict_files
-from orthoglide.report.causes import cause, short
-from orthoglide.report.verdict_html import tiles
-from orthoglide.report.verdict_run import run_of
-from orthoglide.report.verdict_text import verdict_summary
-from orthoglide.report.verdict_view import View
-from orthoglide.report.verdict_wording import cautions, headline
+from orthoglide.report import report_files, summary
+from orthoglide.report.found import tiles
+from orthoglide.report.wording import headline
 from tests.test_report import DATA, RIG, Balanced, opened, words
 
 CASES = ("ambiguous", "partial", "unexplained", "faulty")
@@ -68,26 +65,28 @@ def faulty() -> Campaign:
 
 
 @cache
-def view_of(which: str) -> View:
+def verdict_of(which: str) -> Verdict:
     if which == "partial":
         two, three = (og.read_campaign(DATA / f"experiment{k}.csv") for k in (2, 3))
-        return View(close_loop(two, holdout=three, own=["joint_offset"]))
+        return close_loop(two, holdout=three, own=["joint_offset"])
     machine = rig_machine()
     if which == "ambiguous":
         points = og.read_tcp(RIG / "rig-2.tcp.csv", machine.spec)
-        return View(close_loop(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine,
-                               tcp=points))  # fmt: skip
-    return View(close_loop(odd() if which == "unexplained" else faulty(), machine))
+        return close_loop(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine, tcp=points)
+    return close_loop(odd() if which == "unexplained" else faulty(), machine)
 
 
 @cache
 def files_of(which: str) -> dict[str, str]:
-    view = view_of(which)
-    return verdict_files(view, run_of(view.verdict))
+    return report_files(verdict_of(which))
 
 
-def verdict_of(which: str) -> Verdict:
-    return view_of(which).verdict
+def cause(name: str, values: dict[str, float]) -> str:
+    return cause_words(CATALOGUE, name, values)
+
+
+def short(name: str) -> str:
+    return cause_short(CATALOGUE, name)
 
 
 def page_without_sheet(which: str) -> str:
@@ -132,7 +131,7 @@ def test_nothing_tells_where_or_when(which: str) -> None:
 @pytest.mark.parametrize("which", CASES)
 def test_the_same_bytes_again(which: str) -> None:
     verdict = verdict_of(which)
-    assert verdict_files(View(verdict), run_of(verdict)) == files_of(which)
+    assert report_files(verdict) == files_of(which)
     assert list(files_of(which))[-1] == "result.json"
 
 
@@ -147,7 +146,7 @@ SECTIONS = {
 @pytest.mark.parametrize("which", CASES)
 def test_sections_stand_where_they_say_something(which: str) -> None:
     ids = set(re.findall(r'<section id="(\w+)"', files_of(which)["report.html"]))
-    always = {"finding", "controller", "judged", "workspace", "values", "readings", "loop"}
+    always = {"finding", "controller", "judged", "workspace", "values", "readings", "method"}
     assert always <= ids
     sometimes = {"faults", "look", "causes", "apart", "left", "next"}
     assert SECTIONS[which] <= ids
@@ -156,11 +155,10 @@ def test_sections_stand_where_they_say_something(which: str) -> None:
 
 @pytest.mark.parametrize("which", CASES)
 def test_the_key_numbers_are_on_the_page(which: str) -> None:
-    view, text = view_of(which), words(files_of(which)["report.html"].replace("&amp;", "&"))
-    verdict = view.verdict
-    assert headline(view) in text
+    verdict, text = verdict_of(which), words(files_of(which)["report.html"].replace("&amp;", "&"))
+    assert headline(verdict) in text
     assert f"{verdict.word} " in text
-    for tile in tiles(view):
+    for tile in tiles(verdict):
         assert tile.after in text
     for effect in verdict.effects:
         assert f"{effect.name} passed three tests" in text
@@ -171,7 +169,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))
     for blunder in verdict.blunders:
         assert blunder.message in text
-    for line in view.pattern:
+    for line in verdict.pattern:
         assert line[1:] in text
     assert "orthoglide rerun result.json" in text
     assert "Not visible, which is not absent" in text or not verdict.invisible
@@ -191,24 +189,70 @@ def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) 
 
 
 def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
-    text = headline(view_of("ambiguous"))
+    text = headline(verdict_of("ambiguous"))
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
-    assert "(or the y rail leans toward z and its carriage with it: these readings cannot" in text
+    said = "(or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
+    assert said in text
     assert "0.043 to 0.003 mm rms, which is the noise of the dial" in text
-    assert "no cause known to this program explains" in headline(view_of("unexplained"))
-    partial = headline(view_of("partial"))
+    assert "no effect of the catalogue explains" in headline(verdict_of("unexplained"))
+    partial = headline(verdict_of("partial"))
     assert "This is not all" in partial
     assert partial.count(" or ") >= 2
-    faults = headline(view_of("faulty"))
+    faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
 
 
+def test_a_rival_is_said_with_its_own_value_and_sign() -> None:
+    """Fitted in the cause's place, it may have the other sign."""
+    machine = rig_machine()
+    verdict = close_loop(og.read_campaign(RIG / "rig-4.csv", machine.spec), machine)
+    (cause_found,) = verdict.causes
+    rivals = {rival.name: rival for rival in cause_found.rivals}
+    rival = rivals["axis_offset.y.x"]
+    assert rival.values["axis_offset.y.x"] == pytest.approx(-4.12e-4, abs=2e-6)
+    text = "the y rail stands 0.41 mm beside its place, toward −x"
+    assert rival.words == text
+    files = report_files(verdict)
+    (effect,) = json.loads(files["result.json"])["effects"]
+    kept = {r["name"]: r for r in effect["rivals"]}["axis_offset.y.x"]
+    assert kept["value"] == pytest.approx(-0.412, abs=2e-3)
+    assert 0 < kept["sigma"] < 0.1
+    assert (kept["unit"], kept["words"]) == ("mm", text)
+    assert f"or {text}" in headline(verdict)
+    assert text in words(files["report.html"])
+    assert "toward x:" not in headline(verdict)
+    assert text in " ".join(summary(verdict).split())
+
+
+def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
+    """A verdict by pattern does not pretend that a size exceeds the noise."""
+    verdict = verdict_of("partial")
+    scores = replace(verdict.after.scores, rms=0.8 * verdict.after.problem.noise.typical)
+    text = headline(replace(verdict, after=replace(verdict.after, scores=scores)))
+    assert "no larger than the dial's noise" in text
+    assert "by its pattern" in text
+    assert "by its pattern" not in headline(verdict)
+
+
+def test_the_tcp_tile_says_what_was_removed() -> None:
+    tile = next(t for t in tiles(verdict_of("ambiguous")) if t.what.startswith("TCP"))
+    assert tile.what == "TCP, best shift removed"
+
+
+def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
+    page = files_of("partial")["report.html"]
+    section = words(page[page.index('id="controller"') : page.index('id="judged"')])
+    assert "No numbers are given to enter" in section
+    assert "add to the display" not in section
+    assert "add to the display" in words(files_of("ambiguous")["report.html"])
+
+
 def test_a_machine_with_nothing_wrong() -> None:
-    view = View(close_loop(swept(), rig_machine()))
-    assert view.verdict.word == "adequate"
-    assert headline(view).startswith("Nothing is wrong that these readings could show")
-    page = verdict_files(view, run_of(view.verdict))["report.html"]
+    verdict = close_loop(swept(), rig_machine())
+    assert verdict.word == "adequate"
+    assert headline(verdict).startswith("Nothing is wrong that these readings could show")
+    page = report_files(verdict)["report.html"]
     assert not {"look", "apart", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
 
 
@@ -235,14 +279,14 @@ def test_every_parameter_can_be_said(name: str) -> None:
         ("parallelogram_width.y", -1e-3, "is 1 mm narrower than the one at the carriage"),
         ("encoder_scale.y", -3e-3, "drive y moves 0.3 % less than it is told"),
         ("axis_tilt.x.y", -2e-3, "toward −y by 2 mrad (0.2 mm over 100 mm)"),
-        ("axis_tilt.cyclic", 1e-3, "each toward its two neighbours in turn (x toward y and −z)"),
+        ("axis_tilt.cyclic", 1e-3, "in a threefold pattern (x toward y and −z"),
         ("axis_offset.zx.symmetric", -1e-3, "z toward −x and x toward −z by 1 mm"),
         ("axis_offset.zx.antisymmetric", 1e-3, "z toward x and x toward −z by 1 mm"),
-        ("backlash.common", 5e-5, "the drives have lost motion, all alike, by 0.05 mm"),
-        ("mount_tilt.b.common", -2e-3, "all alike about its pivots, by −2 mrad"),
+        ("backlash.common", 5e-5, "the drives have lost motion, all by 0.05 mm"),
+        ("mount_tilt.b.common", -2e-3, "all by −2 mrad about their pivots"),
         ("backlash.x@day-2", 5e-5, "drive x has 0.05 mm of lost motion (day-2)"),
         ("gauge_scale.left", 0.02, "the dial of left shows 2 % more"),
-        ("gauge_drift.left", 1e-8, "the stand of left creeps by 0.036 mm an hour"),
+        ("gauge_drift.left", 1e-8, "its reading grows by 0.036 mm an hour"),
     ],
 )
 def test_size_and_direction(name: str, value: float, said: str) -> None:
@@ -254,7 +298,7 @@ def test_blocks_are_said_by_their_size() -> None:
     assert "drive x runs 0.05 mm ahead and behind" in cause("screw_error.x", both)
     many = {"backlash.x": 1e-5, "backlash.y": -4e-5}
     assert cause("backlash", many) == "the drives have lost motion, from 0.01 mm to 0.04 mm"
-    assert short("axis_tilt.cyclic", "rail_tilt.cyclic").endswith("out of square in the same way")
+    assert short("axis_tilt.cyclic").endswith("out of square, in a threefold pattern")
 
 
 # --- result.json and its neighbours ---------------------------------------------------------
@@ -271,8 +315,8 @@ def test_result_has_the_keys_of_the_contract(which: str) -> None:
     verdict, result = verdict_of(which), json.loads(files_of(which)["result.json"])
     assert set(result) >= KEYS
     assert result["verdict"] == verdict.word
-    assert result["before"]["chi2"] == pytest.approx(verdict.base.scores.chi2)
-    assert result["after"]["cv_rms_mm"] == pytest.approx(verdict.fit.scores.cv_rms * 1e3)
+    assert result["before"]["chi2"] == pytest.approx(verdict.before.scores.chi2)
+    assert result["after"]["cv_rms_mm"] == pytest.approx(verdict.after.scores.cv_rms * 1e3)
     assert [e["name"] for e in result["effects"]] == [e.name for e in verdict.effects]
     for told, effect in zip(result["effects"], verdict.effects, strict=True):
         assert told["parameters"] == list(effect.parameters)
@@ -281,7 +325,7 @@ def test_result_has_the_keys_of_the_contract(which: str) -> None:
     for name, entry in result["parameters"].items():
         si = CATALOGUE[name.split(".")[0]].unit.si
         assert entry["sigma"] * si == pytest.approx(verdict.known.sigmas[name], rel=1e-9)
-        assert entry["sigma_alone"] * si == pytest.approx(verdict.fit.sigmas[name], rel=1e-9)
+        assert entry["sigma_alone"] * si == pytest.approx(verdict.after.sigmas[name], rel=1e-9)
     tried = {(c["name"], c["round"]) for c in result["candidates"]}
     assert len(tried) == len(result["candidates"])
     assert {r for e in verdict.effects for r in e.indistinguishable_from} <= {n for n, _ in tried}
@@ -316,9 +360,9 @@ def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
     known = verdict_of("partial")
     scores = HoldOut(2e-5, 3e-5) if worse else HoldOut(3e-5, 2e-5)
     verdict = replace(known, hold_out=scores)
-    files = verdict_files(View(verdict), run_of(verdict))
+    files = report_files(verdict)
     warnings = json.loads(files["result.json"])["warnings"]
-    said = " ".join(verdict_summary(View(verdict)).split())
+    said = " ".join(summary(verdict).split())
     for text, wanted in (
         ("only part of what is wrong", True),
         ("The readings held out are predicted worse", worse),
@@ -329,8 +373,8 @@ def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
 
 
 def test_what_stands_is_not_warned_of() -> None:
-    assert cautions(view_of("ambiguous")) == ()
-    assert cautions(view_of("unexplained")) == ()
+    assert verdict_of("ambiguous").cautions == ()
+    assert verdict_of("unexplained").cautions == ()
 
 
 def test_faults_carry_the_lines_of_the_file() -> None:
@@ -354,9 +398,9 @@ def test_residuals_add_up(which: str) -> None:
     table = list(csv.DictReader(io.StringIO(files_of(which)["residuals.csv"])))
     kept = [row for row in table if not row["set_aside"]]
     for side, rms in (
-        ("nominal", verdict.base.nominal.rms),
-        ("before", verdict.base.scores.rms),
-        ("after", verdict.fit.scores.rms),
+        ("nominal", verdict.nominal.rms),
+        ("before", verdict.before.scores.rms),
+        ("after", verdict.after.scores.rms),
     ):
         residual = np.array([float(row[f"residual_{side}_mm"]) for row in kept])
         assert np.sqrt(np.mean(residual**2)) == pytest.approx(rms * 1e3, rel=1e-3)
@@ -389,7 +433,7 @@ def test_the_sheet_of_what_to_measure_next_can_be_measured(which: str, tmp_path:
                      files_of(which)["report.html"])  # fmt: skip
     assert bool(text) == bool(link)
     if not link:
-        assert not any(s.rows for s in view_of(which).following)
+        assert not any(s.rows for s in verdict_of(which).next_measurements)
         return
     assert base64.b64decode(link[1]).decode() == text
     (tmp_path / "next.csv").write_text(text)
@@ -406,18 +450,38 @@ def test_a_verdict_writes_its_report(tmp_path: Path) -> None:
         assert (tmp_path / "out" / name).read_text(encoding="utf-8") == text
     with pytest.raises(FileError, match="is not empty"):
         verdict.report(str(tmp_path / "out"))
+    verdict_of("faulty").report(tmp_path / "out", overwrite=True)
+    kept = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*.*")}
+    assert kept == set(files_of("faulty"))
+    (tmp_path / "out" / "thesis.tex").write_text("dear")
+    with pytest.raises(FileError, match=r"thesis\.tex, which is no part of a report"):
+        verdict.report(tmp_path / "out", overwrite=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
+
+
+def test_a_verdict_shows_itself() -> None:
+    verdict = verdict_of("ambiguous")
+    assert len(repr(verdict)) < 100
+    assert "ambiguous" in repr(verdict)
+    assert "axis_tilt.y.z" in repr(verdict)
+    assert headline(verdict)[:60] in " ".join(str(verdict).split())
+    assert "axis_tilt.y.z" in verdict._repr_html_()
+    frame = verdict.to_frame()
+    assert frame.loc["axis_tilt.y.z", "value"] == pytest.approx(2.4e-3, abs=2e-4)
+    assert frame.loc["joint_offset.x", "unit"] == "mm"
+    assert list(frame.index) == list(verdict.after.names)
 
 
 # --- The workspace --------------------------------------------------------------------------
 
 
 def test_the_workspace_is_told_before_and_after() -> None:
-    space = view_of("ambiguous").workspace
+    space = verdict_of("ambiguous").workspace
     assert np.all(space.sure > space.alone)
     assert space.before.mean() < space.nominal.mean()
     assert np.all(space.before > 0)
-    assert not view_of("unexplained").workspace.before.any()
-    families = view_of("ambiguous").uncertain_families
+    assert not verdict_of("unexplained").workspace.before.any()
+    families = verdict_of("ambiguous").uncertain_effects
     assert 0.3 < sum(share for _, share in families) <= 1
     assert [s for _, s in families] == sorted((s for _, s in families), reverse=True)
 

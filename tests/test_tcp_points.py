@@ -122,7 +122,6 @@ def test_too_few_points_and_dials_are_refused() -> None:
         og.identify(points, MACHINE, ["joint_offset", "axis_offset"], frame="rigid", priors=False)
 
 
-@pytest.mark.skip(reason="the report of TCP points is being joined")
 def test_the_command_line(tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ["identify", "--fit-tcp", str(RIG / "rig-1.tcp.csv"), "--out", str(out), "--json"]
@@ -135,3 +134,17 @@ def test_the_command_line(tmp_path: Path) -> None:
             value, abs=0.03
         )
     assert og.Machine.load(out / "calibrated.toml").values
+
+
+def test_dials_and_points_close_the_loop_and_run_again(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    files = [str(RIG / "rig-2.csv"), "--fit-tcp", str(RIG / "rig-2.tcp.csv")]
+    machine = ["--machine", str(RIG / "machine.toml")]
+    done = CliRunner().invoke(cli, ["close-loop", *files, *machine, "--out", str(out), "--quiet"])
+    assert done.exit_code == 0, done.output
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert result["effects"][0]["parameters"] == ["axis_tilt.y.z"]
+    assert abs(result["effects"][0]["value"] - 2.5e-3) < 1e-4
+    assert result["arguments"]["fit_tcp"] == ["rig-2.tcp.csv"]
+    again = CliRunner().invoke(cli, ["rerun", str(out / "result.json"), "--quiet"])
+    assert again.exit_code == 0, again.output

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from orthoglide.comparison import Row
     from orthoglide.machine import Machine
 
+_TITLE = "When the simplified model is good enough"
+
 
 @click.command()
 @machine_option
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
     type=Names(),
     default=(),
     metavar="NAME,...",
-    help="Families or parameters to compare; the whole catalogue where absent.",
+    help="Effects or parameters to compare; the whole catalogue where absent.",
 )
 @click.option("--no-figures", is_flag=True, help="Tables only.")
 @click.option("--quiet", is_flag=True, help="No progress and no table.")
@@ -39,77 +42,57 @@ def compare(
     parameters of the simplified model are fitted to the general mechanism; what is left is shown
     at the TCP over the workspace and in the readings of a sweep.
     """
-    from orthoglide.comparison import worst_of_families
+    from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
+    machine = load_machine(machine_path)
     with progress(quiet) as step:
-        files, rows, calibrated = _files(load_machine(machine_path), names, not no_figures, step)
-        write_results(out, files)
+        step(Step("computing", "comparing effects"))
+        rows = compare_effects(machine, names or None)
+        whole = compare_machine(machine) if any(machine.values.values()) else ()
+        worst = (*whole[:1], *worst_by_effect(rows))
+        figures = {} if no_figures else dict(_figures(machine, worst, step))
+        sections = [
+            (f"{machine.spec.name}: all it has, and each alone", whole),
+            ("Every effect at its tolerance", rows),
+        ]
+        write_results(out, _files([(name, some) for name, some in sections if some], figures))
     if not quiet:
-        for row in (*calibrated[:1], *worst_of_families(rows)):
-            answer = "will do" if row.good_enough else "will not do"
-            click.echo(
-                f"{row.name:<24} TCP {row.fitted.max * 1e6:8.2f} µm, readings "
-                f"{row.reading_rms * 1e6:8.2f} µm rms: the reduction {answer}"
-            )
+        click.echo("\n".join(map(str, worst)))
         click.echo(f"written: {click.format_filename(out)}")
 
 
 COMMANDS = (compare,)
 
 
-def _files(
-    machine: Machine, names: tuple[str, ...], draw: bool, step: Progress
-) -> tuple[dict[str, str], tuple[Row, ...], tuple[Row, ...]]:
-    from orthoglide.comparison import (
+def _files(sections: list[tuple[str, tuple[Row, ...]]], figures: dict[str, str]) -> dict[str, str]:
+    from orthoglide.comparison.tables import (
         LEGEND,
-        compare_effects,
-        compare_machine,
+        LIMITS,
         comparison_page,
         csv_table,
         markdown_table,
-        verdict_text,
-        worst_of_families,
     )
 
-    step(Step("computing", "comparing effects"))
-    rows = compare_effects(machine, names or None)
-    calibrated = compare_machine(machine) if any(machine.values.values()) else ()
-    sections = [("Every effect at its tolerance", rows)]
-    if calibrated:
-        sections.insert(0, (f"{machine.spec.name}: all it has, and each alone", calibrated))
-    figures = _figures(machine, worst_of_families(rows), bool(calibrated), step) if draw else {}
-    text = f"{verdict_text()} {LEGEND}\n"
-    for heading, some in sections:
-        text += f"\n## {heading}\n\n{markdown_table(some)}"
-    title = "When the simplified model is good enough"
-    files = {
-        "table.csv": csv_table([*calibrated, *rows]),
-        "table.md": f"# {title}\n\n{text}",
+    tables = "".join(f"\n## {name}\n\n{markdown_table(rows)}" for name, rows in sections)
+    return {
+        "table.csv": csv_table([row for _, rows in sections for row in rows]),
+        "table.md": f"# {_TITLE}\n\n{LIMITS} {LEGEND}\n{tables}",
         **{f"figures/{name}.svg": svg for name, svg in figures.items()},
-        "compare.html": comparison_page(title, sections, list(figures.values())),
+        "compare.html": comparison_page(_TITLE, sections, list(figures.values())),
     }
-    return files, rows, calibrated
 
 
-def _figures(
-    machine: Machine, worst: tuple[Row, ...], calibrated: bool, step: Progress
-) -> dict[str, str]:
-    """The machine as identified, and each family the reduction cannot follow, at its worst."""
-    from dataclasses import replace
+def _figures(machine: Machine, rows: tuple[Row, ...], step: Progress) -> Iterator[tuple[str, str]]:
+    """The machine as identified, and each effect the reduction cannot follow, at its worst."""
+    from orthoglide.comparison import slices
+    from orthoglide.comparison.tables import slice_figure
 
-    from orthoglide.comparison import slice_figure, slices
-    from orthoglide.machine import Machine
-
-    figures = {}
-    if calibrated:
-        step(Step("computing", "drawing the machine"))
-        figures["machine"] = slice_figure(machine.spec.name, slices(machine))
-    plain = Machine(replace(machine.spec, parameters={}))
-    for row in worst:
-        if not row.good_enough and row.fitted.max > 0:
-            step(Step("computing", f"drawing {row.name}"))
-            planes = slices(plain.with_parameters({row.name: row.value}))
-            figures[row.name] = slice_figure(f"{row.name} at its tolerance", planes)
-    return figures
+    for row in rows:
+        step(Step("computing", f"drawing {row.name}"))
+        if not row.effect:
+            yield row.name, slice_figure(machine.spec.name, slices(machine))
+        elif not row.good_enough and row.fitted.max > 0:
+            alone = machine.with_only({row.name: row.value})
+            yield row.name, slice_figure(f"{row.name} at its tolerance", slices(alone))

@@ -10,19 +10,21 @@ from typing import Any
 
 import click
 
-from orthoglide.cli.kept import Kept, read_result
 from orthoglide.cli.options import PATH, out_option
 from orthoglide.cli.progress import progress
 from orthoglide.cli.writing import write_results
-from orthoglide.errors import NumericsError
+from orthoglide.errors import FileError, NumericsError
 from orthoglide.progress import Step
 
 SAME = 1e-6
 """Relative difference up to which numbers count as equal: other processors round otherwise."""
 
 _TINY = 1e-9  # millimetres, or what else a number stands for: rounding of what should be zero
-_APART = ("version", "inputs", "machine", "method")  # what a run is told, or how it got there
+_APART = ("version", "inputs", "machine", "method")  # what was given, or how the numbers were found
 _FEW_SAID = 5
+
+SCHEMAS = (1, 2)
+"""Of results that can be run again."""
 
 
 @click.command()
@@ -34,8 +36,11 @@ _FEW_SAID = 5
     metavar="FOLDER",
     help="Where the files lie that were read; else beside the result, or above it, or here.",
 )
-@click.option("--quiet", is_flag=True, help="No progress; only what differs is told.")
-def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> None:
+@click.option("--effects-file", type=PATH, metavar="FILE.py", help="As the run was given.")
+@click.option("--quiet", is_flag=True, help="No progress; only what differs is said.")
+def rerun(
+    result: Path, out: Path | None, inputs: Path | None, effects_file: Path | None, quiet: bool
+) -> None:
     """Do a run again from the rows kept in its result, and compare the numbers.
 
     Tells which of the files that were read have changed since. Exit code 0 where the numbers are
@@ -48,10 +53,17 @@ def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> N
     old = read_result(result)
     with progress(quiet) as step:
         step(Step("reading"))
-        kept = Kept.of(old, result)
-        files = kept.files(step, whole=out is not None)
-        new = json.loads(files["result.json"])
-        differences = list(compare(_numbers(old), _numbers(new)))
+        from orthoglide.closing import run
+        from orthoglide.effects.loading import load_effects
+        from orthoglide.report import report_files, result_text
+        from orthoglide.request import request_of
+
+        effects = () if effects_file is None else load_effects(effects_file)
+        found = run(request_of(old, str(result), effects), step)
+        files = report_files(found, step) if out is not None else {}
+        new = json.loads(files.get("result.json") or result_text(found))
+        numbers = _numbers(new, old["schema"])
+        differences = list(compare(_numbers(old, old["schema"]), numbers))
         if out is not None and not differences:
             write_results(out, files)
     folders = (inputs,) if inputs else (result.parent, result.parent.parent, Path())
@@ -68,7 +80,7 @@ def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> N
             f"{click.format_filename(result)} is not reproduced: {shown}{tail}; nothing was written"
         )
     if not quiet:
-        count = sum(1 for _ in leaves(_numbers(new)))
+        count = sum(1 for _ in leaves(numbers))
         click.echo(f"The same numbers again: all {count} agree.")
         if out is not None:
             click.echo(f"Report: {click.format_filename(out / 'report.html')}")
@@ -82,11 +94,11 @@ def input_lines(result: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[
     from orthoglide.files import sha256
 
     machine = result["machine"]
-    told = [(i["file"], i["sha256"]) for i in result["inputs"]]
+    given = [(i["file"], i["sha256"]) for i in result["inputs"]]
     if machine.get("file") and machine.get("sha256"):
-        told.append((machine["file"], machine["sha256"]))
+        given.append((machine["file"], machine["sha256"]))
     packaged = result["command"] == "demo"
-    for name, digest in () if packaged else told:
+    for name, digest in () if packaged else given:
         path = next((f / name for f in folders if (f / name).is_file()), None)
         if path is None:
             yield f"{name}: not here; the rows kept in the result were used."
@@ -98,8 +110,53 @@ def input_lines(result: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[
             )
 
 
-def _numbers(result: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in result.items() if k not in _APART}
+def read_result(path: Path) -> dict[str, Any]:
+    """A ``result.json`` that can be run again.
+
+    Raises:
+        FileError: where it is none.
+    """
+    from orthoglide.files import decode, read_bytes
+    from orthoglide.request import COMMANDS as KNOWN
+
+    try:
+        found = json.loads(decode(read_bytes(path), path))
+    except json.JSONDecodeError as error:
+        raise FileError(
+            f"is not JSON ({error.msg}): give the result.json of a run",
+            file=str(path), line=error.lineno,
+        ) from None  # fmt: skip
+    except FileError:
+        raise
+    except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
+        raise FileError("is no result: give the result.json of a run", file=str(path)) from None
+    given = found.get("arguments") if isinstance(found, dict) else None
+    if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
+        raise FileError(
+            "is of --fit-tcp, which kept no rows then: run that command again", file=str(path)
+        )
+    needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
+    missing = [n for n in needed if not isinstance(found, dict) or n not in found]
+    if missing:
+        raise FileError(
+            f"has no {missing[0]!r}: give the result.json of a run as it was written",
+            file=str(path),
+        )
+    if found["schema"] not in SCHEMAS or found["command"] not in KNOWN:
+        raise FileError(
+            f"is of schema {found['schema']}, command {found['command']!r}: this version runs "
+            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(KNOWN)} again",
+            file=str(path),
+        )
+    return found
+
+
+def _numbers(result: Mapping[str, Any], schema: int) -> dict[str, Any]:
+    """What must be the same again; of a result of the first schema the values identified."""
+    if schema > 1:
+        return {k: v for k, v in result.items() if k not in _APART}
+    values = result.get("parameters") or {}
+    return {name: {"value": v["value"], "sigma": v["sigma"]} for name, v in values.items()}
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:

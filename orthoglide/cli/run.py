@@ -73,15 +73,15 @@ def stop_cleanly() -> None:
             context.meta[_STOP] = True
         raise KeyboardInterrupt
 
-    told = sys.unraisablehook
+    shown = sys.unraisablehook
 
-    def tell(what: sys.UnraisableHookArgs) -> None:
+    def show(what: sys.UnraisableHookArgs) -> None:
         if not issubclass(what.exc_type, KeyboardInterrupt):  # the context remembers that one
-            told(what)
+            shown(what)
 
-    sys.unraisablehook = tell
-    for asked in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(asked, interrupt)
+    sys.unraisablehook = show
+    for which in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(which, interrupt)
 
 
 def stop_if_asked() -> None:

@@ -6,42 +6,22 @@ fitted to the TCP over the workspace, and separately to the readings of a campai
 what a user of the simplified model cannot get rid of. Everything here is nonlinear.
 """
 
-from orthoglide.comparison.bench import Circumstances, cube
-from orthoglide.comparison.comparing import Slice, compare_effects, compare_machine, slices
-from orthoglide.comparison.rows import (
-    ALIKE,
-    READING_LIMIT,
-    TCP_LIMIT,
-    Difference,
-    Row,
-    worst_of_families,
+from orthoglide.comparison.comparing import (
+    Circumstances,
+    Slice,
+    compare_effects,
+    compare_machine,
+    slices,
 )
-from orthoglide.comparison.tables import (
-    LEGEND,
-    comparison_page,
-    csv_table,
-    markdown_table,
-    slice_figure,
-    verdict_text,
-)
+from orthoglide.comparison.rows import Difference, Row, worst_by_effect
 
 __all__ = [
-    "ALIKE",
-    "LEGEND",
-    "READING_LIMIT",
-    "TCP_LIMIT",
     "Circumstances",
     "Difference",
     "Row",
     "Slice",
     "compare_effects",
     "compare_machine",
-    "comparison_page",
-    "csv_table",
-    "cube",
-    "markdown_table",
-    "slice_figure",
     "slices",
-    "verdict_text",
-    "worst_of_families",
+    "worst_by_effect",
 ]

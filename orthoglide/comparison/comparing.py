@@ -1,18 +1,187 @@
-"""Compare effects, machines and planes of the workspace."""
+"""Effects, machines and planes of the workspace: the mechanism, and the reduction fitted to it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orthoglide import reduction
-from orthoglide.comparison.bench import Bench, Circumstances, cube, fit_tcp, reduced
-from orthoglide.comparison.rows import Row
-from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, elementary, family_of, is_dial
-from orthoglide.geometry import Array
+from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
+from orthoglide.observations.protocols import Kind, protocol
+from orthoglide.prediction import Conditions
+from orthoglide.units import ONE
+
+_FIT_STEPS = 20
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What the machine goes through while it is compared.
+
+    The workspace is visited twice: cold, at time zero, every axis arriving in the + direction;
+    then warm, at the end, every axis arriving in the - direction. Six constants must do for both.
+    Where the machine file gives a stiffness, the load deforms the machine too.
+
+    Attributes:
+        points: of the workspace along each axis.
+        warming: kelvin from the first visit to the second, and over the campaign.
+        duration: seconds from the first visit to the second; the campaign's is its protocol's.
+        load: newtons at the TCP along base -z, always.
+        pitch: of the screws, metres, where the machine file names none.
+        kind: protocol of the campaign.
+    """
+
+    points: int = 7
+    warming: float = 5.0
+    duration: float = 3600.0
+    load: float = 10.0
+    pitch: float = 0.016
+    kind: Kind = "sweep"
+
+    def twice(self, rho: Array) -> Conditions:
+        """Conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
+        late = np.repeat([0.0, 1.0], len(rho))
+        return Conditions.at(
+            np.tile(rho, (2, 1)),
+            approach=np.tile(1.0 - 2.0 * late[:, None], 3),
+            time=late * self.duration,
+            warming=late * self.warming,
+            load=self.load,
+        )
+
+    def campaign(self, geometry: Geometry) -> Campaign:
+        """A sheet of the protocol that warms up evenly, under the load."""
+        blank = protocol(self.kind, geometry)
+        warmth = 20.0 + self.warming * blank.time / blank.time.max()
+        return replace(blank, temperature=warmth, load=np.full(len(blank), self.load))
+
+
+def cube(geometry: Geometry) -> tuple[float, float]:
+    """Ends, along every axis, of the largest cube of TCP points that the strokes reach, metres.
+
+    By eq. (3) the carriage goes farthest out at ``p = (high, 0, 0)`` and farthest in at the corner
+    ``low + sqrt(L^2 - 2 max(low^2, high^2)) = L + stroke_low``.
+    """
+    inner, high = geometry.L + geometry.stroke[0], geometry.stroke[1]
+    low = (inner - np.sqrt(3 * geometry.L**2 - 2 * inner**2)) / 3
+    if -low < high:
+        low = inner - np.sqrt(geometry.L**2 - 2 * high**2)
+    return float(low), float(high)
+
+
+class Comparison:
+    """A machine's workspace and campaign, set up once to compare many effects."""
+
+    def __init__(
+        self, machine: Machine | None = None, circumstances: Circumstances | None = None
+    ) -> None:
+        self.circumstances = circumstances or Circumstances()
+        if self.circumstances.points < 2:
+            raise InputError("the workspace needs at least two points along each axis")
+        plain = (machine or Machine.nominal()).with_only({})
+        pitch = plain.spec.screw_pitch or self.circumstances.pitch
+        self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
+        self.geometry, self.model = plain.geometry, self.machine.model
+        side = np.linspace(*cube(self.geometry), self.circumstances.points)
+        grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
+        self.p = np.tile(grid, (2, 1))
+        self.seen = self.circumstances.twice(reduction.inverse(grid, geometry=self.geometry))
+        self.campaign = self.circumstances.campaign(self.geometry)
+        self.shown = self.model.readings({}, self.campaign)
+
+    def mechanism(
+        self, values: Mapping[str, float], seen: Conditions | None = None
+    ) -> tuple[Array, float]:
+        """TCP ``(n, 3)`` where it is visited, and the largest turn of the platform, radians."""
+        distinct, place = self.model.merged(seen or self.seen, values)
+        out = self.model.outputs(values, distinct)
+        skew = out.R - np.swapaxes(out.R, 1, 2)
+        sine = np.linalg.norm(skew[:, [2, 0, 1], [1, 2, 0]], axis=1) / 2
+        return out.p[place], float(np.arcsin(np.clip(sine, 0, 1)).max())
+
+    def reduced(self, six: Array, seen: Conditions | None = None) -> Array:
+        """TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``, metres."""
+        rho = (seen or self.seen).command
+        return reduction.forward(rho, six[:3], six[3:], geometry=self.geometry)
+
+    def fit_tcp(self, p: Array) -> Array:
+        """Offsets and lengths ``(6,)`` with the least squares of TCP differences, Gauss-Newton."""
+        six = np.zeros(6)
+        for _ in range(_FIT_STEPS):
+            found, rho = self.reduced(six), self.seen.command
+            slopes = reduction.jacobians(found, rho, six[:3], six[3:], geometry=self.geometry)
+            columns = np.concatenate(slopes, axis=-1).reshape(-1, 6)
+            step = np.linalg.lstsq(columns, (p - found).reshape(-1), rcond=None)[0]
+            six = six + step
+            if np.abs(step).max() < 1e-12:
+                return six
+        raise NumericsError("the reduction does not converge on the TCP: are the errors absurd?")
+
+    def difference(self, apart: Array) -> Difference:
+        """Differences ``(2 n, 3)`` over the workspace in three numbers."""
+        size = np.linalg.norm(apart, axis=1)
+        x, y, z = self.p[
+            int(np.argmax(size >= size.max() - SAME))
+        ].tolist()  # the first of the same
+        return Difference(float(size.mean()), float(size.max()), (x, y, z))
+
+    def row(self, name: str, value: float, values: Mapping[str, float]) -> Row:
+        """Compare for parameters ``values``; name and value are for the table."""
+        found, rotation = self.mechanism(values)
+        six = self.fit_tcp(found)
+        change, best, priors = self.readings(values)
+        effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
+        nominal, identified = found - self.p, found - self.reduced(priors.values)
+        return Row(
+            name=name,
+            effect=effect.name if effect else "",
+            unit=effect.unit if effect else ONE,
+            value=value,
+            nominal=self.difference(nominal),
+            translated=self.difference(nominal - nominal.mean(axis=0)),
+            fitted=self.difference(found - self.reduced(six)),
+            identified=self.difference(identified - identified.mean(axis=0)),
+            six=tuple(six.tolist()),
+            rotation=rotation,
+            reading_change=float(np.sqrt(np.mean(change**2))),
+            reading_rms=float(np.sqrt(np.mean(best.residuals**2))),
+            reading_max=float(np.abs(best.residuals).max()),
+        )
+
+    def readings(
+        self, values: Mapping[str, float]
+    ) -> tuple[Array, reduction.ReadingFit, reduction.ReadingFit]:
+        """What the effect does to the readings less datums, and the reduction's two fits of them:
+        the best there is, and the one an identification with priors finds.
+        """
+        c, shown = self.campaign, self.model.readings(values, self.campaign)
+        datums = np.eye(len(c.setups))[c.setup]
+        change = shown - self.shown
+        change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
+        setups = [c.setups[k] for k in c.setup]
+        own = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
+        best, priors = (
+            reduction.fit_readings(
+                c.command,
+                c.leg,
+                [setup.axis for setup in setups],
+                [setup.gauge for setup in setups],
+                shown,
+                READING_LIMIT,
+                signs=[setup.sign for setup in setups],
+                prior_sd=prior,
+                nuisance=datums,
+                geometry=self.geometry,
+            )
+            for prior in (np.inf, np.repeat(own, len(LEGS)))
+        )
+        return change, best, priors
 
 
 def compare_effects(
@@ -24,20 +193,21 @@ def compare_effects(
 
     Args:
         machine: dimensions and tolerances; its identified parameters are left out.
-        names: parameters, families or structured members; the whole catalogue where absent, dials
+        names: effects, parameters or structured members; the whole catalogue where absent. Dials
             by the campaign's first setup.
         circumstances: see there.
 
     Raises:
         InputError: for a name that is no effect.
     """
-    bench = Bench(machine or Machine.nominal(), circumstances or Circumstances())
-    plain = bench.machine
+    comparison = Comparison(machine, circumstances)
+    plain, setups = comparison.machine, [setup.name for setup in comparison.campaign.setups]
+    chosen = plain.catalogue.expand(plain.catalogue if names is None else names, setups[:1])
     rows = []
-    for name in _chosen(names, bench.campaign.setups[0].name):
+    for name in chosen:
         value = plain.tolerance(name)
-        parts = elementary(name, tuple(s.name for s in bench.campaign.setups))
-        rows.append(bench.row(name, value, {n: w * value for n, w in parts.items()}))
+        parts = plain.catalogue.elementary(name, setups)
+        rows.append(comparison.row(name, value, {n: w * value for n, w in parts.items()}))
     return tuple(rows)
 
 
@@ -49,10 +219,10 @@ def compare_machine(
     Returns:
         Row ``"machine"`` first, then one for every parameter that is not zero.
     """
-    bench = Bench(machine, circumstances or Circumstances())
+    comparison = Comparison(machine, circumstances)
     values = {name: value for name, value in machine.values.items() if value}
-    alone = (bench.row(name, value, {name: value}) for name, value in values.items())
-    return (bench.row("machine", float("nan"), values), *alone)
+    alone = (comparison.row(name, value, {name: value}) for name, value in values.items())
+    return (comparison.row("machine", float("nan"), values), *alone)
 
 
 @dataclass(frozen=True)
@@ -72,7 +242,7 @@ class Slice:
 
 def slices(
     machine: Machine, points: int = 41, circumstances: Circumstances | None = None
-) -> tuple[Slice, Slice, Slice]:
+) -> tuple[Slice, ...]:
     """Difference of mechanism and fitted reduction on three planes of the cube.
 
     Args:
@@ -80,34 +250,15 @@ def slices(
         points: along each side of a plane.
         circumstances: see there.
     """
-    bench = Bench(machine, circumstances or Circumstances())
-    values = {name: value for name, value in machine.values.items() if not is_dial(name)}
-    found, _ = bench.mechanism(values)
-    six = fit_tcp(bench.commands, found, bench.geometry)
-    side = np.linspace(*cube(bench.geometry), points)
+    comparison = Comparison(machine, circumstances)
+    six = comparison.fit_tcp(comparison.mechanism(machine.values)[0])
+    side = np.linspace(*cube(machine.geometry), points)
     planes = []
     for normal in range(3):
         p = np.insert(np.stack(np.meshgrid(side, side, indexing="ij"), -1), normal, 0.0, -1)
-        rho = reduction.inverse(p.reshape(-1, 3), geometry=bench.geometry)
-        twice = bench.visits(rho)
-        apart = bench.model.outputs(values, twice).p - reduced(twice.command, six, bench.geometry)
+        rho = reduction.inverse(p.reshape(-1, 3), geometry=machine.geometry)
+        seen = comparison.circumstances.twice(rho)
+        apart = comparison.mechanism(machine.values, seen)[0] - comparison.reduced(six, seen)
         size = np.linalg.norm(apart, axis=1).reshape(2, points, points).max(axis=0)
         planes.append(Slice(normal, p, size))
-    return planes[0], planes[1], planes[2]
-
-
-def _chosen(names: Iterable[str] | None, setup: str) -> list[str]:
-    if names is None:
-        dials = [f"{n}.{setup}" for n, family in CATALOGUE.items() if family.group == "dial"]
-        return [*MACHINE_PARAMETERS, *dials]
-    found: dict[str, None] = {}
-    for name in names:
-        family = family_of(name)
-        if name != family.name:
-            many = [name]
-        elif family.group == "dial":
-            many = [f"{name}.{setup}"]
-        else:
-            many = list(family.parameters())
-        found.update(dict.fromkeys(many))
-    return list(found)
+    return tuple(planes)

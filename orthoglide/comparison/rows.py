@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from orthoglide.units import Unit
+
 TCP_LIMIT = 5e-6
 """Metres: the reduction is good enough where its fitted TCP is nowhere further off ..."""
 
 READING_LIMIT = 5e-6
 """... and its fitted readings are no further off, rms: half the step of a workshop dial."""
 
-ALIKE = 1e-9
+SAME = 1e-9
 """Metres: differences that are closer together than this are the same."""
 
 
@@ -35,8 +37,10 @@ class Row:
     """How far the reduction is from the mechanism with one effect, or with all of a machine.
 
     Attributes:
-        name: of the effect, or ``"machine"``.
-        value: of its parameter, SI; nan for a machine.
+        name: of the parameter, or ``"machine"``.
+        effect: of the parameter; empty for a machine.
+        unit: in which files show the parameter.
+        value: of the parameter, SI; nan for a machine.
         nominal: at the TCP, all six parameters of the reduction at zero: what the effect does.
         translated: the same after the best translation.
         fitted: with the six parameters fitted to the TCP.
@@ -50,6 +54,8 @@ class Row:
     """
 
     name: str
+    effect: str
+    unit: Unit
     value: float
     nominal: Difference
     translated: Difference
@@ -72,20 +78,26 @@ class Row:
         excess = max(self.fitted.max / TCP_LIMIT, self.reading_rms / READING_LIMIT)
         return float(abs(self.value) / excess) if excess > 1e-6 else float("inf")
 
+    def __str__(self) -> str:
+        answer = "will do" if self.good_enough else "will not do"
+        return (
+            f"{self.name:<24} TCP {self.fitted.max * 1e6:8.2f} µm, readings "
+            f"{self.reading_rms * 1e6:8.2f} µm rms: the reduction {answer}"
+        )
 
-def worst_of_families(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Of every family the row in which the reduction does worst, in the order of the rows.
 
-    The first of those that are alike, as the legs of one family mostly are.
+def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """Of every effect the row in which the reduction does worst, in the order of the rows.
+
+    The first of those that are the same, as the legs of one effect mostly are.
     """
     found: dict[str, Row] = {}
     for row in rows:
-        family = row.name.partition(".")[0]
-        if family not in found or _worse(row, found[family]):
-            found[family] = row
+        if row.effect not in found or _worse(row, found[row.effect]):
+            found[row.effect] = row
     return tuple(found.values())
 
 
 def _worse(one: Row, other: Row) -> bool:
     apart = one.fitted.max - other.fitted.max
-    return apart > ALIKE or (abs(apart) <= ALIKE and one.reading_rms > other.reading_rms + ALIKE)
+    return apart > SAME or (abs(apart) <= SAME and one.reading_rms > other.reading_rms + SAME)

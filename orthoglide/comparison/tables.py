@@ -5,117 +5,128 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
-from typing import Any
 
 from orthoglide.comparison.comparing import Slice
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
-from orthoglide.effects import family_of
+from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
 
 _UM = 1e6
-_HEAD = (
-    "effect", "size", "TCP as it is: mean, max", "best translation: max",
-    "six fitted: mean, max", "where", "platform turns", "readings: change",
-    "six fitted: rms, max", "calibrated TCP: max", "reduction will do", "up to",
-)  # fmt: skip
+
+LIMITS = (
+    f"The reduction will do where, after its six parameters are fitted, the TCP is nowhere more "
+    f"than {TCP_LIMIT * _UM:g} µm and the readings no more than {READING_LIMIT * _UM:g} µm rms "
+    f"from the mechanism."
+)
+"""What "the reduction will do" means."""
+
+LEGEND = (
+    "Lengths in µm, turns of the platform in µrad, places as TCP in mm, all over the cube of TCP "
+    "points within the strokes; calibrated TCP: identified from the readings with the tolerances "
+    "as priors, after the best translation; up to: the size at which the reduction stops being "
+    "enough, by proportion."
+)
+"""What the table's columns are."""
+
+_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;"
+    "color:#1f2a33}div{overflow-x:auto}table{border-collapse:collapse;font-size:13px}"
+    "td,th{border-bottom:1px solid #dfe4e8;padding:.25rem .5rem;text-align:right;"
+    "white-space:nowrap}th{white-space:normal}td:first-child,th:first-child{text-align:left}"
+    "caption{font-size:17px;font-weight:bold;text-align:left}"
+    "figure{margin:1.5rem 0}svg{max-width:100%;height:auto}"
+)
 
 
-def verdict_text() -> str:
-    """What "the reduction will do" means."""
-    return (
-        f"The reduction will do where, after its six parameters are fitted, the TCP is nowhere "
-        f"more than {TCP_LIMIT * _UM:g} µm and the readings no more than {READING_LIMIT * _UM:g} "
-        f"µm rms from the mechanism."
-    )
+def micrometres(*values: float) -> str:
+    """Lengths in micrometres, three digits at most; below a nanometre they count as 0."""
+
+    def one(size: float) -> str:
+        if size < 1e-3:
+            return "0"
+        return f"{size:.{max(0, min(2, 2 - math.floor(math.log10(size))))}f}"
+
+    return ", ".join(one(abs(value) * _UM) for value in values)
 
 
-def micrometres(value: float) -> str:
-    """A length in micrometres, three digits at most; below a nanometre it counts as 0."""
-    size = abs(value) * _UM
-    if size < 1e-3:
-        return "0"
-    return f"{size:.{max(0, min(2, 2 - math.floor(math.log10(size))))}f}"
-
-
-def _size(row: Row, value: float) -> str:
+def _size(row: Row, value: float, machine: str) -> str:
     if math.isnan(value):
-        return "all"
+        return machine
     if math.isinf(value):
         return "any"
-    unit = family_of(row.name).unit
-    return f"{value / unit.si:.2g}" + ("" if unit.name == "1" else f" {unit.name}")
+    return f"{value / row.unit.si:.2g}" + ("" if row.unit.name == "1" else f" {row.unit.name}")
 
 
-def _place(where: Difference) -> str:
-    if where.max * _UM < 1e-3:
+def _place(difference: Difference) -> str:
+    if difference.max * _UM < 1e-3:
         return "–"
-    return "({})".format(", ".join(f"{x * 1e3:.0f}".replace("-0", "0") for x in where.where))
+    return "({})".format(", ".join(f"{x * 1e3:.0f}".replace("-0", "0") for x in difference.where))
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    def both(d: Difference) -> str:
-        return f"{micrometres(d.mean)}, {micrometres(d.max)}"
+_COLUMNS: dict[str, Callable[[Row], str]] = {
+    "effect": lambda row: row.name,
+    "size": lambda row: _size(row, row.value, "all"),
+    "TCP as it is: mean, max": lambda row: micrometres(row.nominal.mean, row.nominal.max),
+    "best translation: max": lambda row: micrometres(row.translated.max),
+    "six fitted: mean, max": lambda row: micrometres(row.fitted.mean, row.fitted.max),
+    "where": lambda row: _place(row.fitted),
+    "platform turns": lambda row: micrometres(row.rotation),
+    "readings: change": lambda row: micrometres(row.reading_change),
+    "six fitted: rms, max": lambda row: micrometres(row.reading_rms, row.reading_max),
+    "calibrated TCP: max": lambda row: micrometres(row.identified.max),
+    "reduction will do": lambda row: "yes" if row.good_enough else "no",
+    "up to": lambda row: _size(row, row.value and row.good_up_to, "–"),
+}
 
-    return (
-        row.name,
-        _size(row, row.value),
-        both(row.nominal),
-        micrometres(row.translated.max),
-        both(row.fitted),
-        _place(row.fitted),
-        micrometres(row.rotation),
-        micrometres(row.reading_change),
-        f"{micrometres(row.reading_rms)}, {micrometres(row.reading_max)}",
-        micrometres(row.identified.max),
-        "yes" if row.good_enough else "no",
-        "–" if math.isnan(row.value) else _size(row, row.good_up_to),
-    )
+
+def _table(rows: Sequence[Row]) -> dict[str, list[str]]:
+    return {head: [cell(row) for row in rows] for head, cell in _COLUMNS.items()}
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
     """The table in Markdown: micrometres, microradians, and millimetres for places."""
-    lines = ["| " + " | ".join(_HEAD) + " |", "|" + "---|" * len(_HEAD)]
-    lines += ["| " + " | ".join((f"`{c[0]}`", *c[1:])) + " |" for c in map(_cells, rows)]
+    table = _table(rows)
+    table["effect"] = [f"`{name}`" for name in table["effect"]]
+    cells = [tuple(table), *zip(*table.values(), strict=True)]
+    lines = ["| " + " | ".join(line) + " |" for line in cells]
+    lines.insert(1, "|" + "---|" * len(table))
     return "\n".join(lines) + "\n"
 
 
 def csv_table(rows: Sequence[Row]) -> str:
     """All numbers of the rows as CSV, names with their unit."""
+    records = [_record(row) for row in rows]
     stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    for k, row in enumerate(rows):
-        record = _record(row)
-        if k == 0:
-            writer.writerow(record)
-        writer.writerow(record.values())
+    writer = csv.DictWriter(stream, list(records[0]) if records else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
     return stream.getvalue()
 
 
-def _record(row: Row) -> dict[str, Any]:
-    unit = None if math.isnan(row.value) else family_of(row.name).unit
-    record: dict[str, Any] = {
+def _record(row: Row) -> dict[str, str]:
+    alone = not math.isnan(row.value)
+    record = {
         "effect": row.name,
-        "value": "" if unit is None else f"{row.value / unit.si:.6g}",
-        "unit": "" if unit is None else unit.name,
+        "value": f"{row.value / row.unit.si:.6g}" if alone else "",
+        "unit": row.unit.name if alone else "",
     }
     for name in ("nominal", "translated", "fitted", "identified"):
-        difference: Difference = getattr(row, name)
-        record[f"tcp_{name}_mean_mm"] = f"{difference.mean * 1e3:.7f}"
-        record[f"tcp_{name}_max_mm"] = f"{difference.max * 1e3:.7f}"
-        for axis, at in zip(LEGS, difference.where, strict=True):
+        found: Difference = getattr(row, name)
+        record[f"tcp_{name}_mean_mm"] = f"{found.mean * 1e3:.7f}"
+        record[f"tcp_{name}_max_mm"] = f"{found.max * 1e3:.7f}"
+        for axis, at in zip(LEGS, found.where, strict=True):
             record[f"tcp_{name}_max_at_{axis}_mm"] = f"{at * 1e3:.3f}"
     six = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in LEGS)
-    record.update({n: f"{v * 1e3:.7f}" for n, v in zip(six, row.six, strict=True)})
-    return {
-        **record,
-        "rotation_max_rad": f"{row.rotation:.9f}",
-        "reading_change_rms_mm": f"{row.reading_change * 1e3:.7f}",
-        "reading_fitted_rms_mm": f"{row.reading_rms * 1e3:.7f}",
-        "reading_fitted_max_mm": f"{row.reading_max * 1e3:.7f}",
-        "reduction_will_do": "yes" if row.good_enough else "no",
+    lengths = dict(zip(six, row.six, strict=True)) | {
+        "reading_change_rms_mm": row.reading_change,
+        "reading_fitted_rms_mm": row.reading_rms,
+        "reading_fitted_max_mm": row.reading_max,
     }
+    record |= {name: f"{value * 1e3:.7f}" for name, value in lengths.items()}
+    record["rotation_max_rad"] = f"{row.rotation:.9f}"
+    return record | {"reduction_will_do": "yes" if row.good_enough else "no"}
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
@@ -132,15 +143,10 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
         axes = figure.subplots(1, 3)
         for ax, plane in zip(axes, planes, strict=True):
             across, up = (axis for axis in range(3) if axis != plane.normal)
-            mesh = ax.pcolormesh(
-                plane.p[..., across] * 1e3,
-                plane.p[..., up] * 1e3,
-                plane.difference * _UM,
-                vmin=0,
-                vmax=max(top, 1e-3),
-                shading="nearest",
-                rasterized=True,
-            )
+            x, y = plane.p[..., across] * 1e3, plane.p[..., up] * 1e3
+            size = plane.difference * _UM
+            limits = {"vmin": 0, "vmax": max(top, 1e-3)}
+            mesh = ax.pcolormesh(x, y, size, shading="nearest", rasterized=True, **limits)
             ax.set(xlabel=f"{LEGS[across]}, mm", ylabel=f"{LEGS[up]}, mm", aspect="equal")
             ax.set_title(f"{LEGS[plane.normal]} = 0", fontsize="medium")
         figure.colorbar(mesh, ax=axes, label="difference at the TCP, µm")
@@ -154,36 +160,12 @@ def comparison_page(
     title: str, sections: Sequence[tuple[str, Sequence[Row]]], figures: Sequence[str]
 ) -> str:
     """One self-contained HTML page: tables by heading, then figures (SVG texts)."""
-    body = [f"<h1>{escape(title)}</h1><p>{escape(verdict_text())} {escape(LEGEND)}</p>"]
-    for heading, rows in sections:
-        head = "".join(f"<th>{escape(name)}</th>" for name in _HEAD)
-        lines = [
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in _cells(row)) + "</tr>"
-            for row in rows
-        ]
-        table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-        body.append(f"<h2>{escape(heading)}</h2><div>{table}</div>")
-    body += [f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures]
+    tables = (html_table(heading, _table(rows), len(rows)) for heading, rows in sections)
+    drawings = (f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head>"
-        f"<body>{''.join(body)}</body></html>\n"
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>"
+        f"<h1>{escape(title)}</h1><p>{escape(f'{LIMITS} {LEGEND}')}</p>"
+        f"<div>{'</div><div>'.join(tables)}</div>{''.join(drawings)}</body></html>\n"
     )
-
-
-LEGEND = (
-    "Lengths in µm, turns of the platform in µrad, places as TCP in mm, all over the cube of TCP "
-    "points within the strokes; calibrated TCP: identified from the readings with the tolerances "
-    "as priors, after the best translation; up to: the size at which the reduction stops being "
-    "enough, by proportion."
-)
-"""What the table's columns are."""
-
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;"
-    "color:#1f2a33}div{overflow-x:auto}table{border-collapse:collapse;font-size:13px}"
-    "td,th{border-bottom:1px solid #dfe4e8;padding:.25rem .5rem;text-align:right;"
-    "white-space:nowrap}th{white-space:normal}td:first-child,th:first-child{text-align:left}"
-    "figure{margin:1.5rem 0}svg{max-width:100%;height:auto}"
-)

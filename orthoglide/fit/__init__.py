@@ -1,9 +1,11 @@
 """Identification: from readings to parameters, with their uncertainty and cross-check."""
 
+from orthoglide.fit.change import Change
 from orthoglide.fit.crosscheck import CrossCheck
-from orthoglide.fit.earlier import Change, account_for_changes
+from orthoglide.fit.earlier import account_for_changes
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.identifying import Source, assemble, identify
+from orthoglide.fit.factors import Frame
+from orthoglide.fit.identifying import Source, assemble, identify, sorted_out
 from orthoglide.fit.noise import Noise, noise_of
 from orthoglide.fit.problem import Problem, Unknown
 from orthoglide.fit.scores import Scores
@@ -15,6 +17,7 @@ __all__ = [
     "Change",
     "CrossCheck",
     "Estimate",
+    "Frame",
     "Method",
     "Noise",
     "Problem",
@@ -30,5 +33,6 @@ __all__ = [
     "identify",
     "noise_of",
     "solve",
+    "sorted_out",
     "with_free",
 ]

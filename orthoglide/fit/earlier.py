@@ -7,11 +7,12 @@ the new readings, one parameter after the other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from orthoglide.fit.change import Change
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import normal
 from orthoglide.fit.problem import Earlier, Problem
@@ -25,29 +26,6 @@ from orthoglide.parameters import Parameter
 _ODDS = 3.0
 _ALIKE = 2.0  # log Bayes factor within which two changes cannot be told apart
 _MOST = 12
-
-
-@dataclass(frozen=True)
-class Change:
-    """A parameter that is not what it was.
-
-    Attributes:
-        parameter: the most probable one.
-        members: all whose change these readings cannot tell from its, itself first.
-        between: names of the files before and after.
-        before: value before, SI.
-        after: value now, SI.
-        sigma: of the difference, SI.
-        evidence: log Bayes factor in its favour, the number of its like discounted.
-    """
-
-    parameter: Parameter
-    members: tuple[Parameter, ...]
-    between: tuple[str, str]
-    before: float
-    after: float
-    sigma: float
-    evidence: float
 
 
 def earlier_of(machine: Machine) -> Earlier | None:
@@ -81,19 +59,25 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
         return estimate
     last = now.problem.factors[now.problem.last]
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
-    changes = tuple(
-        Change(
-            parameter,
-            members,
-            (old, last.name),
-            _earlier_value(start.problem, parameter)[0],
-            now.values[parameter],
-            float(np.hypot(now.sigmas[parameter], _earlier_value(start.problem, parameter)[1])),
-            evidence,
+    changes = []
+    for parameter, members, evidence in found:
+        before, sd = _earlier_value(start.problem, parameter)
+        sigma, unit = now.sigmas[parameter], now.unit(parameter)
+        changes.append(
+            Change(
+                parameter,
+                members,
+                "",
+                (old, last.name),
+                evidence,
+                unit,
+                before,
+                now.values[parameter],
+                float(np.hypot(sigma, sd)),
+                sigma,
+            )
         )
-        for parameter, members, evidence in found
-    )
-    return replace(now, changes=changes)
+    return replace(now, changes=tuple(changes))
 
 
 def _earlier_value(problem: Problem, parameter: Parameter) -> tuple[float, float]:

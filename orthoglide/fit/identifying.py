@@ -92,19 +92,30 @@ def assemble(
     frame: Frame = "rigid",
 ) -> Problem:
     """The problem of dial readings and TCP points together; arguments as of :func:`identify`."""
-    alone = isinstance(given, Campaign | TcpPoints | str | PathLike)
-    several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
-    points = tuple(g for g in several if isinstance(g, TcpPoints))
-    others = [g for g in several if not isinstance(g, TcpPoints)]
-    campaigns: tuple[Campaign, ...] = ()
-    if others or not points:
-        campaigns = as_campaigns(others, machine.spec)
+    campaigns, points = sorted_out(given, machine)
     level = noise_of(campaigns, machine.spec.dial, noise)
     readings = [_tcp_readings(p, machine, frame, None if campaigns else noise) for p in points]
     return build_problem(
         machine, campaigns, free, level, own=own, priors=priors, bounds=bounds, points=readings,
         earlier=earlier_of(machine) if priors else None,
     )  # fmt: skip
+
+
+def sorted_out(
+    given: Source | Sequence[Source], machine: Machine
+) -> tuple[tuple[Campaign, ...], tuple[TcpPoints, ...]]:
+    """Campaigns, paths read, and TCP points apart.
+
+    Raises:
+        InputError: where there is neither, or a file cannot be read.
+    """
+    alone = isinstance(given, Campaign | TcpPoints | str | PathLike)
+    several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
+    points = tuple(g for g in several if isinstance(g, TcpPoints))
+    others = [g for g in several if not isinstance(g, TcpPoints)]
+    if points and not others:
+        return (), points
+    return as_campaigns(others, machine.spec), points
 
 
 def _tcp_readings(

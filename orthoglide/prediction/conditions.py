@@ -72,8 +72,8 @@ class Conditions:
         """Distinct conditions and, for each row, which of them it has.
 
         Args:
-            needs: what makes a difference besides command and load: ``"approach"``, ``"time"``,
-                ``"temperature"``.
+            needs: what makes a difference besides the command: ``"approach"``, ``"time"``,
+                ``"temperature"``, ``"load"``; the rest is zero.
         """
         table = np.column_stack(
             [
@@ -81,7 +81,7 @@ class Conditions:
                 self.approach * ("approach" in needs),
                 self.time * ("time" in needs),
                 self.warming * ("temperature" in needs),
-                self.load,
+                self.load * ("load" in needs),
             ]
         )
         distinct, place = np.unique(table, axis=0, return_inverse=True)

@@ -258,7 +258,10 @@ class Model:
             The distinct ones, and the place among them of each ``(n,)``.
         """
         used = {self.catalogue.effect_of(name) for name in names}
-        return conditions.merged(frozenset().union(*(e.needs for e in used if not e.of_dial)))
+        needs = frozenset().union(*(e.needs for e in used if not e.of_dial))
+        # Forces cost a closure of their own: no load where nothing gives way to it.
+        soft = frozenset() if self.stiffness.bar is None else frozenset({"load"})
+        return conditions.merged(needs | soft)
 
     def readings(self, values: Mapping[str, float], campaign: Campaign) -> Array:
         """Readings ``(n,)``, datums apart, metres."""

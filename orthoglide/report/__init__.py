@@ -1,4 +1,7 @@
-"""What a run leaves behind: result.json, calibrated.toml, residuals.csv, figures and a report."""
+"""What a run leaves behind: result.json, calibrated.toml, residuals.csv, figures and a report.
+
+Everything here reads a `Result` and computes nothing of its own.
+"""
 
 from __future__ import annotations
 
@@ -7,115 +10,68 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.report.run import InputFile, Run, read_input
+from orthoglide.report.folder import check_folder, write_folder
+from orthoglide.report.result_json import result_text
+from orthoglide.report.text import summary
 
 if TYPE_CHECKING:
-    from orthoglide.closing import Verdict
-    from orthoglide.fit import Estimate
-    from orthoglide.report.verdict_view import View
+    from orthoglide.result import Result
 
 __all__ = [
-    "InputFile",
-    "Run",
-    "identification_files",
-    "read_input",
+    "check_folder",
+    "report_files",
     "result_text",
-    "verdict_files",
-    "write_verdict",
+    "summary",
+    "write_folder",
+    "write_report",
 ]
 
 
-Files = dict[str, str]
-
-
-def identification_files(estimate: Estimate, run: Run) -> Files:
-    """All files of an identification's folder, by name: text, in the order to write them.
+def report_files(result: Result, progress: Progress = silent) -> dict[str, str]:
+    """All files of a result's folder, by name: text, in the order to write them.
 
     Nothing in them depends on when or where they are made.
 
     Args:
-        estimate: what was found.
-        run: what was asked, and of which files.
-    """
-    from orthoglide.machine_file import machine_text
-    from orthoglide.report.figures import draw
-    from orthoglide.report.html import identification_page
-    from orthoglide.report.result import (
-        calibrated_machine,
-        identification_result,
-        residual_table,
-        to_json,
-    )
-
-    drawings = draw(estimate)
-    return {
-        "calibrated.toml": machine_text(calibrated_machine(estimate, run), "calibrated.toml"),
-        "residuals.csv": residual_table(estimate),
-        **{f"figures/{d.name}.svg": d.svg for d in drawings},
-        "report.html": identification_page(estimate, run, drawings),
-        "result.json": to_json(identification_result(estimate, run)),
-    }
-
-
-def result_text(view: View, run: Run) -> str:
-    """The text of a closed loop's ``result.json``.
-
-    Args:
-        view: of the verdict.
-        run: what was asked, and of which files.
-    """
-    from orthoglide.report.result import to_json
-    from orthoglide.report.verdict_result import verdict_result
-
-    return to_json(verdict_result(view, run))
-
-
-def verdict_files(view: View, run: Run, progress: Progress = silent) -> Files:
-    """All files of a closed loop's folder, by name: text, in the order to write them.
-
-    Nothing in them depends on when or where they are made.
-
-    Args:
-        view: of the verdict.
-        run: what was asked, and of which files.
+        result: what was found.
         progress: called with each step.
     """
     from orthoglide.machine_file import machine_text
-    from orthoglide.report.verdict_figures import draw_verdict
-    from orthoglide.report.verdict_html import verdict_page
-    from orthoglide.report.verdict_result import calibrated_machine, next_table, residual_table
+    from orthoglide.observations import campaign_text
+    from orthoglide.report.figures.draw import draw
+    from orthoglide.report.page import page
+    from orthoglide.report.tables import calibrated_machine, residual_table
 
-    verdict = view.verdict
     progress(Step("suggesting"))
-    sheet = next_table(view)
-    result = result_text(view, run)
+    proposed, spec = result.next_sheet, result.request.machine.spec
+    sheet = "" if proposed is None else campaign_text(proposed, spec)
+    text = result_text(result)
     progress(Step("drawing"))
-    drawings = draw_verdict(view)
+    drawings = draw(result)
     progress(Step("writing"))
     return {
-        "calibrated.toml": machine_text(calibrated_machine(verdict, run), "calibrated.toml"),
-        "residuals.csv": residual_table(verdict),
+        "calibrated.toml": machine_text(calibrated_machine(result), "calibrated.toml"),
+        "residuals.csv": residual_table(result),
         **({"next_measurements.csv": sheet} if sheet else {}),
         **{f"figures/{d.name}.svg": d.svg for d in drawings},
-        "report.html": verdict_page(view, run, drawings, sheet),
-        "result.json": result,
+        "report.html": page(result, drawings, sheet),
+        "result.json": text,
     }
 
 
-def write_verdict(verdict: Verdict, folder: str | os.PathLike[str]) -> None:
-    """Write a verdict's report into a new folder, as the command line does.
+def write_report(
+    result: Result, folder: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Write a result's files into a folder, as the command line does.
 
     Args:
-        verdict: what was found.
-        folder: new or empty.
+        result: what was found.
+        folder: new or empty, or an earlier report that may be replaced.
+        overwrite: whether it may.
 
     Raises:
-        FileError: where the folder exists and is not empty, or cannot be written.
+        FileError: where the folder is not empty and not replaced, or cannot be written.
     """
-    from orthoglide.report.folder import check_folder, write_folder
-    from orthoglide.report.verdict_run import run_of
-    from orthoglide.report.verdict_view import View
-
     out = Path(folder)
-    check_folder(out)
-    write_folder(out, verdict_files(View(verdict), run_of(verdict)))
+    check_folder(out, overwrite)
+    write_folder(out, report_files(result), overwrite)

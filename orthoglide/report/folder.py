@@ -11,12 +11,19 @@ from pathlib import Path
 from orthoglide.errors import FileError
 from orthoglide.files import writing
 
+_REPORT = {
+    "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv", "report.html",
+    "residuals.csv", "result.json",
+}  # fmt: skip
+"""All that a report consists of: a folder that holds anything else is nobody's to replace."""
 
-def check_folder(out: Path) -> Path:
+
+def check_folder(out: Path, overwrite: bool = False) -> Path:
     """Refuse a place where results cannot go, before any work is done.
 
     Args:
         out: the folder to be; new or empty.
+        overwrite: whether it may hold an earlier report, and nothing else.
 
     Returns:
         The folder, resolved.
@@ -25,18 +32,25 @@ def check_folder(out: Path) -> Path:
         FileError: saying what would do.
     """
     with writing(out):
-        return _checked(out)
+        return _checked(out, overwrite)
 
 
-def _checked(out: Path) -> Path:
+def _checked(out: Path, overwrite: bool) -> Path:
     target = Path(os.path.realpath(out))
     if target.exists() and not target.is_dir():
         raise FileError("is a file: name a new folder for the results", file=str(out))
     if target == Path.cwd():
         raise FileError("is the folder you are in: name a new one inside it", file=str(out))
-    if target.is_dir() and any(target.iterdir()):
+    names = {path.name for path in target.iterdir()} if target.is_dir() else set()
+    if names and not overwrite:
         raise FileError(
             "is not empty and results are never overwritten: name a new or empty folder",
+            file=str(out),
+        )
+    if names - _REPORT:
+        raise FileError(
+            f"holds {sorted(names - _REPORT)[0]}, which is no part of a report: name another "
+            f"folder",
             file=str(out),
         )
     if not target.parent.is_dir():
@@ -48,17 +62,18 @@ def _checked(out: Path) -> Path:
     return target
 
 
-def write_folder(out: Path, files: Mapping[str, str]) -> None:
+def write_folder(out: Path, files: Mapping[str, str], overwrite: bool = False) -> None:
     """Write files into a temporary sibling, then rename it.
 
     Args:
-        out: the folder; new or empty.
+        out: the folder; new or empty, or an earlier report.
         files: text by name, ``/`` for folders inside; written in this order, as UTF-8.
+        overwrite: whether an earlier report is replaced whole.
 
     Raises:
         FileError: where the folder cannot be written.
     """
-    target = check_folder(out)
+    target = check_folder(out, overwrite)
     with writing(out):
         made = Path(tempfile.mkdtemp(prefix=".orthoglide-", dir=target.parent))
         try:
@@ -67,7 +82,21 @@ def write_folder(out: Path, files: Mapping[str, str]) -> None:
                 path.parent.mkdir(exist_ok=True)
                 path.write_text(text, encoding="utf-8", newline="")
             made.chmod(0o755)  # a temporary folder is its owner's alone
-            made.rename(target)
+            _put(made, target)
         except BaseException:
             shutil.rmtree(made, ignore_errors=True)
             raise
+
+
+def _put(made: Path, target: Path) -> None:
+    """Rename a folder to one that may stand already, which is gone only once that is done."""
+    earlier = made.with_name(f"{made.name}-earlier")
+    if target.is_dir() and any(target.iterdir()):
+        target.rename(earlier)
+    try:
+        made.rename(target)
+    except BaseException:
+        if earlier.exists():
+            earlier.rename(target)
+        raise
+    shutil.rmtree(earlier, ignore_errors=True)

@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from orthoglide.effects import family_of
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 
 if TYPE_CHECKING:
-    from orthoglide.fit import Estimate
     from orthoglide.machine import Machine
+    from orthoglide.result import Result
 
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One identified value, ready to print."""
+    """One identified value in its file's unit, ready to print.
+
+    Attributes:
+        name: of the parameter.
+        value: with its sign.
+        sigma: all other effects allowed; as if nothing else were wrong by ``identify``.
+        alone: sigma as if nothing else were wrong.
+        low: end of the 95 % interval, as if nothing else were wrong.
+        high: its other end.
+        tolerance: standard deviation to expect.
+        unit: of all these.
+        on_bound: whether the value ended on its bound.
+    """
 
     name: str
     value: str
     sigma: str
+    alone: str
     low: str
     high: str
     tolerance: str
@@ -28,24 +42,24 @@ class ParameterRow:
     on_bound: bool
 
 
-def parameter_rows(estimate: Estimate) -> list[ParameterRow]:
-    """One row an unknown, in its file's unit."""
-    rows = []
-    for name, tolerance in zip(estimate.names, estimate.problem.tolerance, strict=True):
-        unit = family_of(name).unit
-        sigma = estimate.sigmas[name] / unit.si
+def parameter_rows(result: Result) -> list[ParameterRow]:
+    """One row an unknown."""
+    rows, columns = [], result.columns
+    for name, value, sigma, alone, low, high, tolerance, unit in zip(
+        *columns.values(), strict=True
+    ):
         places = decimals_for(sigma, most=9)
-        low, high = (signed(end / unit.si, places) for end in estimate.interval(name))
         rows.append(
             ParameterRow(
                 name,
-                signed(estimate.values[name] / unit.si, places),
+                signed(value, places),
                 f"{sigma:.{places}f}",
-                low,
-                high,
-                compact(tolerance / unit.si),
-                unit.name,
-                name in estimate.on_bound,
+                compact(alone, 2),
+                signed(low, places),
+                signed(high, places),
+                compact(tolerance),
+                unit,
+                name in result.after.on_bound,
             )
         )
     return rows
@@ -53,70 +67,93 @@ def parameter_rows(estimate: Estimate) -> list[ParameterRow]:
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """One figure of merit before and after."""
+    """One figure of merit of the nominal machine, before and after."""
 
     what: str
+    nominal: str
     before: str
     after: str
-    meaning: str
+
+    @property
+    def cells(self) -> tuple[str, str, str]:
+        """The three figures."""
+        return self.nominal, self.before, self.after
 
 
-def score_rows(estimate: Estimate) -> list[ScoreRow]:
-    """Figures of the machine as it was and of the fit."""
-    before, after = estimate.nominal, estimate.scores
+_ALIGNMENTS = {
+    "none": "as they are",
+    "translation": "best shift removed",
+    "rigid": "best rigid motion removed",
+}
 
-    def mm(what: str, name: str, meaning: str) -> ScoreRow:
-        first, second = (f"{getattr(score, name) * 1e3:.3f}" for score in (before, after))
-        return ScoreRow(what, first, second, meaning)
 
-    return [
-        mm("deviations, rms, mm", "deviation_rms",
-           "of the averaged readings against each setup's first posture: the papers' figure"),
-        mm("residuals, rms, mm", "rms", "of all readings, each dial's zero fitted"),
-        mm("largest residual, mm", "max", ""),
-        mm("stations left out, rms, mm", "cv_rms",
-           "readings predicted without any reading of the same setup and posture"),
-        ScoreRow("chi²", f"{before.chi2:.1f}", f"{after.chi2:.1f}",
-                 "squared residuals in units of the noise, tolerances included"),
-        ScoreRow("degrees of freedom", str(before.dof), str(after.dof),
-                 "what chi² should be about if nothing but noise were left"),
-        ScoreRow("probability", probability(before.lack_of_fit_p),
-                 probability(after.lack_of_fit_p), "of a chi² as large by noise alone"),
-    ]  # fmt: skip
+def score_rows(result: Result) -> list[ScoreRow]:
+    """Figures of the nominal machine, the base model and the final one."""
+    stages = (result.nominal, result.before.scores, result.after.scores)
+    rows = [
+        ScoreRow(what, *millimetres([getattr(s, name) for s in stages]))
+        for what, name in (
+            ("deviations, rms, mm", "deviation_rms"),
+            ("residuals, rms, mm", "rms"),
+            ("largest residual, mm", "max"),
+            ("stations left out, rms, mm", "cv_rms"),
+        )
+    ]
+    held = result.hold_out
+    if held is not None:
+        scores = millimetres([held.before_rms, held.after_rms])
+        rows.append(ScoreRow("readings held out, rms, mm", "", *scores))
+    for alignment, words in _ALIGNMENTS.items() if result.tcp else ():
+        errors = result.tcp[alignment]  # type: ignore[index]
+        pairs = (errors.nominal, errors.before, errors.after)
+        means, most = (millimetres([pair[k] for pair in pairs]) for k in (0, 1))
+        cells = [f"{mean} / {top}" for mean, top in zip(means, most, strict=True)]
+        rows.append(ScoreRow(f"TCP, mean / largest, {words}, mm", *cells))
+    rows += [
+        ScoreRow("chi²", *(f"{s.chi2:.1f}" for s in stages)),
+        ScoreRow("degrees of freedom", *(str(s.dof) for s in stages)),
+        ScoreRow(
+            "probability of what is left by noise alone",
+            *(probability(s.lack_of_fit_p) for s in stages),
+        ),
+    ]
+    return rows
+
+
+def millimetres(metres: Sequence[float]) -> list[str]:
+    """Lengths with as many decimals as the smallest is worth; a dash where there is none."""
+    known = [v for v in metres if math.isfinite(v)]
+    places = max(decimals_for(min(known, default=0.0) * 1e3, 4), 3)
+    return [f"{v * 1e3:.{places}f}" if math.isfinite(v) else "–" for v in metres]
 
 
 @dataclass(frozen=True)
 class ControllerRow:
-    """What to tell the controller of one axis; lengths in millimetres."""
+    """What to enter in the controller of one axis; lengths in millimetres."""
 
     axis: str
     offset: str
     sigma: str
     add: str
-    zero_was: str
     zero_is: str
     example_shown: str
     example_true: str
     example_command: str
 
 
-class Calibrated(Protocol):
-    """Anything with a calibrated machine: an estimate, a verdict."""
-
-    @property
-    def machine(self) -> Machine:
-        """The machine as it was found."""
-
-
-def controller_rows(estimate: Calibrated) -> list[ControllerRow]:
+def controller_rows(machine: Machine) -> list[ControllerRow]:
     """Numbers for the controller, from rho = L + sign (travel - zero) and rho true = rho + offset.
 
     So the carriage stands right if ``sign x offset`` is added to what the controller shows, or is
     subtracted from what it is told; and ``zero - sign x offset`` is what it shows at mechanical
     zero. Empty where no joint offset is known.
+
+    Args:
+        machine: calibrated.
     """
-    spec = estimate.machine.spec
-    offsets = [spec.parameters.get(f"joint_offset.{leg}") for leg in LEGS]
+    spec = machine.spec
+    zeros = [p for e in machine.catalogue.effects if e.controller == "zero" for p in e.motions]
+    offsets = [next((spec.parameters.get(p) for p in zeros if p.leg == leg), None) for leg in LEGS]
     if not any(offsets):
         return []
     rows = []
@@ -130,7 +167,6 @@ def controller_rows(estimate: Calibrated) -> list[ControllerRow]:
                 signed(value, 3),
                 f"{sigma:.{decimals_for(sigma, 3)}f}",
                 signed(sign * value, 3),
-                plain(zero, 3),
                 plain(zero - sign * value, 3),
                 plain(zero, 3),
                 plain(spec.geometry.L * 1e3 + value, 3),

@@ -1,4 +1,4 @@
-"""Results for the terminal."""
+"""A result for the terminal."""
 
 from __future__ import annotations
 
@@ -8,25 +8,47 @@ import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from orthoglide.numerals import compact, probability, signed
+from orthoglide.report.phrases import sentence, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import headline, weak_sentences
+from orthoglide.report.wording import MEANINGS, headline
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from orthoglide.fit import Estimate
+    from orthoglide.result import Result
 
 _WIDTH = 100  # where the output goes to a file
 
 
-def summary(estimate: Estimate) -> str:
-    """What a person wants to see at the end of a run: the sentence, the tables, the remarks."""
+def summary(result: Result, ranked: bool = False) -> str:
+    """What a person wants to see at the end of a run.
+
+    Args:
+        result: what was found.
+        ranked: with all causes that were tried.
+    """
     from rich.text import Text
 
-    remarks = [Text(f"- {r}") for r in (*estimate.warnings, *weak_sentences(estimate.weak))]
-    head = Text(f"{headline(estimate)}\n", style="bold")
-    return console_text([head, _parameters(estimate), _scores(estimate), *remarks])
+    parts: list[Text | Table] = [
+        Text(headline(result), style="bold"),
+        Text(f"Verdict {result.word}: {MEANINGS[result.word]}.\n"),
+    ]
+    parts += [Text(f"- data: {b.message}") for b in result.blunders]
+    parts += [Text(f"- changed: {c.message}") for c in result.changed]
+    if result.causes:
+        parts.append(_causes(result))
+    if ranked and result.candidates:
+        parts.append(_tried(result))
+    searches = result.request.searches
+    parts += [_scores(result)] if searches else [_parameters(result), _scores(result)]
+    remarks = [f"The search ended: {result.stopped}."] if searches else []
+    remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
+    remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
+    parts += [Text(f"- {line}") for line in remarks]
+    parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
+    return console_text(parts)
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
@@ -44,7 +66,7 @@ def console_text(parts: Iterable[RenderableType]) -> str:
     return stream.getvalue().rstrip("\n")
 
 
-def table(*columns: str) -> Table:
+def _table(*columns: str) -> Table:
     """A table whose first column is a name and whose others are numbers."""
     from rich import box
     from rich.table import Table
@@ -55,16 +77,40 @@ def table(*columns: str) -> Table:
     return made
 
 
-def _parameters(estimate: Estimate) -> Table:
-    shown = table("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
-    for row in parameter_rows(estimate):
+def _parameters(result: Result) -> Table:
+    shown = _table("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
+    for row in parameter_rows(result):
         interval = f"{row.low} to {row.high}"
         shown.add_row(row.name, row.value, row.sigma, interval, row.tolerance, row.unit)
     return shown
 
 
-def _scores(estimate: Estimate) -> Table:
-    shown = table("", "before", "after")
-    for row in score_rows(estimate):
-        shown.add_row(row.what, row.before, row.after)
+def _causes(result: Result) -> Table:
+    shown = _table("cause", "probability", "p of structureless", "in words")
+    for cause in result.causes:
+        one, p = cause.chosen, probability(cause.effect.naming_p)
+        shown.add_row(one.name, f"{one.probability:.2f}", p, one.words)
+        for rival in cause.rivals:
+            shown.add_row(f"or {rival.name}", f"{rival.probability:.2f}", "", rival.words)
+    return shown
+
+
+def _tried(result: Result) -> Table:
+    shown = _table("tried", "round", "evidence", "p alone", "left out, mm", "plausible")
+    for tried in result.candidates:
+        shown.add_row(
+            tried.name,
+            str(tried.round),
+            signed(tried.evidence, 1),
+            probability(tried.p_value),
+            compact(tried.cv_rms * 1e3, 3),
+            "yes" if tried.plausible else "no",
+        )
+    return shown
+
+
+def _scores(result: Result) -> Table:
+    shown = _table("", "nominal", "before", "after")
+    for row in score_rows(result):
+        shown.add_row(row.what, *row.cells)
     return shown

@@ -1,178 +1,209 @@
-"""What was found, in words: the sentence a result begins with, and the names of things."""
+"""A result in words: the sentences that it begins with, and what follows from it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
-from orthoglide.effects import BASE_FAMILIES, family_of
-from orthoglide.fit import Estimate, WeakDirection
-from orthoglide.numerals import compact, decimals_for, signed
+from orthoglide.effects.wording import parameter_words
+from orthoglide.numerals import compact, decimals_for, probability, signed
+from orthoglide.report.phrases import listed, sentence
+
+if TYPE_CHECKING:
+    from orthoglide.fit import Estimate
+    from orthoglide.parameters import Parameter
+    from orthoglide.result import Cause, Explanation, Result
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
+_SLIGHT = 0.9  # the same of a cause that was added
 _MOST_NAMED = 2
-_TOLD = {"joint_offset": "joint offset", "leg_length": "leg length"}
+_MOST_RIVALS = 2
+
+MEANINGS: Mapping[str, str] = {
+    "adequate": "nothing significant is left, and nothing was added",
+    "explained": "a cause was added, and nothing significant is left",
+    "ambiguous": "explained, but other causes fit these readings as well",
+    "partial": "a cause was added, and something significant is left",
+    "unexplained": "something significant is left, and no cause was added",
+}
+"""What the verdict's words mean."""
 
 
-def headline(estimate: Estimate) -> str:
-    """The result in a sentence: what was found, what it gains, what is left."""
-    return f"{found(estimate)} {gain(estimate)}; {left(estimate)}."
+def headline(result: Result) -> str:
+    """The result in a few sentences, for somebody with a spanner in hand."""
+    if not result.request.searches:
+        fit = result.after
+        return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
+    said = {"adequate": _adequate, "unexplained": _unexplained, "partial": _partial}
+    text = said.get(result.word, _explained)(result)
+    # Faults of the data belong to the verdict: a reader of the first lines must know.
+    count = len(result.blunders)
+    if count:
+        text += f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
+    return " ".join([text, *(sentence(change.message) for change in result.changed)])
 
 
-def found(estimate: Estimate) -> str:
+# --- Of a closed loop -----------------------------------------------------------------------
+
+
+def _adequate(result: Result) -> str:
+    return (
+        f"Nothing is wrong that these readings could show beyond the "
+        f"{effects_named(result.before)}: with these set right, {_fall(result)}, which is the "
+        f"noise of the dial."
+    )
+
+
+def _unexplained(result: Result) -> str:
+    return (
+        f"Something is wrong that no effect of the catalogue explains: with the "
+        f"{effects_named(result.before)} set right, {_fall(result)}. {_why_significant(result)}"
+    )
+
+
+def _explained(result: Result) -> str:
+    return (
+        f"{_causes(result)} With this in the model, {_fall(result)}, which is the noise of the "
+        f"dial."
+    )
+
+
+def _partial(result: Result) -> str:
+    return (
+        f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and no effect "
+        f"of the catalogue explains the rest. {_why_significant(result)}"
+    )
+
+
+def _why_significant(result: Result) -> str:
+    """What is left against the noise: its size, or its pattern where it is no larger."""
+    fit, test = result.after, result.left.detection
+    noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
+    if left > noise:
+        return (
+            f"Single readings are left with {compact(left, 2)} mm rms, where the dial's noise is "
+            f"{compact(noise, 2)} mm."
+        )
+    p = min(test.p_value, test.lack_of_fit_p, test.bare_lack_of_fit_p)
+    return (
+        f"What is left of single readings ({compact(left, 2)} mm rms) is no larger than the dial's "
+        f"noise of {compact(noise, 2)} mm; it is significant by its pattern over setups and "
+        f"postures, which noise alone would show with probability {probability(p)}."
+    )
+
+
+def _causes(result: Result) -> str:
+    said = [sentence(f"{c.chosen.words}{alternatives(c)}") for c in result.causes]
+    return " ".join([said[0], *(f"Besides, {s[:1].lower()}{s[1:]}" for s in said[1:])])
+
+
+def alternatives(cause: Cause) -> str:
+    """Rivals of a cause with their own sizes, in brackets; empty where there are none."""
+    rivals = cause.rivals
+    if not rivals:
+        return ""
+    text = ", or ".join(rival.words for rival in rivals[:_MOST_RIVALS])
+    rest = len(rivals) - _MOST_RIVALS
+    if rest > 0:
+        text += f", or {rest} further cause{'s' if rest > 1 else ''} named below"
+    return f" (or {text}: these readings cannot tell)"
+
+
+def _fall(result: Result) -> str:
+    start = result.before.scores if result.effects else result.nominal
+    first, after = start.deviation_rms * 1e3, result.after.scores.deviation_rms * 1e3
+    places = decimals_for(after, 3)
+    verb = "hardly falls" if after > _SLIGHT * first else "falls"
+    return (
+        f"what prediction leaves of the readings {verb} from {first:.{places}f} to "
+        f"{after:.{places}f} mm rms"
+    )
+
+
+def look_at(result: Result) -> list[tuple[str, str]]:
+    """What to look at on the machine: causes that are looked at in one place, and the place."""
+    by_place: dict[str, list[Explanation]] = {}
+    for one in (one for cause in result.causes for one in cause.explanations):
+        found = by_place.setdefault(one.look_at, [])
+        if one.name not in {other.name for other in found}:
+            found.append(one)
+    return [
+        (sentence("; or ".join(one.words for one in found)), sentence(place))
+        for place, found in by_place.items()
+    ]
+
+
+# --- Of an identification -------------------------------------------------------------------
+
+
+def _found(fit: Estimate) -> str:
     """The values, as the subject of the sentence."""
-    parts = [text for family in BASE_FAMILIES for text in _by_leg(estimate, family)]
-    others = [n for n in estimate.names if family_of(n).name not in BASE_FAMILIES]
-    parts += [f"{parameter_words(n)} {_value(estimate, n)}" for n in others[:_MOST_NAMED]]
+    catalogue = fit.problem.machine.catalogue
+    names = [catalogue.parameter(name) for name in fit.names]
+    parts = [text for effect in catalogue.base for text in _by_leg(fit, names, effect)]
+    others = [name for name in names if name.effect not in catalogue.base]
+    parts += [f"{parameter_words(n)} {_value(fit, n)}" for n in others[:_MOST_NAMED]]
     if len(others) > _MOST_NAMED:
         parts.append(f"{len(others) - _MOST_NAMED} further parameters")
     text = listed(parts)
     return text[:1].upper() + text[1:]
 
 
-def gain(estimate: Estimate) -> str:
+def _gain(fit: Estimate) -> str:
     """What the fit does to the deviations."""
-    before, after = estimate.nominal.deviation_rms * 1e3, estimate.scores.deviation_rms * 1e3
+    before, after = fit.nominal.deviation_rms * 1e3, fit.scores.deviation_rms * 1e3
     verb = "hardly change" if after > _HARDLY * before else "reduce"
     places = decimals_for(after, 3)
     return f"{verb} the deviations from {before:.{places}f} to {after:.{places}f} mm"
 
 
-def left(estimate: Estimate) -> str:
+def _rest(fit: Estimate) -> str:
     """What remains, against the noise."""
-    noise = estimate.problem.noise.typical * 1e3
-    if estimate.scores.dof <= 0:
+    noise = compact(fit.problem.noise.typical * 1e3, 2)
+    if fit.scores.dof <= 0:
         return "no reading is left over to judge the fit by"
-    if estimate.sigma_scale > 1:
+    if fit.sigma_scale > 1:
         return (
-            f"what is left is {estimate.sigma_scale:.2g} times the noise of a reading "
-            f"({compact(noise, 2)} mm): the machine, or the measurement, has an error that "
-            f"{explained_by(estimate)} cannot explain"
+            f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise} mm): "
+            f"the machine, or the measurement, has an error that {effects_named(fit)} cannot "
+            f"explain"
         )
     return (
-        f"what is left is no more than the noise of a reading ({compact(noise, 2)} mm): these "
-        f"readings show no further error"
+        f"what is left is no more than the noise of a reading ({noise} mm): these readings show "
+        f"no further error"
     )
 
 
-def explained_by(estimate: Estimate) -> str:
-    """The families that were free, in the plural."""
-    families = dict.fromkeys(family_of(name).name for name in estimate.names)
-    return listed([f"{_TOLD.get(f, f.replace('_', ' '))}s" for f in families])
+def effects_named(fit: Estimate) -> str:
+    """The effects that were free, in the plural."""
+    of = fit.problem.machine.catalogue.effect_of
+    names = dict.fromkeys(of(name).name for name in fit.names)
+    return listed([f"{name.replace('_', ' ')}s" for name in names])
 
 
-def _by_leg(estimate: Estimate, family: str) -> list[str]:
-    """One phrase a family and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
-    groups: dict[str, list[str]] = {}
-    for name in estimate.names:
-        if family_of(name).name == family:
-            groups.setdefault(name.partition("@")[2], []).append(name)
-    phrases = []
+def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]:
+    """One phrase an effect and campaign: ``joint offsets x -0.51, y +0.56 mm``."""
+    groups: dict[str, list[Parameter]] = {}
+    for name in every:
+        if name.effect == effect:
+            groups.setdefault(name.campaign, []).append(name)
+    phrases, noise = [], fit.problem.noise.typical
     for campaign, names in groups.items():
-        largest = max(abs(estimate.values[name]) for name in names)
-        many = "s" if len(names) > 1 else ""
+        largest = max(abs(fit.values[name]) for name in names)
+        what = effect.replace("_", " ") + ("s" if len(names) > 1 else "")
         where = f" ({campaign})" if campaign else ""
-        if largest <= estimate.problem.noise.typical:
-            within = compact(estimate.problem.noise.typical * 1e3, 1)
-            phrases.append(f"{_TOLD[family]}{many} nominal to {within} mm{where}")
+        if largest <= noise:
+            phrases.append(f"{what} nominal to {compact(noise * 1e3, 1)} mm{where}")
             continue
-        values = ", ".join(f"{_member(name)} {_value(estimate, name, '')}" for name in names)
-        unit = family_of(family).unit.name
-        phrases.append(f"{_TOLD[family]}{many} {values} {unit}{where}")
+        values = ", ".join(f"{n.member or n.leg} {_value(fit, n, False)}" for n in names)
+        unit = fit.problem.machine.catalogue[effect].unit.name
+        phrases.append(f"{what} {values} {unit}{where}")
     return phrases
 
 
-def _value(estimate: Estimate, name: str, unit: str | None = None) -> str:
-    of = family_of(name).unit
+def _value(fit: Estimate, name: Parameter, with_unit: bool = True) -> str:
+    unit = fit.problem.machine.catalogue.effect_of(name).unit
     # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
-    places = 2 if of.name == "mm" else decimals_for(estimate.sigmas[name] / of.si, 9)
-    text = signed(estimate.values[name] / of.si, places)
-    return f"{text} {of.name}" if unit is None else text
-
-
-def _member(name: str) -> str:
-    return name.partition("@")[0].partition(".")[2]
-
-
-def parameter_words(name: str) -> str:
-    """``axis_tilt.y.z`` as ``axis tilt of leg y toward z``."""
-    plain, _, campaign = name.partition("@")
-    family, _, member = plain.partition(".")
-    words, place = family.replace("_", " "), member.split(".")
-    where = f" ({campaign})" if campaign else ""
-    if family.startswith("gauge_"):
-        return f"{words} of setup {member}{where}"
-    if place[0] not in ("x", "y", "z"):
-        return f"{words}, {member.replace('.', ' ')}{where}"
-    if len(place) == 2 and place[1] in ("x", "y", "z"):
-        return f"{words} of leg {place[0]} toward {place[1]}{where}"
-    tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
-    return f"{words} of leg {place[0]}{tail.get('.'.join(place[1:]), '')}{where}"
-
-
-def weak_sentences(weak: Iterable[WeakDirection]) -> list[str]:
-    """Weak directions for somebody who never saw an eigenvector; alike ones in one sentence."""
-    every = list(weak)
-    legs = [_offset_and_length(w) for w in every]
-    alike = [w for w, leg in zip(every, legs, strict=True) if leg]
-    said = [_general(w) for w, leg in zip(every, legs, strict=True) if not leg]
-    if alike:
-        said.insert(0, _together(alike, sorted(leg for leg in legs if leg)))
-    return said
-
-
-def _offset_and_length(weak: WeakDirection) -> str:
-    """The leg (and campaign) whose offset and length change together; empty for anything else."""
-    if len(weak.parameters) != 2 or len({share > 0 for share in weak.parameters.values()}) != 1:
-        return ""
-    (family, leg), (other, same) = (name.split(".", 1) for name in weak.parameters)
-    return leg if {family, other} == set(BASE_FAMILIES) and leg == same else ""
-
-
-def _together(weak: list[WeakDirection], legs: list[str]) -> str:
-    widest = max(weak, key=lambda w: w.sigma)
-    words = [leg.replace("@", " of ") for leg in legs]
-    text = (
-        f"The readings cannot tell the joint offset from the leg length of leg {listed(words)}: "
-        f"where both grow alike, by as much as {compact(widest.sigma, 2)} {widest.unit} (one "
-        f"sigma), hardly a reading changes. Their difference is what is seen."
-    )
-    return text + _narrowed(widest)
-
-
-def _general(weak: WeakDirection) -> str:
-    names = listed([parameter_words(name) for name in weak.parameters])
-    if len(weak.parameters) > 1:
-        text = f"The readings cannot tell {names} apart"
-    else:
-        text = f"The readings hardly see the {names}"
-    shares = listed([f"{signed(share, 2)} × {n}" for n, share in weak.parameters.items()])
-    if weak.sigma == float("inf"):
-        return f"{text}: nothing at all is seen of the combination {shares}.{_narrowed(weak)}"
-    return (
-        f"{text}: along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
-        f"sigma) and hardly a reading changes.{_narrowed(weak)}"
-    )
-
-
-def _narrowed(weak: WeakDirection) -> str:
-    if not weak.sigma_with_priors < 0.5 * weak.sigma:
-        return ""
-    return (
-        f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: that is "
-        f"knowledge of how the machine was built, not of what was measured."
-    )
-
-
-def sentence(text: str) -> str:
-    """With a capital and a full stop; a parameter's name keeps its small letter."""
-    first = text.partition(" ")[0]
-    capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
-    return capital if capital.endswith("?") else f"{capital}."
-
-
-def listed(parts: Iterable[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    every = list(parts)
-    if len(every) < 2:
-        return "".join(every)
-    return f"{', '.join(every[:-1])} and {every[-1]}"
+    places = 2 if unit.name == "mm" else decimals_for(fit.sigmas[name] / unit.si, 9)
+    text = signed(fit.values[name] / unit.si, places)
+    return f"{text} {unit.name}" if with_unit else text

@@ -1,0 +1,100 @@
+"""The way of every identification: a request from the command line, its result, its report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orthoglide.cli.options import load_machine, noise_metres
+from orthoglide.cli.progress import progress
+from orthoglide.cli.writing import write_results
+from orthoglide.errors import InputError
+from orthoglide.progress import Step
+
+if TYPE_CHECKING:
+    from orthoglide.fit import Frame
+    from orthoglide.request import Command, Request
+
+
+def read_request(
+    command: Command,
+    campaigns: Sequence[Path],
+    *,
+    machine_path: Path | None = None,
+    own: tuple[str, ...] = (),
+    noise_mm: float | None = None,
+    seed: int = 0,
+    holdout: Path | None = None,
+    tcp: Path | None = None,
+    fit_tcp: Sequence[Path] = (),
+    frame: Frame = "rigid",
+    effects_file: Path | None = None,
+) -> Request:
+    """Read what the options of a command name.
+
+    Raises:
+        InputError: where a file or an option cannot be used.
+    """
+    from orthoglide.observations import read_campaign, read_tcp
+    from orthoglide.request import Request
+
+    noise = noise_metres(noise_mm)
+    if seed < 0 and command != "identify":
+        raise InputError(f"--seed must be 0 or more, not {seed}")
+    if not campaigns and not fit_tcp:
+        raise InputError("name at least one campaign, or TCP points with --fit-tcp")
+    machine = load_machine(machine_path, effects_file)
+    fitted = tuple(read_tcp(path, machine.spec) for path in fit_tcp)
+    several = tuple(read_campaign(path, machine.spec) for path in campaigns)
+    held = None if holdout is None else read_campaign(holdout, machine.spec)
+    points = None if tcp is None else read_tcp(tcp, machine.spec)
+    return Request(
+        command, several, machine, own, noise, seed, held, points, points=fitted, frame=frame,
+        effects_file=effects_file.name if effects_file else "",
+    )  # fmt: skip
+
+
+def execute(
+    read: Callable[[], Request],
+    out: Path | None,
+    *,
+    quiet: bool = False,
+    as_json: bool = False,
+    ranked: bool = False,
+) -> None:
+    """Do what was asked, write the folder and say what was found.
+
+    Args:
+        read: gives the request.
+        out: folder for the results; nothing is written where absent.
+        quiet: no progress and no tables.
+        as_json: print ``result.json`` and nothing else.
+        ranked: print all causes that were tried.
+    """
+    from orthoglide.report.folder import check_folder
+
+    if out is not None:
+        check_folder(out)
+    with progress(quiet or as_json) as step:
+        step(Step("reading"))
+        request = read()
+        from orthoglide.closing import run
+        from orthoglide.report import report_files, result_text, summary
+
+        result, text = run(request, step), ""
+        if out is not None:
+            files = report_files(result, step)
+            write_results(out, files)
+            text = files["result.json"]
+        elif as_json:
+            step(Step("suggesting"))
+            text = result_text(result)
+    if as_json:
+        click.echo(text, nl=False)
+    elif not quiet:
+        click.echo(summary(result, ranked))
+        if out is not None:
+            click.echo(f"\nReport: {click.format_filename(out / 'report.html')}")

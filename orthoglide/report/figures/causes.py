@@ -1,0 +1,182 @@
+"""Causes by probability, and what each makes of the readings, its rivals beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+import orthoglide.report.figures.style as style
+from orthoglide.geometry import Array
+from orthoglide.report.figures.setups import Mounting, mountings
+from orthoglide.report.figures.style import Drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+
+    from orthoglide.result import Cause
+
+MOST_CURVES = 4
+"""Causes that are drawn in one panel."""
+
+_MOST_PANELS = 6
+_LEAST_PATTERN = 0.15  # of the largest: setups that show less of a cause are left out
+_SAME = 0.03  # of what is left: less is no difference between approaches
+_CURVES = (  # the chosen cause, then its rivals
+    (style.FIT, "-", 2.6, 0.75),
+    (style.PALETTE["minus"], "--", 1.3, 1.0),
+    (style.PALETTE["third"], ":", 1.7, 1.0),
+    (style.INK, "-.", 1.0, 1.0),
+)
+
+
+def draw_causes(causes: Sequence[Cause]) -> Drawing:
+    """Bars of probability: each cause that was added, its rivals, and all else together."""
+    rows: list[tuple[float, str, float, str]] = []
+    place = 0.0
+    for cause in causes:
+        found = [(cause.name, cause.chosen.probability, style.FIT)]
+        found += [(rival.name, rival.probability, style.BAND) for rival in cause.rivals]
+        rest = max(1.0 - sum(p for _, p, _ in found), 0.0)
+        found.append(("all else together", rest, style.PALETTE["before"]))
+        for name, p, colour in found:
+            rows.append((place, name, p, colour))
+            place += 1
+        place += 0.6
+    height = 0.34 + 0.24 * place
+    figure = style.new_figure(style.SINGLE, height)
+    margin = min(0.2 + 0.062 * max(len(r[1]) for r in rows), 1.9)
+    axes = style.place_axes(figure, margin, 0.06, style.SINGLE - margin - 0.45, height - 0.3)
+    axes.barh([r[0] for r in rows], [r[2] for r in rows], height=0.62, color=[r[3] for r in rows])
+    for at, _, p, _ in rows:
+        axes.text(p + 0.015, at, f"{p:.2f}", va="center", fontsize=7.5, color=style.INK)
+    axes.set_xlim(0, 1)
+    axes.set_ylim(place - 0.9, -0.6)
+    axes.set_yticks([r[0] for r in rows], [r[1] for r in rows], color=style.INK)
+    axes.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "0.25", "0.5", "0.75", "1"])
+    axes.grid(visible=False, axis="y")
+    return Drawing("causes", "Causes by probability", style.svg_text(figure))
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One setup: what is left without a cause, and what each rival makes of it; millimetres.
+
+    Attributes:
+        mounting: the setup.
+        x: by station.
+        side: of the approach of the touched leg's own axis, by station.
+        left: mean of what is left, by station.
+        noise: two sigmas of that mean.
+        curves: what the causes predict, by station.
+    """
+
+    mounting: Mounting
+    x: Array
+    side: Array
+    left: Array
+    noise: Array
+    curves: tuple[Array, ...]
+
+    @property
+    def sides(self) -> list[float]:
+        """Sides of the approach where the cause looks different from either; else none."""
+        up, down = (
+            dict(zip(np.round(self.x[at], 3).tolist(), self.curves[0][at], strict=True))
+            for at in (self.side == 1, self.side == -1)
+        )
+        apart = [abs(up[x] - down[x]) for x in up if x in down]
+        differ = apart and max(apart) > _SAME * float(np.ptp(self.left))
+        return [1.0, -1.0] if differ else []
+
+
+def _patterns(cause: Cause) -> list[Pattern]:
+    without = cause.without
+    problem = without.problem
+    residual = problem.measured - without.predicted
+    shown = cause.explanations[:MOST_CURVES]
+    predicted = [one.fit.predicted - without.predicted for one in shown]
+    found = []
+    for mounting in mountings(problem):
+        rows = mounting.rows
+        _, first, station = np.unique(problem.station[rows], return_index=True, return_inverse=True)
+        noise = problem.sigma[rows[first]] / np.sqrt(np.bincount(station))
+        found.append(
+            Pattern(
+                mounting,
+                mounting.x[first],
+                mounting.side[first],
+                _mean(residual[rows], station),
+                2e3 * np.hypot(noise, problem.noise.common),
+                tuple(_mean(p[rows], station) for p in predicted),
+            )
+        )
+    return found
+
+
+def _mean(values: Array, station: NDArray[np.intp]) -> Array:
+    """By station, millimetres."""
+    return np.asarray(np.bincount(station, values) / np.bincount(station) * 1e3)
+
+
+def _shown(patterns: list[Pattern]) -> list[Pattern]:
+    """The setups in which a cause shows most, in the order of the file."""
+    size = np.array([np.sqrt(np.mean(p.curves[0] ** 2)) for p in patterns])
+    most = set(np.argsort(-size, kind="stable")[:_MOST_PANELS].tolist())
+    return [
+        p for k, p in enumerate(patterns) if k in most and size[k] >= _LEAST_PATTERN * size.max()
+    ]
+
+
+def draw_signatures(cause: Cause, place: int) -> Drawing:
+    """What a cause and its rivals make of the readings.
+
+    Args:
+        cause: that was added.
+        place: of the cause, from 1.
+    """
+    patterns = _shown(_patterns(cause))
+    width, height = style.PANEL[0], 2.1
+    figure, corners = style.sheet(len(patterns), height, strip=0.3)
+    reach = 1.15 * max(float(np.max(np.abs(p.left) + p.noise)) for p in patterns)
+    for (left, top), pattern in zip(corners, patterns, strict=True):
+        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
+        handles = _draw_pattern(axes, pattern)
+        axes.set_ylim(-reach, reach)
+        style.few_ticks(axes)
+    names = [one.name for one in cause.explanations[:MOST_CURVES]]
+    figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
+                  borderaxespad=0.2, handlelength=2.2)  # fmt: skip
+    title = "What is to be explained, and what each cause makes of it"
+    return style.multiples(f"signatures-{place}", title, figure, corners, height)
+
+
+def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
+    """One panel; returns a handle for each cause."""
+    sides = pattern.sides
+    handles = []
+    for curve, (colour, dash, width, alpha) in zip(pattern.curves, _CURVES, strict=False):
+        for side in sides or [0.0]:
+            at = np.flatnonzero(pattern.side == side) if sides else np.arange(len(pattern.x))
+            order = at[np.lexsort([curve[at], pattern.x[at]])]
+            (line,) = axes.plot(pattern.x[order], curve[order], color=colour, linestyle=dash,
+                                linewidth=width, alpha=alpha)  # fmt: skip
+        handles.append(line)
+    marks = {1.0: "^", -1.0: "v"} if len(sides) > 1 else {}
+    axes.vlines(pattern.x, pattern.left - pattern.noise, pattern.left + pattern.noise,
+                color=style.DATA, linewidth=0.8)  # fmt: skip
+    for side in sides or [0.0]:
+        at = pattern.side == side if sides else np.ones(len(pattern.x), dtype=bool)
+        axes.plot(pattern.x[at], pattern.left[at], color=style.DATA, linestyle="none",
+                  marker=marks.get(side, "o"), markersize=4.2, markeredgewidth=0)  # fmt: skip
+    axes.axhline(0, color=style.MUTED, linewidth=0.6)
+    axes.set_title(pattern.mounting.title)
+    axes.set_xlabel(pattern.mounting.label, labelpad=2)
+    axes.set_ylabel("mm")
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.margins(x=0.05)
+    return handles

@@ -1,0 +1,149 @@
+"""Readings against the fit, and residuals, by setup."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import orthoglide.report.figures.style as style
+from orthoglide.geometry import Array
+from orthoglide.report.figures.setups import Mounting, mountings
+from orthoglide.report.figures.style import Drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from orthoglide.fit import Estimate
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One setup: readings and predictions about the middle of the fit, millimetres."""
+
+    mounting: Mounting
+    measured: Array
+    fit: Array
+    before: Array
+    sigma: Array
+
+    @property
+    def x(self) -> Array:
+        return self.mounting.x
+
+
+def _panels(estimate: Estimate, before: Array) -> list[_Panel]:
+    problem, found = estimate.problem, []
+    for mounting in mountings(problem):
+        measured, fit, was, sigma = (
+            values[mounting.rows] * 1e3
+            for values in (problem.measured, estimate.predicted, before, problem.sigma)
+        )
+        middle = (fit.max() + fit.min()) / 2
+        panel = _Panel(mounting, measured - middle, fit - middle, was - middle, sigma)
+        found.append(panel)
+    return found
+
+
+def draw_readings(estimate: Estimate, before: Array) -> Drawing:
+    """Readings and fit by setup, with what the fit leaves of them.
+
+    Args:
+        estimate: the fit.
+        before: readings ``(n,)`` predicted before it, metres.
+    """
+    setups = _panels(estimate, before)
+    width, height = style.PANEL
+    figure, corners = style.sheet(len(setups), height, strip=0.3)
+    reach = 1.12 * max(
+        float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups
+    )
+    left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
+    left_over = max(left_over, 2.4 * float(max(s.sigma.max() for s in setups)))
+    for (left, top), setup in zip(corners, setups, strict=True):
+        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
+        handles = _draw_setup(axes, setup)
+        axes.set_ylim(-reach, reach)
+        style.few_ticks(axes)
+        axes.tick_params(labelbottom=False, bottom=False)
+        below = style.place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
+        _draw_left(below, setup)
+        below.set_ylim(-left_over, left_over)
+        below.set_xlim(axes.get_xlim())
+        style.few_ticks(below, up=2)
+    figure.legend(
+        handles, ("reading", "fit", "noise, ± 2 sigma", "before"), loc="upper left", ncols=4,
+        bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, handlelength=1.6,
+    )  # fmt: skip
+    title = "Readings and fit by setup"
+    return style.multiples("readings", title, figure, corners, height, axes=2)
+
+
+def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
+    order = np.argsort(setup.x, kind="stable")
+    x, fit, before = setup.x[order], setup.fit[order], setup.before[order]
+    noise = 2 * setup.sigma[order]
+    # A line is honest only where place along the axis says all: one fitted value a place.
+    step = np.diff(x) < 1e-6
+    single = not np.any(np.abs(np.diff(fit)[step]) > noise[1:][step] / 2)
+    band = axes.fill_between(x, fit - noise, fit + noise, color=style.BAND, alpha=0.35, linewidth=0)
+    if not single:
+        band.set_visible(False)
+        axes.vlines(x, fit - noise, fit + noise, color=style.BAND, alpha=0.5, linewidth=3)
+    (was,) = axes.plot(x, before, color=style.BEFORE, linestyle="--" if single else "none",
+                       marker="_", markersize=4, linewidth=1)  # fmt: skip
+    (line,) = axes.plot(x, fit, color=style.FIT, linestyle="-" if single else "none",
+                      marker="" if single else "_")  # fmt: skip
+    (dots,) = axes.plot(setup.x, setup.measured, color=style.DATA, linestyle="none", marker="o",
+                        markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
+    axes.set_title(setup.mounting.title)
+    axes.set_ylabel("mm")
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.margins(x=0.05)
+    return [dots, line, band, was]
+
+
+def _draw_left(axes: Axes, setup: _Panel) -> None:
+    """What the fit leaves of each reading, on a scale of its own."""
+    order = np.argsort(setup.x, kind="stable")
+    noise = 2 * setup.sigma[order]
+    axes.fill_between(setup.x[order], -noise, noise, color=style.BAND, alpha=0.35, linewidth=0)
+    axes.axhline(0, color=style.MUTED, linewidth=0.6)
+    axes.plot(setup.x, setup.measured - setup.fit, color=style.DATA, linestyle="none", marker="o",
+              markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
+    axes.set_xlabel(setup.mounting.label, labelpad=2)
+    axes.set_ylabel("left, mm")
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+
+
+def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
+    """Residuals by setup, before and after; arguments as for :func:`draw_readings`."""
+    setups = _panels(estimate, before)
+    names = [s.mounting.name for s in setups]
+    height = 0.8 + 0.3 * len(setups)
+    figure = style.new_figure(style.SINGLE, height)
+    margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
+    axes = style.place_axes(figure, margin, 0.32, style.SINGLE - margin - 0.12, height - 0.78)
+    noise = 2 * estimate.problem.noise.typical * 1e3
+    axes.axvspan(-noise, noise, color=style.BAND, alpha=0.35, linewidth=0, label="noise, ± 2 sigma")
+    axes.axvline(0, color=style.MUTED, linewidth=0.6)
+    for k, setup in enumerate(setups):
+        place, label = np.full(len(setup.x), float(k)), "_" if k else ""
+        axes.plot(setup.measured - setup.before, place - 0.17, color=style.BEFORE, marker="o",
+                  linestyle="none", markersize=3.4, fillstyle="none", markeredgewidth=0.9,
+                  label=label or "before")  # fmt: skip
+        axes.plot(setup.measured - setup.fit, place + 0.17, color=style.FIT, marker="o",
+                  linestyle="none", markersize=3.6, markeredgewidth=0,
+                  label=label or "after")  # fmt: skip
+    reach = 1.1 * max(float(np.abs(s.measured - s.before).max()) for s in setups)
+    after = 1.1 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
+    reach = max(reach, after, noise * 1.2)
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(len(setups) - 0.4, -0.6)
+    style.few_ticks(axes, across=6)
+    axes.set_yticks(range(len(setups)), names, color=style.INK)
+    axes.set_xlabel("reading less prediction, mm", labelpad=2)
+    figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
+                  bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0))  # fmt: skip
+    return Drawing("residuals", "Residuals by setup, before and after", style.svg_text(figure))

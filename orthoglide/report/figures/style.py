@@ -1,0 +1,155 @@
+"""What all figures share: SVG, colours, type, and places on the sheet."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# Okabe and Ito's colours, which the colour-blind can tell apart; each hex stands for its name.
+PALETTE = {
+    "ink": "#1f2a33",
+    "muted": "#66727c",
+    "grid": "#dfe4e8",
+    "data": "#d55e00",
+    "fit": "#0072b2",
+    "before": "#939ca3",
+    "band": "#56b4e9",
+    "minus": "#cc79a7",
+    "third": "#009e73",
+}
+INK, MUTED, GRID = PALETTE["ink"], PALETTE["muted"], PALETTE["grid"]
+DATA, FIT, BEFORE, BAND = (PALETTE[name] for name in ("data", "fit", "before", "band"))
+
+POINTS = 72.0  # SVG units an inch
+SINGLE = 3.9  # inches: width of a figure that fits a phone
+PANEL = (3.0, 2.75)  # inches: one of the small multiples
+LABEL = -0.195  # of the axes: where the small multiples carry the name of their scale
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One figure.
+
+    Attributes:
+        name: of its file.
+        title: what it shows, in a phrase.
+        svg: the text of its file.
+        panels: places ``(x, y, width, height)`` in units of the SVG that a page may show by
+            themselves, in the order of the axes; empty for a figure that stays whole.
+        axes: how many axes each panel holds.
+    """
+
+    name: str
+    title: str
+    svg: str
+    panels: tuple[tuple[float, float, float, float], ...] = ()
+    axes: int = 1
+
+
+@contextmanager
+def applied() -> Iterator[None]:
+    """The look of all figures, for a while."""
+    import matplotlib
+
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its font cache is nobody's concern
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(
+            {
+                "svg.hashsalt": "orthoglide",
+                "svg.fonttype": "none",
+                "font.sans-serif": ["DejaVu Sans"],  # what widths are measured with
+                "font.size": 8.0,
+                "axes.titlesize": 8.5,
+                "axes.titlelocation": "left",
+                "axes.labelsize": 7.5,
+                "xtick.labelsize": 7.5,
+                "ytick.labelsize": 7.5,
+                "text.color": INK,
+                "axes.labelcolor": MUTED,
+                "axes.edgecolor": MUTED,
+                "axes.linewidth": 0.6,
+                "xtick.color": MUTED,
+                "ytick.color": MUTED,
+                "xtick.major.size": 2.5,
+                "ytick.major.size": 0.0,
+                "axes.spines.top": False,
+                "axes.spines.right": False,
+                "axes.spines.left": False,
+                "axes.grid": True,
+                "grid.color": GRID,
+                "grid.linewidth": 0.6,
+                "axes.axisbelow": True,
+                "lines.linewidth": 1.3,
+                "figure.facecolor": "none",
+                "axes.facecolor": "none",
+                "legend.frameon": False,
+                "legend.fontsize": 7.5,
+            }
+        )
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure, inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height))
+
+
+def place_axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
+    """Axes at a place in inches from the top left corner."""
+    w, h = figure.get_size_inches()
+    return figure.add_axes((left / w, 1 - (top + height) / h, width / w, height / h))
+
+
+def svg_text(figure: Figure) -> str:
+    """The text of a figure's file: the same bytes for the same figure."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
+
+
+def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
+    """Round numbers, and few of them."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(across, steps=[1, 2, 2.5, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(up, steps=[1, 2, 2.5, 5, 10]))
+
+
+def sheet(
+    count: int, height: float, strip: float = 0.0
+) -> tuple[Figure, list[tuple[float, float]]]:
+    """A figure of small multiples, three abreast.
+
+    Args:
+        count: of them.
+        height: of each, inches.
+        strip: kept free above all, inches.
+
+    Returns:
+        The figure, and the top left corner of each, inches.
+    """
+    across = min(3, count)
+    lines = -(-count // across)
+    corners = [(k % across * PANEL[0], k // across * height + strip) for k in range(count)]
+    return new_figure(across * PANEL[0], lines * height + strip), corners
+
+
+def multiples(
+    name: str, title: str, figure: Figure, corners: Sequence[tuple[float, float]], height: float,
+    axes: int = 1,
+) -> Drawing:  # fmt: skip
+    """A drawing whose panels a page may arrange; arguments as for :func:`sheet`."""
+    places = tuple((x * POINTS, y * POINTS, PANEL[0] * POINTS, height * POINTS) for x, y in corners)
+    return Drawing(name, title, svg_text(figure), places, axes)

@@ -1,0 +1,100 @@
+"""Identified values against their tolerances, and their correlations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import orthoglide.report.figures.style as style
+from orthoglide.numerals import signed
+from orthoglide.report.figures.style import Drawing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from orthoglide.effects import Effect
+    from orthoglide.fit import Estimate
+
+_MOST_CELLS = 8  # unknowns up to which correlations are printed as numbers
+
+
+def draw_parameters(estimate: Estimate) -> Drawing:
+    """Values with their 95 % intervals against the tolerances, a strip an effect."""
+    of = estimate.problem.machine.catalogue.effect_of
+    strips: dict[Effect, list[int]] = {}
+    for k, name in enumerate(estimate.names):
+        strips.setdefault(of(name), []).append(k)
+    heights = [0.72 + 0.24 * len(members) for members in strips.values()]
+    figure = style.new_figure(style.SINGLE, sum(heights) + 0.3)
+    short = [name.removeprefix(f"{of(name).name}.") for name in estimate.names]
+    margin = min(0.2 + 0.06 * max(map(len, short)), 1.7)
+    top = 0.3
+    for (effect, members), height in zip(strips.items(), heights, strict=True):
+        axes = style.place_axes(
+            figure, margin, top + 0.2, style.SINGLE - margin - 0.12, height - 0.58
+        )
+        handles = _draw_strip(axes, estimate, effect, members)
+        axes.set_yticks(range(len(members)), [short[k] for k in members], color=style.INK)
+        top += height
+    figure.legend(
+        handles, ("value, 95 % interval", "tolerance, ± 1 sigma"), loc="upper left", ncols=2,
+        bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0), borderaxespad=0.1, handlelength=1.4,
+    )  # fmt: skip
+    return Drawing(
+        "parameters", "Identified values against their tolerances", style.svg_text(figure)
+    )
+
+
+def _draw_strip(axes: Axes, estimate: Estimate, effect: Effect, members: list[int]) -> list[Any]:
+    unit = effect.unit
+    value = estimate.x[members] / unit.si
+    half = estimate.coverage_factor * np.sqrt(np.diag(estimate.covariance))[members] / unit.si
+    tolerance = float(estimate.problem.tolerance[members[0]]) / unit.si
+    rows = np.arange(len(members))
+    band = axes.axvspan(-tolerance, tolerance, color=style.BAND, alpha=0.25, linewidth=0)
+    axes.axvline(0, color=style.MUTED, linewidth=0.6)
+    axes.hlines(rows, value - half, value + half, color=style.FIT, linewidth=1.6)
+    (dots,) = axes.plot(value, rows, color=style.FIT, marker="o", linestyle="none", markersize=4.4,
+                        markeredgewidth=0)  # fmt: skip
+    reach = 1.1 * max(float(np.max(np.abs(value) + half)), 1.1 * tolerance)
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(len(members) - 0.5, -0.5)
+    style.few_ticks(axes, across=5)
+    axes.set_title(f"{effect.name.replace('_', ' ')}, {unit.name}", pad=3)
+    return [dots, band]
+
+
+def draw_correlations(estimate: Estimate) -> Drawing:
+    """How far values can only be stated together."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgba
+
+    matrix, count = estimate.correlation, len(estimate.names)
+    labels = list(estimate.names)
+    margin = 0.12 + 0.056 * max(map(len, labels))
+    cell = max((style.SINGLE - margin - 0.1) / count, 0.14)
+    width, height = margin + 0.1 + cell * count, margin + 0.1 + cell * count
+    figure = style.new_figure(width, height)
+    axes = style.place_axes(figure, margin, 0.05, cell * count, cell * count)
+    row, column = np.divmod(np.arange(count**2), count)
+    corners = np.array([[0.04, 0.04], [0.96, 0.04], [0.96, 0.96], [0.04, 0.96]])
+    squares = np.stack([column, row], axis=1)[:, None, :] + corners
+    flat = matrix.ravel()
+    colours = [
+        to_rgba(style.FIT if v < 0 else style.DATA, 0.06 + 0.74 * min(abs(v), 1)) for v in flat
+    ]
+    axes.add_collection(PolyCollection(list(squares), facecolors=colours, linewidths=0))
+    if count <= _MOST_CELLS:
+        for i, j, v in zip(row, column, flat, strict=True):
+            text = "1" if i == j else "0" if abs(v) < 5e-3 else signed(v, 2)
+            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center",
+                      fontsize=7.5)  # fmt: skip
+    axes.set_xlim(0, count)
+    axes.set_ylim(count, 0)
+    axes.grid(False)
+    axes.spines["bottom"].set_visible(False)
+    axes.tick_params(length=0)
+    axes.set_xticks(np.arange(count) + 0.5, labels, rotation=90, color=style.INK)
+    axes.set_yticks(np.arange(count) + 0.5, labels, color=style.INK)
+    return Drawing("correlations", "Correlations of the identified values", style.svg_text(figure))

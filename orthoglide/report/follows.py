@@ -1,0 +1,191 @@
+"""Sections of the page on what follows: numbers, next readings, workspace, values, method."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orthoglide.geometry import LEGS
+from orthoglide.numerals import compact, plain
+from orthoglide.report.embed import panels, whole
+from orthoglide.report.figures.style import Drawing
+from orthoglide.report.phrases import listed, sentence, weak_sentences
+from orthoglide.report.rows import controller_rows, millimetres, parameter_rows
+
+if TYPE_CHECKING:
+    from orthoglide.fit import CrossCheck
+    from orthoglide.result import Result, Workspace
+
+Data = dict[str, Any]
+Figures = Mapping[str, Drawing]
+
+
+def controller(result: Result) -> Data:
+    """Numbers for the controller; withheld where the verdict says not to act on them."""
+    spec = result.machine.spec
+    off = result.offsets_alone
+    return {
+        "rows": controller_rows(result.machine),
+        "withheld": bool(result.cautions),
+        "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
+        "length": plain(spec.geometry.L * 1e3, 3),
+        "effect": compact(off * 1e3, 2) if off else "",
+    }
+
+
+_AIMS = {
+    "separate": "To tell the causes apart",
+    "narrow": "To narrow what is hardly seen",
+}
+_MINUS = re.compile(r"(?<=\s)-(?=\d)")
+_COLUMNS = ("setup", "leg", "direction", "posture", "gauge_mm", "bar")
+
+
+def following(result: Result, sheet: str) -> Data:
+    """What to measure next, with the sheet as a link."""
+    suggested = result.next_measurements
+    suggestions = [
+        {
+            "aim": _AIMS[s.aim],
+            "reason": _reason(s.reason),
+            "rows": [_station(row) for row in _once(s.rows)],
+            "bar": any(row.get("bar") for row in s.rows),
+            "approach": any("approach_x" in row for row in s.rows),
+        }
+        for s in suggested
+        if s.aim != "none"
+    ]
+    data = base64.b64encode(sheet.encode()).decode()
+    return {
+        "suggestions": suggestions,
+        "hopeless": [_reason(s.reason) for s in suggested if s.aim == "none"],
+        "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
+        "count": max(sheet.count("\n") - 1, 0),
+    }
+
+
+def _reason(text: str) -> str:
+    return sentence(_MINUS.sub("−", text))
+
+
+def _once(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+    """Rows that are visited several times, once, with how often."""
+    found: dict[tuple[tuple[str, str], ...], int] = {}
+    for row in rows:
+        key = tuple((k, v) for k, v in row.items() if k not in ("repeat", "order"))
+        found[key] = found.get(key, 0) + 1
+    return [{**dict(key), "times": str(times)} for key, times in found.items()]
+
+
+def _station(row: Mapping[str, str]) -> dict[str, str]:
+    rho = [f"{float(row[f'rho_{leg}_mm']):.2f}" for leg in LEGS]
+    sides = {"1": "+", "-1": "−"}
+    side = "".join(sides.get(row.get(f"approach_{leg}", ""), "·") for leg in LEGS)
+    return {
+        **{k: row.get(k, "") for k in _COLUMNS},
+        "gauge_mm": f"{float(row['gauge_mm']):.1f}",
+        "rho": ", ".join(rho),
+        "side": side,
+        "times": row["times"],
+    }
+
+
+def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
+    """How far the TCP is off over the workspace, and how well that is known."""
+    every = panels(figures["workspace"])
+    rows = [
+        ("predicted error of a controller that knows of no error", space.nominal),
+        ("predicted error with offsets and lengths set right", space.before),
+        ("95 % radius about that, everything else allowed", space.sure_before),
+        ("95 % radius with all that was found put in, everything else allowed", space.sure),
+        ("95 % radius with all that was found put in, if nothing else is wrong", space.alone),
+    ]
+    if not result.effects:  # then the base model is all that was found
+        del rows[1:3]
+    shares = result.uncertain_effects
+    return {
+        "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
+        "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
+        "averaged": result.averaged,
+        "most": listed([f"{name.replace('_', ' ')} ({share:.0%})" for name, share in shares]),
+    }
+
+
+def values(result: Result, figures: Figures) -> Data:
+    """What was identified, with both kinds of sigma."""
+    fit, of = result.after, result.catalogue.effect_of
+    freed = {of(n).name for n in fit.names}
+    held = (of(n).name for n, value in result.machine.values.items() if value)
+    others = dict.fromkeys(name.replace("_", " ") for name in held if name not in freed)
+    return {
+        "rows": parameter_rows(result),
+        "figure": whole(figures["parameters"]) if "parameters" in figures else "",
+        "known": result.known is not None,
+        "priors": fit.problem.priors,
+        "averaged": result.averaged,
+        "others": listed(others),
+        "dials": any(of(n).of_dial for n in fit.names),
+        "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
+    }
+
+
+def unseen(result: Result, figures: Figures) -> Data:
+    """What the readings cannot tell apart, and what they would not show."""
+    by_effect: dict[str, list[str]] = {}
+    for name in result.invisible:
+        effect = result.catalogue.effect_of(name).name
+        by_effect.setdefault(effect, []).append(name.removeprefix(f"{effect}."))
+    figure = figures.get("correlations") if len(result.after.names) > 1 else None
+    return {
+        "sentences": weak_sentences(result.after.weak, result.catalogue),
+        "effects": [(f.replace("_", " "), listed(members)) for f, members in by_effect.items()],
+        "unexcited": [f.replace("_", " ") for f in result.unexcited],
+        "figure": whole(figure) if figure else "",
+    }
+
+
+_METHODS = {
+    "nlp": "one nonlinear programme that carries the loop closures of every posture as constraints",
+    "nested": "Newton steps on the parameters, every posture's loops closed at each step",
+    "reduction": "the analytic reduction of the mechanism (three spheres)",
+}
+_SOURCES = {
+    "declared": "as declared",
+    "machine": "from the machine file, or the published repeatability where it has none",
+    "repeats": "from the scatter of the repeats",
+}
+
+
+def method(result: Result) -> Data:
+    """How it was computed, from which files, and how to do it again."""
+    fit, request = result.before, result.request
+    problem = fit.problem
+    return {
+        "searches": request.searches,
+        "seed": request.seed,
+        "inputs": [(i["file"], len(i["rows"]), i["sha256"]) for i in request.inputs],
+        "again": request.command_line,
+        "machine": Path(problem.machine.spec.file).name or "the nominal Orthoglide",
+        "method": _METHODS[fit.method],
+        "iterations": fit.iterations,
+        "optimality": compact(fit.optimality, 1),
+        "noise": compact(problem.noise.typical * 1e3, 2),
+        "source": _SOURCES[problem.noise.source],
+        "placement": compact(problem.machine.spec.dial.placement * 1e3, 2),
+        "priors": problem.priors,
+        "check": fit.check and _check(fit.check),
+    }
+
+
+def _check(check: CrossCheck) -> Data:
+    same = check.reduction < 1e-12
+    return {
+        "reduction": "less than 10⁻⁹" if same else compact(check.reduction * 1e3, 2),
+        "linear": compact(check.linear * 1e3, 2),
+        "size": compact(check.linear_size * 1e3, 2),
+        "bound": compact(check.linear_bound * 1e3, 2),
+        "second_order": check.second_order,
+    }

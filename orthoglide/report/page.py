@@ -1,0 +1,106 @@
+"""The report: one self-contained page, made of the sections that say something.
+
+A section is a template ``sections/<name>.html.j2`` and the data that it shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import orthoglide.report.follows as follows
+import orthoglide.report.found as found
+from orthoglide import __version__
+from orthoglide.report.figures.style import Drawing
+from orthoglide.report.phrases import listed
+
+if TYPE_CHECKING:
+    from orthoglide.result import Result
+
+_JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section of the page.
+
+    Attributes:
+        template: name under ``templates/sections``, and its anchor.
+        title: its heading; empty for the verdict at the top.
+        data: what the template shows.
+    """
+
+    template: str
+    title: str
+    data: Mapping[str, Any]
+
+
+def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
+    """The report as HTML.
+
+    Args:
+        result: what was found.
+        drawings: figures.
+        sheet: the text of ``next_measurements.csv``; empty where nothing is proposed.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("orthoglide.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    searches = result.request.searches
+    return environment.get_template("page.html.j2").render(
+        title="What is wrong with this machine" if searches else "Calibration report",
+        subtitle=_subtitle(result),
+        sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
+        version=__version__,
+        command=result.request.command,
+    )
+
+
+def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
+    searches = result.request.searches
+    yield Section("finding", "", found.finding(result))
+    if result.blunders:
+        yield Section("faults", "Faults of the data", found.faults(result))
+    if result.causes:
+        yield Section("look", "What to look at on the machine", found.look(result))
+    if result.pattern:
+        yield Section("left", "What is left", found.left(result))
+    controller = follows.controller(result)
+    if controller["rows"]:
+        yield Section("controller", "Numbers for the controller", controller)
+    yield Section("judged", "Before and after", found.judged(result, figures))
+    if searches:
+        yield Section("causes", "Causes, and how sure they are", found.causes(result, figures))
+    if result.causes:
+        apart = found.apart(result, figures)
+        yield Section("apart", "What each cause makes of the readings", apart)
+    if searches:
+        yield Section("next", "What to measure next", follows.following(result, sheet))
+    if result.workspace is not None:
+        space = follows.workspace(result, result.workspace, figures)
+        yield Section("workspace", "The TCP over the workspace", space)
+    yield Section("values", "What was identified", follows.values(result, figures))
+    yield Section("readings", "Readings and fit, setup by setup", found.readings(figures))
+    yield Section("unseen", "What these readings cannot tell", follows.unseen(result, figures))
+    yield Section("method", "How this was computed", follows.method(result))
+
+
+def _subtitle(result: Result) -> str:
+    problem = result.first.problem
+    inputs = result.request.inputs
+    files = listed(i["file"] for i in inputs if i.get("role", "fit_tcp") == "fit_tcp")
+    judges = [f"{i['file']} {_JUDGES[i['role']]}" for i in inputs if i.get("role") in _JUDGES]
+    count, read = sum(map(len, problem.campaigns)), []
+    if count:
+        read.append(f"{count} readings in {problem.setup_count} setups")
+    if problem.points:
+        read.append(f"{sum(len(p.points) for p in problem.points)} TCP points")
+    return "; ".join([f"{files}: {listed(read)}", *judges])

@@ -1,0 +1,89 @@
+"""Weak directions, sentences and lists in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects.wording import parameter_words
+from orthoglide.numerals import compact, signed
+
+if TYPE_CHECKING:
+    from orthoglide.fit import WeakDirection
+
+
+def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
+    """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence.
+
+    Args:
+        weak: directions.
+        catalogue: that has their effects.
+    """
+    every = list(weak)
+    legs = [_offset_and_length(w, catalogue) for w in every]
+    similar = [w for w, leg in zip(every, legs, strict=True) if leg]
+    said = [_general(w, catalogue) for w, leg in zip(every, legs, strict=True) if not leg]
+    if similar:
+        said.insert(0, _together(similar, sorted(leg for leg in legs if leg)))
+    return said
+
+
+def _offset_and_length(weak: WeakDirection, catalogue: Catalogue) -> str:
+    """The leg (and campaign) whose offset and length change together; empty for anything else."""
+    names = [catalogue.parameter(name) for name in weak.parameters]
+    same = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
+    both = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
+    if not (same and both) or len({share > 0 for share in weak.parameters.values()}) != 1:
+        return ""
+    return f"{names[0].leg} of {names[0].campaign}" if names[0].campaign else names[0].leg
+
+
+def _together(weak: list[WeakDirection], legs: list[str]) -> str:
+    widest = max(weak, key=lambda w: w.sigma)
+    text = (
+        f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
+        f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
+        f"{widest.unit} (one sigma), hardly a reading changes. Their difference is what is seen."
+    )
+    return text + _narrowed(widest)
+
+
+def _general(weak: WeakDirection, catalogue: Catalogue) -> str:
+    every = [parameter_words(catalogue.parameter(name)) for name in weak.parameters]
+    names = listed(every)
+    if len(weak.parameters) > 1:
+        text = f"The readings cannot tell {names} apart"
+    else:
+        text = f"The readings hardly see the {names}"
+    shares = listed([f"{signed(share, 2)} × {n}" for n, share in weak.parameters.items()])
+    if weak.sigma == float("inf"):
+        return f"{text}: nothing at all is seen of the combination {shares}.{_narrowed(weak)}"
+    return (
+        f"{text}: along {shares} the machine may move by {compact(weak.sigma, 2)} {weak.unit} (one "
+        f"sigma) and hardly a reading changes.{_narrowed(weak)}"
+    )
+
+
+def _narrowed(weak: WeakDirection) -> str:
+    if not weak.sigma_with_priors < 0.5 * weak.sigma:
+        return ""
+    return (
+        f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: that is "
+        f"knowledge of how the machine was built, not of what was measured."
+    )
+
+
+def sentence(text: str) -> str:
+    """With a capital and a full stop; a parameter's name keeps its small letter."""
+    first = text.partition(" ")[0]
+    capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
+    return capital if capital.endswith("?") else f"{capital}."
+
+
+def listed(parts: Iterable[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    every = list(parts)
+    if len(every) < 2:
+        return "".join(every)
+    return f"{', '.join(every[:-1])} and {every[-1]}"

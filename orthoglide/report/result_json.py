@@ -1,0 +1,279 @@
+"""``result.json``: a result for programs, keys as FORMAT names them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orthoglide import __version__
+from orthoglide.machine_file import machine_text
+from orthoglide.report.wording import headline
+
+if TYPE_CHECKING:
+    from orthoglide.diagnosis.blunders import Blunder
+    from orthoglide.diagnosis.changes import Change
+    from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
+    from orthoglide.judging import TcpErrors
+    from orthoglide.request import Request
+    from orthoglide.result import Cause, Explanation, Result
+    from orthoglide.searching import Tried
+
+SCHEMA = 2
+_DIGITS = 10  # what differs behind these is rounding
+_FEW = 3  # digits of figures that are rounding themselves
+_SHORT = 6  # digits of probabilities and the like
+
+
+def result_text(result: Result) -> str:
+    """The text of ``result.json``: the same bytes for the same result."""
+    return json.dumps(_mapping(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def number(value: float, digits: int = _DIGITS) -> float | None:
+    """A number without its rounding noise; ``None`` where there is none."""
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+
+
+def _mm(metres: float, digits: int = _DIGITS) -> float | None:
+    return number(metres * 1e3, digits)
+
+
+def _mapping(result: Result) -> dict[str, Any]:
+    after, before = result.after, result.before
+    faulty, detection = result.first.problem.campaigns, result.left.detection
+    return {
+        **_head(result.request, after),
+        "summary": headline(result),
+        "verdict": result.word,
+        "nominal": _scores(result.nominal),
+        "before": _scores(before.scores),
+        "after": _scores(after.scores),
+        "holdout": result.hold_out
+        and {
+            "before_rms_mm": _mm(result.hold_out.before_rms),
+            "after_rms_mm": _mm(result.hold_out.after_rms),
+        },
+        "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
+        "effects": [_cause(cause) for cause in result.causes],
+        "parameters": _parameters(result),
+        "correlations": _correlations(result),
+        "calibrated": _calibrated(result),
+        "candidates": [_tried(tried) for tried in result.candidates],
+        "blunders": [_blunder(b, b.lines(faulty)) for b in result.blunders],
+        "changed": [_change(change) for change in result.changed],
+        "weak_directions": [_weak(weak) for weak in after.weak],
+        "cross_check": _check(before.check),
+        "next_measurements": [
+            {
+                "reason": s.reason,
+                "aim": s.aim,
+                "gain": number(s.gain, _SHORT),
+                "readings": [dict(row) for row in s.rows],
+            }
+            for s in result.next_measurements
+        ],
+        "left": {
+            "detection_p": number(detection.p_value, _SHORT),
+            "lack_of_fit_p": number(detection.lack_of_fit_p, _SHORT),
+            "stopped": result.stopped,
+            "pattern": list(result.pattern),
+        },
+        "workspace": _workspace(result),
+        "invisible": list(result.invisible),
+        "method": {
+            "name": after.method,
+            "iterations": after.iterations,
+            "last_step_in_sigmas": number(after.optimality, _FEW),
+        },
+        "warnings": [*result.cautions, *after.warnings],
+    }
+
+
+def _head(request: Request, after: Estimate) -> dict[str, Any]:
+    """What was asked of which files, and the noise: enough to run it again."""
+    spec = request.machine.spec
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "command": request.command,
+        "arguments": request.arguments,
+        "seed": request.seed,
+        "inputs": request.inputs,
+        "machine": {
+            "file": Path(spec.file).name or None,
+            "sha256": spec.sha256 or None,
+            "toml": machine_text(spec),
+        },
+        "noise_mm": _mm(after.problem.noise.typical),
+        "noise_source": after.problem.noise.source,
+        "sigma_scale": number(after.sigma_scale),
+    }
+
+
+def _scores(scores: Scores) -> dict[str, Any]:
+    return {
+        "rms_mm": _mm(scores.rms),
+        "deviation_rms_mm": _mm(scores.deviation_rms),
+        "max_mm": _mm(scores.max),
+        "chi2": number(scores.chi2),
+        "dof": scores.dof,
+        "lack_of_fit_p": number(scores.lack_of_fit_p),
+        "cv_rms_mm": _mm(scores.cv_rms),
+    }
+
+
+def _tcp(errors: TcpErrors) -> dict[str, Any]:
+    found = {
+        f"{side}_{what}_mm": _mm(getattr(errors, side)[k])
+        for side in ("nominal", "before", "after")
+        for k, what in enumerate(("mean", "max"))
+    }
+    if math.isfinite(errors.inside):
+        found["inside_95"] = number(errors.inside, _SHORT)
+    return found
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    effect = cause.effect
+    before, after = effect.cv_rms
+    return {
+        **_explanation(cause.chosen),
+        "indistinguishable_from": [rival.name for rival in cause.rivals],
+        "rivals": [
+            {
+                **_explanation(rival),
+                "chi2_more": number(
+                    rival.fit.scores.chi2 - effect.trial.estimate.scores.chi2, _SHORT
+                ),
+            }
+            for rival in cause.rivals
+        ],
+        "detection_p": number(effect.detection_p, _SHORT),
+        "naming_p": number(effect.naming_p, _SHORT),
+        "cv_rms_mm": {"before": _mm(before), "after": _mm(after)},
+    }
+
+
+def _explanation(one: Explanation) -> dict[str, Any]:
+    value, sigma = one.in_unit or (math.nan, math.nan)
+    return {
+        "name": one.name,
+        "parameters": list(one.parameters),
+        "value": number(value),
+        "sigma": number(sigma),
+        "unit": one.unit,
+        "probability": number(one.probability, _SHORT),
+        "words": one.words,
+    }
+
+
+def _parameters(result: Result) -> dict[str, Any]:
+    """Values of the chosen explanation, in the units of files; sigmas of both kinds."""
+    return {
+        name: {
+            "value": number(value),
+            "sigma": number(sigma),
+            "sigma_alone": number(alone),
+            "unit": unit,
+            "interval_95": [number(low), number(high)],
+            "tolerance": number(tolerance),
+        }
+        for name, value, sigma, alone, low, high, tolerance, unit in zip(
+            *result.columns.values(), strict=True
+        )
+    }
+
+
+def _correlations(result: Result) -> dict[str, Any]:
+    matrix = result.after.correlation.tolist()
+    return {
+        "parameters": list(result.after.names),
+        "matrix": [[round(v, 6) + 0.0 for v in row] for row in matrix],
+    }
+
+
+def _calibrated(result: Result) -> dict[str, Any]:
+    """Parameters of ``calibrated.toml``: averaged over what fits as well."""
+    found = {}
+    for name, entry in result.machine.spec.parameters.items():
+        unit = result.catalogue.effect_of(name).unit
+        value, sigma = number(entry.value / unit.si), number(entry.sigma / unit.si)
+        found[name] = {"value": value, "sigma": sigma, "unit": unit.name}
+    return found
+
+
+def _tried(tried: Tried) -> dict[str, Any]:
+    return {
+        "name": tried.name,
+        "parameters": list(tried.parameters),
+        "p_value": number(tried.p_value, _SHORT),
+        "evidence": number(tried.evidence, _SHORT),
+        "cv_rms_mm": _mm(tried.cv_rms),
+        "plausible": tried.plausible,
+        "round": tried.round,
+    }
+
+
+def _blunder(blunder: Blunder, lines: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
+    return {
+        "kind": blunder.kind,
+        "rows": [line for rows in lines.values() for line in rows],
+        "files": {name.rpartition("/")[2]: list(rows) for name, rows in lines.items()},
+        "setups": list(blunder.setups),
+        "message": blunder.message,
+        "chi2_less": number(blunder.improvement, _SHORT),
+        "rms_with_mm": _mm(blunder.rms_with),
+        "rms_without_mm": _mm(blunder.rms_without),
+    }
+
+
+def _change(change: Change) -> dict[str, Any]:
+    si = change.unit.si
+    return {
+        "parameter": change.parameter,
+        "members": list(change.members),
+        "from": number(change.before / si),
+        "to": number(change.after / si),
+        "sigma": number(change.sigma / si),
+        "unit": change.unit.name,
+        "between": [file.rpartition("/")[2] for file in change.between],
+        "words": change.message,
+    }
+
+
+def _weak(weak: WeakDirection) -> dict[str, Any]:
+    return {
+        "parameters": {name: number(share, _SHORT) for name, share in weak.parameters.items()},
+        "sigma": number(weak.sigma, _SHORT),
+        "sigma_with_priors": number(weak.sigma_with_priors, _SHORT),
+        "unit": weak.unit,
+    }
+
+
+def _check(check: CrossCheck | None) -> dict[str, Any] | None:
+    """The cross-check; null where the reduction cannot represent what was asked."""
+    return (
+        None
+        if check is None
+        else {
+            "reduction_max_difference_mm": _mm(check.reduction, _FEW),
+            "linear_system_max_difference_mm": _mm(check.linear, _FEW),
+            "linear_system_rms_difference_mm": _mm(check.linear_size, _FEW),
+            "linear_system_rms_bound_mm": _mm(check.linear_bound, _FEW),
+        }
+    )
+
+
+def _workspace(result: Result) -> dict[str, Any] | None:
+    """The predicted TCP error over the workspace, best translation removed, mean and largest."""
+    return (
+        None
+        if result.workspace is None
+        else {
+            name: {"mean_mm": _mm(values.mean(), _SHORT), "max_mm": _mm(values.max(), _SHORT)}
+            for name, values in result.workspace.figures().items()
+        }
+    )

@@ -1,0 +1,111 @@
+"""``calibrated.toml``, ``residuals.csv`` and ``next_measurements.csv``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orthoglide import __version__
+from orthoglide.geometry import LEGS
+from orthoglide.machine_file import MachineFile, nominal_machine_file
+
+if TYPE_CHECKING:
+    from orthoglide.observations import Reading
+    from orthoglide.request import Request
+    from orthoglide.result import Result
+
+_PLACES = (
+    "campaign", "line", "setup", "leg", "direction", "posture",
+    *(f"rho_{leg}_mm" for leg in LEGS), "gauge_mm", "repeat", "order",
+)  # fmt: skip
+_FIGURES = (
+    "reading_mm", "sigma_mm",
+    "predicted_nominal_mm", "predicted_before_mm", "predicted_after_mm",
+    "residual_nominal_mm", "residual_before_mm", "residual_after_mm",
+)  # fmt: skip
+
+
+def calibrated_machine(result: Result) -> MachineFile:
+    """The machine file to go on with, with where its numbers come from."""
+    request, spec = result.request, result.machine.spec
+    provenance: dict[str, Any] = {
+        **_origin(request),
+        "verdict": result.word,
+        "sigma": "noise alone" if result.known is None else "all other effects allowed",
+    }
+    if result.effects:
+        provenance["effects"] = [e.name for e in result.effects]
+    rivals = {name for e in result.effects for name in e.indistinguishable_from}
+    if rivals:
+        provenance["averaged_over"] = sorted(rivals)
+    nominal = spec.name == nominal_machine_file().name
+    name = "Orthoglide, calibrated" if nominal else spec.name
+    return replace(spec, name=name, provenance=provenance)
+
+
+def _origin(request: Request) -> dict[str, Any]:
+    files = [(i["file"], i["sha256"]) for i in request.inputs if "role" not in i]
+    found: dict[str, Any] = {
+        "version": __version__,
+        "command": request.command,
+        "campaigns": [{"file": name, "sha256": digest} for name, digest in files],
+    }
+    spec = request.machine.spec
+    if spec.file:
+        found["machine"] = {"file": Path(spec.file).name, "sha256": spec.sha256}
+    return found
+
+
+def residual_table(result: Result) -> str:
+    """The text of ``residuals.csv``: nominal, before and after; faulty rows last, set aside."""
+    problem, base = result.after.problem, result.before
+    measured = problem.measured
+    predicted = (base.predicted_before, base.predicted, result.after.predicted)
+    columns = [measured, problem.sigma, *predicted, *(measured - p for p in predicted)]
+    figures = np.column_stack(columns)
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*_PLACES, *_FIGURES, "set_aside"])
+    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
+        for row, values in zip(campaign.rows, figures[part], strict=True):
+            writer.writerow([*_cells(campaign.name, row), *map(_mm, values), ""])
+    for points, part in zip(
+        problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
+    ):
+        for row, point, axis in zip(figures[part], points.point, points.setup, strict=True):
+            places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
+            places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
+            writer.writerow([*places, *map(_mm, row), ""])
+    for name, row, kind in _set_aside(result):
+        empty = [""] * (len(_FIGURES) - 1)
+        writer.writerow([*_cells(name, row), _mm(row.reading), *empty, kind])
+    return stream.getvalue()
+
+
+def _set_aside(result: Result) -> Iterator[tuple[str, Reading, str]]:
+    campaigns = result.first.problem.campaigns
+    for blunder in result.blunders:
+        if blunder.kind == "knocked_stand":  # its rows count, with a datum of their own
+            continue
+        for place, row in blunder.rows:
+            campaign = campaigns[place]
+            yield campaign.name, next(iter(campaign.subset([row]).rows)), blunder.kind
+
+
+def _cells(campaign: str, row: Reading) -> list[Any]:
+    setup = row.setup
+    return [
+        campaign, row.line, setup.name, LEGS[setup.leg], setup.direction, row.posture,
+        *map(_mm, row.command), _mm(setup.gauge), row.repeat, row.order,
+    ]  # fmt: skip
+
+
+def _mm(metres: float) -> str:
+    """Millimetres to a nanometre: further digits are rounding."""
+    return f"{round(float(metres) * 1e3, 6) + 0.0:.6f}"

@@ -1,0 +1,6 @@
+"""What was asked of the program: kept with every result, so that it can be done again."""
+
+from orthoglide.request.reading import request_of
+from orthoglide.request.request import COMMANDS, Command, Request
+
+__all__ = ["COMMANDS", "Command", "Request", "request_of"]

@@ -1,0 +1,166 @@
+"""The request that a ``result.json`` keeps, checked: the file may have been edited."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path, PurePath
+from typing import Any
+
+from orthoglide.effects import CATALOGUE, Effect
+from orthoglide.errors import FileError
+from orthoglide.machine import Machine
+from orthoglide.machine_file import parse_machine_file
+from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
+from orthoglide.request.request import Request
+
+_ROLES = ("campaign", "fit_tcp", "holdout", "tcp")
+_FRAMES = ("rigid", "translation", "none")
+_LAST_LINE = 1_000_000
+_LONGEST_NAME = 255  # bytes
+
+
+def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:
+    """The request of a run from its ``result.json``.
+
+    Args:
+        result: the mapping of the file.
+        file: its name, for errors.
+        effects: the user's own, where the run had some.
+
+    Raises:
+        FileError: where a part of it is not as it was written.
+    """
+    try:
+        inputs, told, seed = result["inputs"], result["arguments"], result["seed"]
+        single = result["command"] == "identify"
+        _check_inputs(inputs)
+        _check_arguments(told, single)
+        # Nothing is drawn to identify, and any seed went.
+        if not isinstance(seed, int) or isinstance(seed, bool) or (seed < 0 and not single):
+            raise ValueError("seed is no number that counts")
+        noise = told["noise_mm"]
+        if told.get("effects_file") and not effects:
+            raise FileError(
+                f"had effects of its own, from {told['effects_file']}: give it with --effects-file",
+                file=file,
+            )
+        machine = _machine(result["machine"], effects)
+    except FileError:  # of the machine file
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise FileError(
+            f"is not as it was written ({reason}): take the original", file=file
+        ) from None
+    by_role = {role: [i for i in inputs if i.get("role", _ROLES[0]) == role] for role in _ROLES}
+    request = Request(
+        result["command"],
+        tuple(_campaign(i, machine) for i in by_role["campaign"]),
+        machine,
+        own=tuple(told["own"]),
+        noise=None if noise is None else noise * 1e-3,
+        seed=seed,
+        holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
+        tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
+        points=tuple(_points(i, machine) for i in by_role["fit_tcp"]),
+        frame=told.get("frame", "rigid"),
+        effects_file=told.get("effects_file", ""),
+    )
+    if not single:
+        return request
+    free, priors, reduced = tuple(told["free"]), told["priors"], told["reduced"]
+    return replace(request, free=free, priors=priors, reduced=reduced)
+
+
+def _machine(told: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
+    name = told["file"] or ""
+    if name:
+        _check_name(name)
+    spec = parse_machine_file(told["toml"], name, CATALOGUE.with_effects(effects))
+    return Machine(replace(spec, file=name, sha256=told["sha256"] or ""))
+
+
+def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:
+    return campaign_from_rows(
+        found["rows"],
+        machine.spec,
+        name=Path(found["file"]).stem,
+        lines=found.get("lines", ()),
+        file=found["file"],
+        sha256=found["sha256"],
+    )
+
+
+def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:
+    return tcp_from_rows(
+        found["rows"],
+        machine.spec,
+        file=found["file"],
+        lines=found.get("lines", ()),
+        sha256=found["sha256"],
+    )
+
+
+def _check_arguments(told: Mapping[str, Any], single: bool) -> None:
+    """ValueError or KeyError where an argument is none that the command takes."""
+
+    def names(value: Any) -> bool:
+        return isinstance(value, list) and all(isinstance(n, str) for n in value)
+
+    def number(value: Any) -> bool:
+        return value is None or (type(value) in (int, float) and 0 < value < float("inf"))
+
+    checks: dict[str, Callable[[Any], bool]] = {
+        "campaigns": names,
+        "own": names,
+        "machine": lambda value: isinstance(value, str | None),
+        "noise_mm": number,
+    }
+    if single:
+        truth: Callable[[Any], bool] = lambda value: isinstance(value, bool)  # noqa: E731
+        checks |= {"free": names, "priors": truth, "reduced": truth}
+    if told.get("frame", "rigid") not in _FRAMES:
+        raise ValueError(f"frame is {told['frame']!r}")
+    for name, check in checks.items():
+        if not check(told[name]):
+            raise ValueError(f"{name} is {told[name]!r}")
+
+
+def _check_inputs(found: Any) -> None:
+    """ValueError or KeyError where a file of readings is not as it was written."""
+    if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+        raise ValueError("inputs is no list of files")
+    for item in found:
+        _check_name(item["file"])
+        if not isinstance(item["sha256"], str):
+            raise ValueError(f"{item['file']} has no digest")
+        if item.get("role", _ROLES[0]) not in _ROLES:
+            raise ValueError(f"{item['file']} is none of {', '.join(_ROLES)}")
+        _check_rows(item["file"], item["rows"])
+        _check_lines(item["file"], item.get("lines", []), len(item["rows"]))
+    if not any(item.get("role", _ROLES[0]) in _ROLES[:2] for item in found):
+        raise ValueError("inputs has no campaign")
+
+
+def _check_name(name: Any) -> None:
+    plain = isinstance(name, str) and name not in ("", "..") and name == PurePath(name).name
+    if not plain or "\0" in name or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
+        raise ValueError(f"{str(name)[:40]!r} is no name of a file")
+
+
+def _check_rows(file: str, rows: Any) -> None:
+    if not isinstance(rows, list) or not rows:
+        raise ValueError(f"{file} has no rows")
+    for row in rows:
+        cells = row.items() if isinstance(row, dict) else ()
+        if not cells or not all(isinstance(c, str) for cell in cells for c in cell):
+            raise ValueError(f"{file} has a row that is none")
+
+
+def _check_lines(file: str, lines: Any, count: int) -> None:
+    if not isinstance(lines, list) or not all(type(line) is int for line in lines):
+        raise ValueError(f"{file} has lines that are no numbers")
+    ordered = all(a < b for a, b in zip([1, *lines], [*lines, _LAST_LINE], strict=True))
+    if lines and (len(lines) != count or not ordered):
+        raise ValueError(f"{file} has lines that are not those of its rows")

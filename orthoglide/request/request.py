@@ -1,0 +1,148 @@
+"""``Request``: a command with its campaigns, machine and options, as typed values."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from orthoglide.effects import BASE_FAMILIES
+from orthoglide.files import sha256
+from orthoglide.fit.factors import Frame
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, TcpPoints, campaign_rows, csv_text, tcp_rows
+
+Command = Literal["identify", "close-loop", "diagnose", "demo"]
+COMMANDS: tuple[Command, ...] = ("identify", "close-loop", "diagnose", "demo")
+"""Whose results can be run again."""
+
+_AGAIN = "orthoglide rerun result.json --out DIR"
+
+
+@dataclass(frozen=True)
+class Request:
+    """All that has an influence on the numbers of a run.
+
+    Attributes:
+        command: of the command line.
+        campaigns: the readings.
+        machine: to start from.
+        own: effects or parameters that each campaign has for itself.
+        noise: standard deviation of one reading, metres; ``None`` where files or repeats say it.
+        seed: of every random draw.
+        holdout: a campaign that judges the finished result.
+        tcp: points that judge the finished result.
+        free: effects or parameters that ``identify`` frees.
+        priors: whether tolerances act as priors in ``identify``.
+        reduced: whether the analytic reduction identifies.
+        points: TCP points that are readings like the others.
+        frame: how the instrument of ``points`` may stand to the machine.
+        effects_file: name of the file with the user's own effects, where one was given.
+    """
+
+    command: Command
+    campaigns: tuple[Campaign, ...]
+    machine: Machine
+    own: tuple[str, ...] = ()
+    noise: float | None = None
+    seed: int = 0
+    holdout: Campaign | None = None
+    tcp: TcpPoints | None = None
+    free: tuple[str, ...] = BASE_FAMILIES
+    priors: bool = True
+    reduced: bool = False
+    points: tuple[TcpPoints, ...] = ()
+    frame: Frame = "rigid"
+    effects_file: str = ""
+
+    @property
+    def searches(self) -> bool:
+        """Whether causes are looked for; ``identify`` adds none."""
+        return self.command != "identify"
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """As ``result.json`` keeps them: names of files, no places."""
+        found: dict[str, Any] = {
+            "campaigns": [name_of(c) for c in self.campaigns],
+            "own": list(self.own),
+            "machine": Path(self.machine.spec.file).name or None,
+            "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
+        }
+        if self.effects_file:
+            found["effects_file"] = self.effects_file
+        if self.points:
+            found |= {"fit_tcp": [name_of(p) for p in self.points], "frame": self.frame}
+        if self.searches:
+            held, points = self.holdout, self.tcp
+            judges = {"holdout": name_of(held) if held else None}
+            return found | judges | {"tcp": name_of(points) if points else None}
+        options = {"free": list(self.free), "priors": self.priors, "reduced": self.reduced}
+        return found | options
+
+    @property
+    def inputs(self) -> list[dict[str, Any]]:
+        """Files of readings as ``result.json`` keeps them: name, digest, role and rows."""
+        return list(self._inputs())
+
+    def _inputs(self) -> Iterator[dict[str, Any]]:
+        for campaign in self.campaigns:
+            yield _input(campaign, "campaign", campaign_rows(campaign))
+        for points in self.points:
+            yield _input(points, "fit_tcp", tcp_rows(points))
+        if self.holdout is not None:
+            yield _input(self.holdout, "holdout", campaign_rows(self.holdout))
+        if self.tcp is not None:
+            yield _input(self.tcp, "tcp", tcp_rows(self.tcp))
+
+    @property
+    def command_line(self) -> str:
+        """How to run it again beside the files, or from the result where there are none."""
+        if self.command == "demo":
+            return "orthoglide demo --out DIR" + (f" --seed {self.seed}" if self.seed else "")
+        judges = [given for given in (self.holdout, self.tcp) if given is not None]
+        if not all(given.file for given in (*self.campaigns, *self.points, *judges)):
+            return _AGAIN
+        told = self.arguments
+        free = () if self.free == tuple(BASE_FAMILIES) else self.free
+        words = ["orthoglide", self.command, *told["campaigns"], "--out", "DIR"]
+        options = {
+            "--free": ",".join(free),
+            "--holdout": told.get("holdout") or "",
+            "--tcp": told.get("tcp") or "",
+            "--own": ",".join(self.own),
+            "--machine": told["machine"] or "",
+            "--effects-file": self.effects_file,
+            "--noise": "" if self.noise is None else f"{told['noise_mm']:g}",
+            "--seed": str(self.seed) if self.seed and self.searches else "",
+        }
+        for option, value in options.items():
+            words += [option, value] if value else []
+        for points in self.points:
+            words += ["--fit-tcp", name_of(points), "--frame", self.frame]
+        flags = {"--no-priors": not self.priors, "--reduced": self.reduced}
+        return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
+
+
+def name_of(given: Campaign | TcpPoints) -> str:
+    """The name of a file of readings without its folder; one is made up where there is no file."""
+    if given.file:
+        return Path(given.file).name
+    return f"{given.name}.csv" if isinstance(given, Campaign) else "points.tcp.csv"
+
+
+def _input(given: Campaign | TcpPoints, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "file": name_of(given),
+        "sha256": given.sha256 or sha256(csv_text(rows).encode()),
+    }
+    if role != "campaign":
+        found["role"] = role
+    lines = [int(line) for line in given.line]
+    if isinstance(given, Campaign):
+        lines = sorted([*lines, *(int(line) for line in given.moves.line)])
+    if lines != list(range(2, len(rows) + 2)):
+        found["lines"] = lines
+    return found | {"rows": rows}
