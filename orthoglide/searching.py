@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from orthoglide.diagnosis.evidence import best_pair
+from orthoglide.diagnosis.evidence import best_pairs
 from orthoglide.diagnosis.ranking import (
     Rival,
     Round,
@@ -185,9 +185,11 @@ class Search:
         """
         best = trials[0]
         names = [c.name for c in found.scoring.candidates]
-        pair = best_pair(found.scoring, found.signatures) if room > 1 else None
-        if pair is None or best.candidate.name in (names[k] for k in pair.members):
+        residual = found.signatures.residual[:, None]
+        pairs = best_pairs(found.scoring, residual) if room > 1 else ()
+        if not pairs or best.candidate.name in (names[k] for k in pairs[0].members):
             return best
+        (pair,) = pairs
         if pair.evidence < found.evidences[names.index(best.candidate.name)] + _PAIRS:
             return best
         self.progress(Step("trying", "two causes at once"))

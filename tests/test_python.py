@@ -159,6 +159,31 @@ def test_the_frame_of_an_estimate(estimate: og.Estimate) -> None:
         assert row["tolerance"] == pytest.approx(estimate.problem.machine.tolerance(name) * 1e3)
 
 
+def test_what_is_shown_of_a_campaign(campaign: og.Campaign) -> None:
+    assert repr(campaign) == "<Campaign 'rig-3': 252 readings in 6 setups>"
+    assert repr(og.protocol("standard")).endswith(
+        "54 readings in 6 setups, 54 of them to be taken>"
+    )
+    page = campaign._repr_html_()
+    assert page.count("<tr>") == 22
+    assert "<td>...</td>" in page
+    points = og.read_tcp(RIG / "rig-3.tcp.csv")
+    assert repr(points).startswith(f"<TcpPoints: {len(points)} points of ")
+    assert len(repr(points)) < 200
+
+
+@pytest.mark.parametrize("kind", ["standard", "sweep"])
+def test_the_frame_of_a_campaign_reads_back(kind: Any) -> None:
+    filled = og.simulate(og.Machine.nominal().with_parameters(ERRORS), kind, seed=2)
+    frame = filled.to_frame()
+    assert len(frame) == len(filled) + len(filled.moves)
+    assert frame["reading_mm"].dropna().to_numpy() == pytest.approx(filled.reading * 1e3)
+    assert og.Campaign.from_frame(frame, name=filled.name).same_as(filled)
+    sheet = og.protocol(kind).with_moves()
+    again = og.Campaign.from_frame(sheet.to_frame(), name=sheet.name, require_readings=False)
+    assert again.same_as(sheet)
+
+
 def test_frames_say_what_they_need(estimate: og.Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(og.InputError, match="pip install pandas"):

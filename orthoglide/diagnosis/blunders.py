@@ -1,8 +1,9 @@
 """Faults of the data, before any physics: found, named with their rows, and set aside in the open.
 
-Data faults and causes of the machine compete on the same readings. What repeats contradict is no
-cause that depends on the posture (`repeat_faults`); a sign, a unit, two labels or a stuck dial must
-explain the readings better than the best effect of the catalogue (`fit_faults`, `stuck_faults`).
+Data faults, changes between campaigns and causes of the machine compete on the same readings. What
+repeats contradict is no cause that depends on the posture (`repeat_faults`); a sign, a unit, two
+labels, a stuck dial or a change must explain the readings better than the best effect of the
+catalogue (`fit_faults`, `joint_faults`, `stuck_faults`).
 """
 
 from __future__ import annotations
@@ -13,25 +14,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.diagnosis.changes import Change, separated
-from orthoglide.diagnosis.fault_view import set_free
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.repeat_faults import repeat_faults
+from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.diagnosis.station_means import StationMeans, orthonormal, past
 from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
-from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
 
 _MOST_CHANGES = 4
-
 _MEANINGS = ("sign", "unit", "exchanged_labels")
-
 _SILENT = 1e6  # times its sigma: a reading of no weight
 
 
@@ -88,32 +86,34 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
         estimate: the fit of the base model.
         most: more faults than this are no slips: what is left is for a person to look at.
     """
-    seen = signatures(estimate)
-    found = stuck_faults(seen)
-    found += repeat_faults(estimate, found)
+    base = signatures(estimate)
+    means = StationMeans.of(base)
+    setups = [Scatter.of(estimate, s) for s in range(estimate.problem.setup_count)]
+    found = stuck_faults(means, setups)
+    found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
-    now, stale = seen, 0 < len(found) < most
+    stale = 0 < len(found) < most
     several = len(estimate.problem.campaigns) > 1
     for _ in range(_REFITS + (_MOST_CHANGES if several else 0)):
         if stale:
             problem = separated(_muted(estimate.problem, found), changes)
             try:
-                now = signatures(solve(problem, method="nested"))
+                means = StationMeans.of(signatures(solve(problem, method="nested")), found)
             except NumericsError:
                 break
-        fault = fit_fault(now, found)
-        if fault is None:
+        item = fit_fault(means, setups, found)
+        if item is None:
             break
-        if isinstance(fault, Change):
-            changes.append(fault)
+        if isinstance(item, Change):
+            changes.append(item)
         else:
-            found.append(fault)
+            found.append(item)
         stale = True
     if len(found) < most and not any(f.kind in _MEANINGS for f in found):
-        beside = joint_fault(now, found)
+        beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
-    measured = tuple(c.measured(now.estimate) for c in changes)
-    return Findings(_reported(seen, found[:most]), measured)
+    fit = means.signatures.estimate
+    return Findings(_reported(base, found[:most]), tuple(c.measured(fit) for c in changes))
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
@@ -130,32 +130,35 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
     return replace(problem.with_readings(readings), noise=noise)
 
 
-def _reported(seen: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
-    problem, names = seen.estimate.problem, setup_names(seen.estimate.problem)
-    told, dropped = [], np.zeros(seen.count, dtype=bool)
+def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
+    """The faults with what each explains once those before it are set aside."""
+    problem, names = base.estimate.problem, setup_names(base.estimate.problem)
+    kept = np.ones(base.count, dtype=bool)
+    residual, free = base.residual, np.zeros((len(base.residual), 0))
+
+    def rms() -> float:
+        metres = (residual[: base.count] / base.weight)[kept]
+        return float(np.sqrt(np.mean(metres**2))) if len(metres) else 0.0
+
+    blunders = []
     for fault in faults:
-        after = set_free(seen, fault.columns(problem))
-        before_rms = _rms(seen, dropped)
+        chi2, rms_with = float(residual @ residual), rms()
+        free = orthonormal(np.hstack([free, base.whiten(fault.columns(problem))]))
+        residual = past(free, base.residual)
         if fault.kind != "knocked_stand":
-            dropped[fault.rows] = True
-        told.append(
+            kept[fault.rows] = False
+        blunders.append(
             Blunder(
                 fault.kind,
                 places(problem, fault.rows),
                 tuple(names[s] for s in fault.setups),
                 message(problem, fault),
-                float(seen.residual @ seen.residual - after.residual @ after.residual),
-                before_rms,
-                _rms(after, dropped),
+                chi2 - float(residual @ residual),
+                rms_with,
+                rms(),
             )
         )
-        seen = after
-    return tuple(told)
-
-
-def _rms(seen: Signatures, dropped: Array) -> float:
-    kept = (seen.residual[: seen.count] / seen.weight)[~dropped.astype(bool)]
-    return float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+    return tuple(blunders)
 
 
 def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
@@ -201,6 +204,6 @@ def _split(campaign: Campaign, rows: Rows) -> Campaign:
     while name in taken:
         name += "-again"
     setup = campaign.setup.copy()
-    own = rows[setup[rows] == setup[rows[0]]]  # the rest was split off by a later knock
-    setup[own] = len(campaign.setups)
+    # The rest was split off by a later knock.
+    setup[rows[setup[rows] == setup[rows[0]]]] = len(campaign.setups)
     return replace(campaign, setups=(*campaign.setups, replace(old, name=name)), setup=setup)

@@ -15,8 +15,8 @@ import numpy as np
 
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.fault_view import View
 from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.effects import family_of, is_dial
 from orthoglide.fit import Change, Problem, build_unknowns
 from orthoglide.geometry import Array
@@ -25,27 +25,26 @@ _SIGNIFICANT = 3.0  # sigmas
 _CLASS_WIDTH = 4.0  # fall of chi2 within which two changes cannot be told apart (Wilks)
 
 
-def likeliest_change(view: View) -> Change | None:
+def likeliest_change(means: StationMeans) -> Change | None:
     """The change that explains a residual best, whatever its evidence.
 
     Args:
-        view: station means of what a fit leaves.
+        means: of what a fit leaves.
 
     Returns:
         The change without values, or ``None`` where there is one campaign only.
     """
-    problem = view.seen.estimate.problem
+    problem = means.problem
     if len(problem.campaigns) < 2:
         return None
-    hypotheses = _hypotheses(view.seen)
-    means = replace(hypotheses, columns=view.averaging.T @ hypotheses.columns)
-    scoring = Scoring.of(means, hypotheses.candidates)
-    left = view.chi2 - scoring.gains(view.residual)
-    evidence = view.evidence(left) - scoring.occam / 2 - np.log(len(left))
+    hypotheses = _hypotheses(means)
+    scoring = Scoring.of(hypotheses, hypotheses.candidates)
+    left = means.chi2 - scoring.gains(means.residual)
+    evidence = means.evidence(left) - scoring.occam / 2 - np.log(len(left))
     # Which one is it, once something changed: what is left makes the readings worse witnesses, not
     # the tolerances wider.
-    scale = max(view.floor, float(left[np.argmax(evidence)]) / view.dof)
-    prior = _squared_tolerances(scoring, view.residual)
+    scale = max(means.floor, float(left[np.argmax(evidence)]) / means.dof)
+    prior = _squared_tolerances(scoring, means.residual)
     best = int(np.argmin(np.round((left - prior) / scale + prior + scoring.occam, 2)))
     plain, _, since = hypotheses.candidates[best].name.partition("@")
     near = [
@@ -67,11 +66,11 @@ def _squared_tolerances(scoring: Scoring, residual: Array) -> Array:
     return np.array([np.sum(s * (1 - s) * (basis.T @ residual) ** 2) for basis, s in pairs])
 
 
-def _hypotheses(seen: Signatures) -> Signatures:
+def _hypotheses(means: StationMeans) -> Signatures:
     """Changes of all single parameters before all campaigns but the first, as candidates."""
-    problem = seen.estimate.problem
+    problem, base = means.problem, means.signatures
     slopes: dict[str, Array] = {}
-    for name, slope in seen.slopes.items():
+    for name, slope in base.slopes.items():
         if not is_dial(name):
             plain = name.partition("@")[0]
             slopes[plain] = slopes.get(plain, 0.0) + slope
@@ -84,20 +83,20 @@ def _hypotheses(seen: Signatures) -> Signatures:
         columns.append(slope)
         for campaign, rows in zip(problem.campaigns[1:], problem.rows[1:], strict=True):
             since = f"{plain}@{campaign.name}"
-            if since in seen.slopes:
+            if since in base.slopes:
                 continue  # has values of its own from there on already
             names.append(since)
-            columns.append(np.where(np.arange(seen.count) >= rows.start, slope, 0.0))
+            columns.append(np.where(np.arange(base.count) >= rows.start, slope, 0.0))
             parts = (since,) if plain in fitted else (plain, since)
             found.append(
                 Candidate(since, family_of(plain).name, parts, tuple({n: 1.0} for n in parts))
             )
     tolerance = [problem.machine.tolerance(n.partition("@")[0]) for n in names]
     return replace(
-        seen,
+        base,
         names=tuple(names),
         tolerance=np.array(tolerance),
-        columns=seen.whiten(np.stack(columns, axis=1)),
+        columns=means.by_reading @ np.stack(columns, axis=1),
         candidates=tuple(found),
     )
 

@@ -81,32 +81,36 @@ class Pair:
     evidence: float
 
 
-def best_pair(scoring: Scoring, signatures: Signatures) -> Pair | None:
-    """The two candidates of one parameter each that explain a residual best together.
+def best_pairs(scoring: Scoring, residuals: Array) -> tuple[Pair, ...]:
+    """The two candidates of one parameter each that explain each residual best together.
 
     Args:
         scoring: of the candidates in the running.
-        signatures: of these, with the residual.
+        residuals: ``(m, h)``.
 
     Returns:
-        The pair, or ``None`` where there are fewer than two such candidates.
+        A pair for each residual; none where there are fewer than two such candidates.
     """
-    single = [k for k, c in enumerate(scoring.candidates) if c.size == 1]
+    single = [k for k, c in enumerate(scoring.candidates) if c.size == 1 and scoring.shrink[k].size]
     if len(single) < 2:
-        return None
-    columns = np.hstack([signatures.of(scoring.candidates[k]) for k in single])
+        return ()
+    size = np.sqrt(np.expm1(scoring.occam[single]))
+    columns = np.hstack([scoring.basis[k] for k in single]) * size
     gram = columns.T @ columns
-    along = columns.T @ signatures.residual
-    own = np.diag(gram) + 1
+    diagonal = np.diag(gram) + 1
     # (S^T S + 1)^-1 of two columns, written out for all pairs at once.
     first, second = np.triu_indices(len(single), 1)
     cross = gram[first, second]
-    determinant = own[first] * own[second] - cross**2
-    gain = (
-        own[second] * along[first] ** 2
-        - 2 * cross * along[first] * along[second]
-        + own[first] * along[second] ** 2
-    ) / determinant
-    evidence = (gain - np.log(determinant)) / 2
-    best = int(np.argmax(evidence))
-    return Pair((single[first[best]], single[second[best]]), float(evidence[best]))
+    determinant = diagonal[first] * diagonal[second] - cross**2
+    found = []
+    for along in (columns.T @ residuals).T:
+        gain = (
+            diagonal[second] * along[first] ** 2
+            - 2 * cross * along[first] * along[second]
+            + diagonal[first] * along[second] ** 2
+        ) / determinant
+        evidence = (gain - np.log(determinant)) / 2
+        best = int(np.argmax(evidence))
+        members = (single[first[best]], single[second[best]])
+        found.append(Pair(members, float(evidence[best])))
+    return tuple(found)

@@ -1,4 +1,4 @@
-"""Faults of the data as hypotheses: what is wrong with which rows, and how a mechanic is told."""
+"""Faults of the data as hypotheses: what is wrong with which rows, and how a mechanic reads it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from orthoglide.geometry import LEGS, Array
 
 Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck"]
 Rows = NDArray[np.int64]
+
+EVIDENCE = 7.0
+"""Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
 
 UNITS = {
     1e3: "in metres instead of millimetres",
@@ -47,15 +50,13 @@ class Fault:
     rows: Rows
     setups: tuple[int, ...]
     size: float
-    evidence: float
+    evidence: float = 0.0
 
     def columns(self, problem: Problem) -> Array:
         """Readings ``(n, k)`` that are set free once the fault is known."""
         n = len(problem.measured)
         if self.kind == "knocked_stand":
-            step = np.zeros((n, 1))
-            step[self.rows] = 1.0
-            return step
+            return np.isin(np.arange(n), self.rows).astype(float)[:, None]
         return np.eye(n)[:, self.rows]
 
 
@@ -71,14 +72,18 @@ def setup_names(problem: Problem) -> tuple[str, ...]:
     return tuple(s.name for c in problem.campaigns for s in c.setups)
 
 
+def untouched(problem: Problem, faults: Sequence[Fault]) -> list[int]:
+    """Setups in which no fault was found."""
+    touched = {s for fault in faults for s in fault.setups}
+    return [s for s in range(problem.setup_count) if s not in touched]
+
+
 def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
     """Campaign and row within it of stacked rows."""
     ends = [part.stop for part in problem.rows]
-    return tuple(
-        (k, int(row) - problem.rows[k].start)
-        for row in sorted(rows.tolist())
-        for k in [int(np.searchsorted(ends, row, side="right"))]
-    )
+    ordered = np.sort(rows).tolist()
+    homes = np.searchsorted(ends, ordered, side="right").tolist()
+    return tuple((k, row - problem.rows[k].start) for k, row in zip(homes, ordered, strict=True))
 
 
 def message(problem: Problem, fault: Fault) -> str:
@@ -88,17 +93,16 @@ def message(problem: Problem, fault: Fault) -> str:
     where = campaign.file.rpartition("/")[2] or campaign.name
     lines = _listed([int(campaign.line[row]) for k, row in at if k == at[0][0]])
     names = setup_names(problem)
-    own = " and ".join(repr(names[s]) for s in fault.setups)
-    told = _TOLD[fault.kind](problem, fault)
-    return f"{where}, {lines}, setup{'s' * (len(fault.setups) > 1)} {own}: {told}"
+    setups = " and ".join(repr(names[s]) for s in fault.setups)
+    clause = _CLAUSES[fault.kind](problem, fault)
+    return f"{where}, {lines}, setup{'s' * (len(fault.setups) > 1)} {setups}: {clause}"
 
 
 def _outlier(problem: Problem, fault: Fault) -> str:
-    same = problem.station[fault.rows[0]] == problem.station
-    whose = "the other readings of this posture" if same.sum() > 1 else "what all others say"
-    shown = problem.measured[fault.rows[0]] * 1e3
+    visits = np.sum(problem.station[fault.rows[0]] == problem.station)
+    rest = "the other readings of this posture" if visits > 1 else "what all others say"
     return (
-        f"the reading {shown:.6g} mm is {fault.size * 1e3:+.3g} mm off {whose}: "
+        f"the reading {_first(problem, fault)} mm is {fault.size * 1e3:+.3g} mm off {rest}: "
         f"look it up in the notes and correct it, or measure this posture again"
     )
 
@@ -136,15 +140,14 @@ def _unit(problem: Problem, fault: Fault) -> str:
 
 
 def _stuck(problem: Problem, fault: Fault) -> str:
-    shown = problem.measured[fault.rows[0]] * 1e3
     return (
-        f"the dial shows {shown:.6g} mm in {len(fault.rows)} readings one after the other while "
-        f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure these "
-        f"rows again"
+        f"the dial shows {_first(problem, fault)} mm in {len(fault.rows)} readings one after the "
+        f"other while the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and "
+        f"measure these rows again"
     )
 
 
-_TOLD = {
+_CLAUSES = {
     "outlier": _outlier,
     "knocked_stand": _knock,
     "sign": _sign,
@@ -152,6 +155,10 @@ _TOLD = {
     "unit": _unit,
     "stuck": _stuck,
 }
+
+
+def _first(problem: Problem, fault: Fault) -> str:
+    return f"{problem.measured[fault.rows[0]] * 1e3:.6g}"
 
 
 def _listed(lines: Sequence[int]) -> str:

@@ -15,51 +15,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.diagnosis.evidence import Scoring, best_pair
-from orthoglide.diagnosis.fault_view import View, set_free, with_effect
-from orthoglide.diagnosis.faults import UNITS, Fault, Kind, Rows, in_order
-from orthoglide.diagnosis.fit_faults import (
-    exchanged,
-    grain,
-    meant,
-    pairs_of_setups,
-    same_commands,
-    under_each_label,
-)
-from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.diagnosis.evidence import best_pairs
+from orthoglide.diagnosis.faults import Fault, untouched
+from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
+from orthoglide.diagnosis.signatures import signatures
+from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
-from orthoglide.fit import Problem, solve
+from orthoglide.fit import solve
 from orthoglide.geometry import Array
 
-MARGIN = 12.0
-"""Log Bayes factor, the number of hypotheses discounted, by which the readings must be beaten."""
-
+_MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the readings as they are
 _SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
 _SHARE = 0.5  # of what the best effects alone leave, that a fault and its effects may leave
 _REFITS = 4  # hypotheses that are identified anew
-_TOLD = 30.0  # sigmas of the station means by which readings must swing past fit and effects
+_SIGMAS = 30.0  # of the station means, by which readings must swing past fit and effects
 _FEWEST = 6.0  # degrees of freedom of station means: fewer tell nothing of two effects and a fault
 _APART = 6.0  # log Bayes factor between the best fault and the next one of other setups
 
 
 @dataclass(frozen=True)
-class _Hypothesis:
-    """Readings that mean something else.
-
-    Attributes:
-        fault: with no evidence yet.
-        change: what the readings change by, ``(n,)`` metres.
-        problem: with the fault taken back.
-    """
-
-    fault: Fault
-    change: Array
-    problem: Problem
-
-
-@dataclass(frozen=True)
-class _Scored:
-    """A residual with its best effects.
+class _Explained:
+    """A residual with the effects that explain it best.
 
     Attributes:
         score: log evidence but for a constant.
@@ -72,141 +48,90 @@ class _Scored:
     places: tuple[int, ...]
 
 
-def joint_fault(seen: Signatures, known: Sequence[Fault]) -> Fault | None:
+def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     """The sign, unit or exchange that fits with one or two effects where no effects fit alone.
 
     Args:
-        seen: signatures at the fit of the readings without the known faults.
-        known: faults found before; their rows take no part.
+        means: at the fit of the readings without the known faults.
+        known: faults found before; their setups take no part.
     """
-    problem = seen.estimate.problem
-    for fault in known:
-        seen = set_free(seen, fault.columns(problem))
-    view = View.of(seen)
-    if not seen.candidates or view.dof < _FEWEST or _fits(view, view.chi2):
+    problem = means.problem
+    if not means.signatures.candidates or means.dof < _FEWEST or _is_noise(means, means.chi2):
         return None
-    bare = _scored(view, view.residual, families=True)
-    if _fits(view, bare.left):
+    (bare,) = _explained(means, means.residual[:, None])
+    # The family that leaves least counts as well: is there any explanation but a fault?
+    families = means.scoring.gains(means.residual), means.scoring.evidences(means.residual)
+    bare_left = min(bare.left, means.chi2 - float(families[0].max()))
+    bare_score = max(bare.score, float(families[1].max()) - means.chi2 / 2)
+    hypotheses = misreadings(means, untouched(problem, known))
+    if _is_noise(means, bare_left) or not hypotheses:
         return None
-    touched = {s for f in known for s in f.setups}
-    tried = _hypotheses(view, [s for s in range(problem.setup_count) if s not in touched])
-    if not tried:
-        return None
-    shown = view.shown(np.stack([h.change for h in tried], axis=-1))
-    first = [_scored(view, view.residual + column).score for column in shown.T]
+    shown = means.by_reading @ np.stack([h.change for h in hypotheses], axis=-1)
+    ranked = np.argsort([-e.score for e in _explained(means, means.residual[:, None] + shown)])
     faults = []
-    for k in np.argsort(first)[::-1][:_REFITS]:
-        after = _retaken(tried[k], known)
-        if after is None or after.left > _SHARE * bare.left:
+    for k in ranked[:_REFITS]:
+        after = _identified(means, hypotheses[k], known)
+        if after is None or after.left > _SHARE * bare_left:
             continue
-        gain = after.score - bare.score - np.log(len(tried))
-        if tried[k].fault.kind == "unit":
-            gain += grain(problem, tried[k].fault.rows, tried[k].fault.size)
-        if gain >= MARGIN:
-            faults.append(replace(tried[k].fault, evidence=float(gain)))
-    if not faults:
+        gain = after.score - bare_score - np.log(len(hypotheses))
+        gain += digits(problem, hypotheses[k].fault)
+        if gain >= _MARGIN:
+            faults.append(replace(hypotheses[k].fault, evidence=float(gain)))
+    best = max(faults, key=lambda f: f.evidence, default=None)
+    if best is None:
         return None
-    best = max(faults, key=lambda f: f.evidence)
     others = [f.evidence for f in faults if f.setups != best.setups]
     return best if best.evidence - max(others, default=-np.inf) >= _APART else None
 
 
-def _fits(view: View, left: float) -> bool:
+def _is_noise(means: StationMeans, left: float) -> bool:
     """Whether chi2 of station means is that of noise, a little of everything allowed for."""
-    return left <= view.dof + _SPREAD * np.sqrt(2 * view.dof)
+    return left <= means.dof + _SPREAD * np.sqrt(2 * means.dof)
 
 
-def _scored(view: View, residual: Array, families: bool = False) -> _Scored:
-    """A residual of station means ``(g,)`` with the effects that explain it best."""
-    scoring, means = _means(view, residual)
-    evidences = scoring.evidences(residual)
-    usable = [k for k, c in enumerate(scoring.candidates) if families or c.size == 1]
-    single = max(usable, key=lambda k: evidences[k])
-    places: tuple[int, ...] = (single,)
-    best = float(evidences[single])
-    pair = best_pair(scoring, means)
-    if pair is not None and pair.evidence > best:
-        places, best = pair.members, pair.evidence
-    chi2 = float(residual @ residual)
-    # The family that leaves least counts as well: is there any explanation but a fault?
-    left = chi2 - _explained(means, places, residual)
-    if families:
-        left = min(left, chi2 - float(scoring.gains(residual).max()))
-    return _Scored(best - chi2 / 2, left, places)
-
-
-def _means(view: View, residual: Array) -> tuple[Scoring, Signatures]:
-    columns = view.averaging.T @ view.seen.columns
-    return view.scoring, replace(view.seen, columns=columns, residual=residual)
-
-
-def _explained(means: Signatures, places: Sequence[int], residual: Array) -> float:
-    """Fall of chi2 by several effects together, their tolerances as priors."""
-    shape = np.hstack([means.of(means.candidates[k]) for k in places])
-    along = shape.T @ residual
-    return float(along @ np.linalg.solve(shape.T @ shape + np.eye(len(along)), along))
-
-
-def _retaken(tried: _Hypothesis, known: Sequence[Fault]) -> _Scored | None:
-    """What is left once the fault is taken back and all is identified anew, if it is noise."""
-    fault = tried.fault
-    try:
-        after = signatures(solve(tried.problem, method="nested"))
-    except NumericsError:
-        return None
-    for past in known:
-        after = set_free(after, past.columns(tried.problem))
-    if not after.candidates:
-        return None
-    there = View.of(after)
-    scored = _scored(there, there.residual)
-    swings = fault.kind == "exchanged_labels" or _swings(there, scored.places, fault)
-    return scored if swings and _fits(there, scored.left) else None
-
-
-def _swings(there: View, places: Sequence[int], fault: Fault) -> bool:
-    """Whether the readings themselves say the factor, beside the effects."""
-    seen = there.seen
-    for place in places:
-        seen = with_effect(seen, place)
-    past = View.of(seen)
-    readings = np.zeros(seen.count)
-    readings[fault.rows] = seen.estimate.problem.measured[fault.rows]
-    # Readings made small lose their say, and whatever troubled the setup is gone with them.
-    least = _TOLD if fault.kind == "unit" else 0.0
-    told = float(np.linalg.norm(past.shown(readings))) >= least
-    return told and meant(past, fault.rows, 1.0)
-
-
-def _hypotheses(view: View, setups: list[int]) -> list[_Hypothesis]:
-    problem = view.seen.estimate.problem
+def _explained(means: StationMeans, residuals: Array) -> list[_Explained]:
+    """Residuals of station means ``(g, h)``, each with its best one or two effects."""
+    evidences = means.scoring.evidences(residuals)
+    single = np.flatnonzero([c.size == 1 for c in means.scoring.candidates])
+    pairs = best_pairs(means.scoring, residuals)
     found = []
-    for s in setups:
-        rows = in_order(problem, s)
-        for kind, factor in [("sign", -1.0), *(("unit", f) for f in UNITS)]:
-            readings = problem.measured.copy()
-            readings[rows] *= factor
-            found.append(_meaning(problem, kind, rows, (s,), factor, readings))  # type: ignore[arg-type]
-    said = under_each_label(problem, view.seen.estimate.x)
-    for one, other in pairs_of_setups(problem, setups):
-        a, b = in_order(problem, one), in_order(problem, other)
-        rows = np.concatenate([a, b])
-        if len(a) == len(b):
-            readings = problem.measured.copy()
-            readings[rows] = problem.measured[np.concatenate([b, a])]
-            found.append(_meaning(problem, "exchanged_labels", rows, (one, other), 0.0, readings))
-        if not same_commands(problem, one, other):
-            value = view.seen.estimate.at.value
-            change = np.zeros(len(value))
-            change[a] = value[a] - said[a, other]
-            change[b] = value[b] - said[b, one]
-            fault = Fault("exchanged_labels", rows, (one, other), 1.0, 0.0)
-            found.append(_Hypothesis(fault, change, exchanged(problem, (one, other))))
+    for k, residual in enumerate(residuals.T):
+        one = int(single[np.argmax(evidences[single, k])])
+        places: tuple[int, ...] = (one,)
+        best = float(evidences[one, k])
+        if pairs and pairs[k].evidence > best:
+            places, best = pairs[k].members, pairs[k].evidence
+        chi2 = float(residual @ residual)
+        columns = [means.signatures.of(means.signatures.candidates[p]) for p in places]
+        shape = np.hstack(columns)
+        along = shape.T @ residual
+        taken = along @ np.linalg.solve(shape.T @ shape + np.eye(len(along)), along)
+        found.append(_Explained(best - chi2 / 2, chi2 - float(taken), places))
     return found
 
 
-def _meaning(
-    problem: Problem, kind: Kind, rows: Rows, setups: tuple[int, ...], size: float, readings: Array
-) -> _Hypothesis:
-    fault = Fault(kind, rows, setups, size, 0.0)
-    return _Hypothesis(fault, readings - problem.measured, problem.with_readings(readings))
+def _identified(
+    means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]
+) -> _Explained | None:
+    """What is left once the fault is taken back and all is identified anew, if it is noise."""
+    try:
+        corrected = hypothesis.corrected(means.problem)
+        after = StationMeans.of(signatures(solve(corrected, method="nested")), known)
+    except NumericsError:
+        return None
+    if not after.signatures.candidates:
+        return None
+    (explained,) = _explained(after, after.residual[:, None])
+    swings = hypothesis.fault.kind == "exchanged_labels" or _swings(after, explained, hypothesis)
+    return explained if swings and _is_noise(after, explained.left) else None
+
+
+def _swings(after: StationMeans, explained: _Explained, hypothesis: Misreading) -> bool:
+    """Whether the readings themselves say the factor, beside the effects."""
+    for place in explained.places:
+        after = after.beside(place)
+    rows = hypothesis.fault.rows
+    shown = after.by_reading[:, rows] @ after.problem.measured[rows]
+    # Readings made small lose their say, and whatever troubled the setup is gone with them.
+    least = _SIGMAS if hypothesis.fault.kind == "unit" else 0.0
+    return float(np.linalg.norm(shown)) >= least and factor_fits(after, rows, 1.0)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
+from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
 
@@ -93,9 +94,12 @@ class Campaign:
         moves: commands gone through between the readings.
         from_frame: a campaign from a data frame; see
             :func:`~orthoglide.observations.reading.campaign_from_frame`, which stands above.
+        to_frame: the rows of its file as a data frame; see
+            :func:`~orthoglide.observations.writing.campaign_frame`.
     """
 
     from_frame: ClassVar[Callable[..., Campaign]]
+    to_frame: ClassVar[Callable[[Campaign], Any]]
 
     name: str
     setups: tuple[Setup, ...]
@@ -135,6 +139,22 @@ class Campaign:
 
     def __len__(self) -> int:
         return len(self.reading)
+
+    def __repr__(self) -> str:
+        missing = int(np.isnan(self.reading).sum())
+        left = f", {missing} of them to be taken" if missing else ""
+        return f"<Campaign {self.name!r}: {len(self)} readings in {len(self.setups)} setups{left}>"
+
+    def _repr_html_(self) -> str:
+        setups = [self.setups[k] for k in self.setup]
+        columns = {
+            "setup": [s.name for s in setups],
+            "leg": [LEGS[s.leg] for s in setups],
+            "direction": [s.direction for s in setups],
+            "posture": self.posture,
+            "reading_mm": (self.reading * 1e3).tolist(),
+        }
+        return html_table(repr(self)[1:-1], columns)
 
     @property
     def n(self) -> int:

@@ -63,6 +63,9 @@ class TcpPoints:
         """Of the file, without its folder and ending."""
         return Path(self.file).stem or "points"
 
+    def __repr__(self) -> str:
+        return f"<TcpPoints: {len(self)} points{f' of {self.file}' if self.file else ''}>"
+
 
 def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = None) -> TcpPoints:
     """Reads TCP points.

@@ -6,17 +6,21 @@ import csv
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from orthoglide import files, units
+from orthoglide.frames import data_frame
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
 from orthoglide.observations.tcp import TcpPoints
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Row = dict[str, str]
 """From column to text."""
@@ -86,6 +90,25 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
             columns[name] = cells(campaign)
     rows = _rows(columns)
     return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
+
+
+def campaign_frame(campaign: Campaign) -> pd.DataFrame:
+    """The rows of a campaign's file as a data frame; `Campaign.from_frame` takes it back.
+
+    Raises:
+        InputError: where pandas is not installed.
+    """
+    rows = campaign_rows(campaign)
+    words = ("kind", "setup", "leg", "direction", "posture")
+
+    def value(name: str, cell: str) -> Any:
+        return cell if name in words else float(cell or "nan")
+
+    names = list(rows[0]) if rows else []
+    return data_frame({name: [value(name, row[name]) for row in rows] for name in names})
+
+
+Campaign.to_frame = campaign_frame
 
 
 def tcp_rows(points: TcpPoints) -> list[Row]:

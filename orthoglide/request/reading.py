@@ -32,17 +32,17 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
         FileError: where a part of it is not as it was written.
     """
     try:
-        inputs, told, seed = result["inputs"], result["arguments"], result["seed"]
+        inputs, given, seed = result["inputs"], result["arguments"], result["seed"]
         single = result["command"] == "identify"
         _check_inputs(inputs)
-        _check_arguments(told, single)
+        _check_arguments(given, single)
         # Nothing is drawn to identify, and any seed went.
         if not isinstance(seed, int) or isinstance(seed, bool) or (seed < 0 and not single):
             raise ValueError("seed is no number that counts")
-        noise = told["noise_mm"]
-        if told.get("effects_file") and not effects:
+        noise = given["noise_mm"]
+        if given.get("effects_file") and not effects:
             raise FileError(
-                f"had effects of its own, from {told['effects_file']}: give it with --effects-file",
+                f"had effects from {given['effects_file']}: give it with --effects-file",
                 file=file,
             )
         machine = _machine(result["machine"], effects)
@@ -58,27 +58,27 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
         result["command"],
         tuple(_campaign(i, machine) for i in by_role["campaign"]),
         machine,
-        own=tuple(told["own"]),
+        own=tuple(given["own"]),
         noise=None if noise is None else noise * 1e-3,
         seed=seed,
         holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
         tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
         points=tuple(_points(i, machine) for i in by_role["fit_tcp"]),
-        frame=told.get("frame", "rigid"),
-        effects_file=told.get("effects_file", ""),
+        frame=given.get("frame", "rigid"),
+        effects_file=given.get("effects_file", ""),
     )
     if not single:
         return request
-    free, priors, reduced = tuple(told["free"]), told["priors"], told["reduced"]
+    free, priors, reduced = tuple(given["free"]), given["priors"], given["reduced"]
     return replace(request, free=free, priors=priors, reduced=reduced)
 
 
-def _machine(told: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
-    name = told["file"] or ""
+def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
+    name = given["file"] or ""
     if name:
         _check_name(name)
-    spec = parse_machine_file(told["toml"], name, CATALOGUE.with_effects(effects))
-    return Machine(replace(spec, file=name, sha256=told["sha256"] or ""))
+    spec = parse_machine_file(given["toml"], name, CATALOGUE.with_effects(effects))
+    return Machine(replace(spec, file=name, sha256=given["sha256"] or ""))
 
 
 def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:
@@ -102,7 +102,7 @@ def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:
     )
 
 
-def _check_arguments(told: Mapping[str, Any], single: bool) -> None:
+def _check_arguments(given: Mapping[str, Any], single: bool) -> None:
     """ValueError or KeyError where an argument is none that the command takes."""
 
     def names(value: Any) -> bool:
@@ -120,11 +120,11 @@ def _check_arguments(told: Mapping[str, Any], single: bool) -> None:
     if single:
         truth: Callable[[Any], bool] = lambda value: isinstance(value, bool)  # noqa: E731
         checks |= {"free": names, "priors": truth, "reduced": truth}
-    if told.get("frame", "rigid") not in _FRAMES:
-        raise ValueError(f"frame is {told['frame']!r}")
+    if given.get("frame", "rigid") not in _FRAMES:
+        raise ValueError(f"frame is {given['frame']!r}")
     for name, check in checks.items():
-        if not check(told[name]):
-            raise ValueError(f"{name} is {told[name]!r}")
+        if not check(given[name]):
+            raise ValueError(f"{name} is {given[name]!r}")
 
 
 def _check_inputs(found: Any) -> None:

@@ -105,17 +105,17 @@ class Request:
         judges = [given for given in (self.holdout, self.tcp) if given is not None]
         if not all(given.file for given in (*self.campaigns, *self.points, *judges)):
             return _AGAIN
-        told = self.arguments
+        given = self.arguments
         free = () if self.free == tuple(BASE_FAMILIES) else self.free
-        words = ["orthoglide", self.command, *told["campaigns"], "--out", "DIR"]
+        words = ["orthoglide", self.command, *given["campaigns"], "--out", "DIR"]
         options = {
             "--free": ",".join(free),
-            "--holdout": told.get("holdout") or "",
-            "--tcp": told.get("tcp") or "",
+            "--holdout": given.get("holdout") or "",
+            "--tcp": given.get("tcp") or "",
             "--own": ",".join(self.own),
-            "--machine": told["machine"] or "",
+            "--machine": given["machine"] or "",
             "--effects-file": self.effects_file,
-            "--noise": "" if self.noise is None else f"{told['noise_mm']:g}",
+            "--noise": "" if self.noise is None else f"{given['noise_mm']:g}",
             "--seed": str(self.seed) if self.seed and self.searches else "",
         }
         for option, value in options.items():

@@ -1,0 +1,140 @@
+"""Readings that mean something else: a sign, a unit, two labels or columns exchanged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.diagnosis.faults import UNITS, Fault, Kind, Rows, in_order
+from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.fit import Problem
+from orthoglide.geometry import Array
+
+_OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres
+_DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
+_FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
+
+
+@dataclass(frozen=True)
+class Misreading:
+    """A hypothesis that readings of whole setups mean something else.
+
+    Attributes:
+        fault: without evidence.
+        change: what the residual changes by once it is put right, ``(n,)`` metres.
+        labels: whether the setups' labels are exchanged, and the readings stay.
+    """
+
+    fault: Fault
+    change: Array
+    labels: bool = False
+
+    def corrected(self, problem: Problem) -> Problem:
+        """The problem with the fault taken back."""
+        if self.labels:
+            return _exchanged(problem, *self.fault.setups)
+        return problem.with_readings(problem.measured + self.change)
+
+
+def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
+    """Every sign, unit and exchange of two setups of one campaign."""
+    problem = means.problem
+    measured, value = problem.measured, means.signatures.estimate.at.value
+    found = []
+
+    def add(kind: Kind, rows: Rows, of: tuple[int, ...], size: float, corrected: Array) -> None:
+        change = np.zeros(len(measured))
+        change[rows] = corrected - measured[rows]
+        found.append(Misreading(Fault(kind, rows, of, size), change))
+
+    order = {s: in_order(problem, s) for s in setups}
+    for s, rows in order.items():
+        add("sign", rows, (s,), -1.0, -measured[rows])
+        for factor in UNITS:
+            add("unit", rows, (s,), factor, factor * measured[rows])
+    commands = np.concatenate([c.command for c in problem.campaigns])
+    predicted = _under_each_label(problem, means.signatures.estimate.x)
+    for one, other in _pairs(problem, setups):
+        a, b = order[one], order[other]
+        rows, crossed = np.concatenate([a, b]), np.concatenate([b, a])
+        if len(a) == len(b):
+            add("exchanged_labels", rows, (one, other), 0.0, measured[crossed])
+        # At the same commands, in the same order, labels are exchanged with the columns.
+        if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
+            change = np.zeros(len(measured))
+            change[a] = value[a] - predicted[a, other]
+            change[b] = value[b] - predicted[b, one]
+            fault = Fault("exchanged_labels", rows, (one, other), 1.0)
+            found.append(Misreading(fault, change, labels=True))
+    return found
+
+
+def _pairs(problem: Problem, setups: Sequence[int]) -> list[tuple[int, int]]:
+    """Two setups of one campaign."""
+    home = np.repeat(np.arange(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
+    return [
+        (one, other)
+        for k, one in enumerate(setups)
+        for other in setups[k + 1 :]
+        if home[one] == home[other]
+    ]
+
+
+def _under_each_label(problem: Problem, x: Array) -> Array:
+    """What every row would read, datums apart, were it of each setup ``(n, setups)``, metres."""
+    predicted = np.full((len(problem.measured), problem.setup_count), np.nan)
+    first = 0
+    for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):
+        count, n = len(campaign.setups), len(campaign)
+        every = campaign.subset(np.tile(np.arange(n), count))
+        every = replace(every, setup=np.repeat(np.arange(count), n))
+        values = problem.machine.model.readings(problem.values(k, x), every)
+        predicted[rows, first : first + count] = values.reshape(count, n).T
+        first += count
+    return predicted
+
+
+def _exchanged(problem: Problem, one: int, other: int) -> Problem:
+    """The problem with the labels of two setups of one campaign exchanged."""
+    campaigns, first = list(problem.campaigns), 0
+    for k, campaign in enumerate(campaigns):
+        setups = list(campaign.setups)
+        if first <= one < first + len(setups):
+            a, b = setups[one - first], setups[other - first]
+            setups[one - first] = replace(b, name=a.name)
+            setups[other - first] = replace(a, name=b.name)
+            campaigns[k] = replace(campaign, setups=tuple(setups))
+        first += len(setups)
+    return replace(problem, campaigns=tuple(campaigns))
+
+
+def digits(problem: Problem, fault: Fault) -> float:
+    """Log Bayes factor of the digits: in its own unit a dial shows multiples of its step."""
+    step, rows, factor = problem.machine.spec.dial.resolution, fault.rows, fault.size
+    if step <= 0 or fault.kind != "unit":
+        return 0.0
+
+    def on_grid(readings: Array) -> bool:
+        return bool((np.abs(readings / step - np.round(readings / step)) < _OFF_GRID).all())
+
+    readings = problem.measured[rows]
+    if not on_grid(np.delete(problem.measured, rows)):
+        return 0.0
+    decimal = abs(np.log10(factor) - round(float(np.log10(factor)))) < 1e-9
+    if not on_grid(readings * factor) or (on_grid(readings) and factor > 1):
+        # A point put elsewhere moves the grid along; a conversion may have been rounded again.
+        return -_DIGITS if decimal else 0.0
+    values = len(np.unique(readings)) - 1
+    chance = 2 * _OFF_GRID if factor > 1 else max(factor, 2 * _OFF_GRID)
+    return min(-values * float(np.log(chance)), _DIGITS)
+
+
+def factor_fits(means: StationMeans, rows: Rows, factor: float) -> bool:
+    """Whether the factor that fits best is this one: flat readings would fit any small factor."""
+    shown = means.by_reading[:, rows] @ means.problem.measured[rows]
+    square = max(float(shown @ shown), 1e-300)
+    best, sigma = 1 - float(shown @ means.residual) / square, 1 / np.sqrt(square)
+    allowed = _FACTOR * abs(factor)
+    return bool(abs(best - factor) <= max(allowed, 3 * min(sigma, allowed)))
