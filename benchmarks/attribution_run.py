@@ -279,7 +279,7 @@ def _covered(rig: Rig, verdict: Verdict) -> list[list[Any]]:
     setups = tuple(s.name for s in problem.campaigns[0].setups)
     found = []
     for unknown in problem.unknowns:
-        sigma = verdict.known.sigmas[unknown.name]
+        sigma = verdict.sigmas[unknown.name]
         share = sigma / unknown.tolerance
         if share > SEEN:
             continue

@@ -55,7 +55,7 @@ def run() -> Result:
     true = Machine.nominal().with_parameters(TRUE)
     estimate = identify(measured(true, np.random.default_rng(SEED)), free=FREE)
     goal = circle()
-    plan = compensate(estimate.machine, goal, covariance=(estimate.names, estimate.covariance))
+    plan = compensate(estimate.machine, goal)
     nominal = compensate(Machine.nominal(), goal)
     before = true.forward(nominal.rho, approach=nominal.approach) - goal
     after = true.forward(plan.rho, approach=plan.approach) - goal

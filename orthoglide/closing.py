@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.accuracy import knowledge, tcp_map
+from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.ranking import Round, budget, look
 from orthoglide.effects import Effect as Declared
 from orthoglide.fit import (
@@ -25,6 +25,7 @@ from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Given, TcpPoints, as_campaigns
+from orthoglide.posterior import full_posterior
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word
@@ -188,14 +189,13 @@ def _identified(request: Request, progress: Progress) -> Verdict:
 def judge(verdict: Verdict) -> Verdict:
     """Judge a finished verdict by what its request holds back; only the scores change."""
     request, machine = verdict.request, verdict.after.problem.machine
-    before, after, known = verdict.values_before, verdict.values, verdict.known
+    before, after = verdict.values_before, verdict.values
     scored = errors = None
     if request.holdout is not None:
         scored = hold_out(before, after, machine, request.holdout, request.own)
-    if request.tcp is not None and known is not None:
-        command = request.tcp.command
-        there = tcp_map(verdict.after, known, after, verdict.explanations, command)
-        errors = tcp_errors(machine, request.tcp, before, after, there.sigma_all)
+    if request.tcp is not None:
+        stated = tcp_map(verdict.machine, request.tcp.command).sigma
+        errors = tcp_errors(machine, request.tcp, before, after, stated)
     return replace(verdict, hold_out=scored, tcp=errors)
 
 
@@ -203,7 +203,7 @@ def _search(request: Request, search: Search, before: Estimate) -> Verdict:
     after, left, stopped = search.run(before)
     search.progress(Step("allowing"))
     effects, tried = tuple(search.effects), tuple(search.tried)
-    word, known = _word(effects, left), knowledge(after)
+    word, known = _word(effects, left), full_posterior(after)
     return Verdict(request, word, before, after, effects, tried, left, stopped, known)
 
 

@@ -55,12 +55,12 @@ def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def write_whole(path: str | os.PathLike[str], text: str, *, overwrite: bool) -> None:
-    """Writes a text file that appears whole or not at all.
+def write_whole(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool) -> None:
+    """Writes a file that appears whole or not at all.
 
     Args:
         path: where to.
-        text: what; encoded as UTF-8.
+        content: what; text is encoded as UTF-8.
         overwrite: whether an existing file may be replaced.
 
     Raises:
@@ -72,8 +72,8 @@ def write_whole(path: str | os.PathLike[str], text: str, *, overwrite: bool) -> 
     with writing(path):
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".orthoglide-")
         try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-                stream.write(text)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content.encode() if isinstance(content, str) else content)
             os.chmod(name, 0o644)  # mkstemp's file is its owner's alone
             os.replace(name, target)
         except BaseException:

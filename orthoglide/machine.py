@@ -16,6 +16,7 @@ from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
     ParameterValue,
+    Posterior,
     nominal_machine_file,
     read_machine_file,
     write_machine_file,
@@ -79,7 +80,7 @@ class Machine:
             FileError: naming file, line and remedy.
         """
         spec = read_machine_file(path, CATALOGUE.with_effects(effects))
-        for name in spec.parameters:
+        for name in (*spec.parameters, *(spec.posterior.names if spec.posterior else ())):
             if spec.catalogue.parameter(name).member:  # which a file spells out
                 effect = spec.catalogue.effect_of(name)
                 raise FileError(
@@ -92,8 +93,10 @@ class Machine:
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the machine file; :meth:`load` reads back the same machine.
 
+        The covariance of its parameters goes beside it, ``machine.npz`` to ``machine.toml``.
+
         Raises:
-            FileError: where the file stands already and ``overwrite`` is false.
+            FileError: where a file stands already and ``overwrite`` is false.
         """
         write_machine_file(self.spec, path, overwrite=overwrite)
 
@@ -120,6 +123,19 @@ class Machine:
         """Parameters that are not zero, SI."""
         return {name: entry.value for name, entry in self.spec.parameters.items()}
 
+    @property
+    def posterior(self) -> Posterior:
+        """What is known of the parameters; independent by their sigmas where no more is."""
+        if self.spec.posterior is not None:
+            return self.spec.posterior
+        sigmas = {n: e.sigma for n, e in self.spec.parameters.items() if e.sigma > 0}
+        return Posterior.independent(self.values, sigmas)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was noticed when the machine was loaded, in sentences."""
+        return self.spec.warnings
+
     def tolerance(self, name: str) -> float:
         """Standard deviation to expect of a parameter or family, SI."""
         return self.spec.tolerance[self.catalogue.effect_of(name).name]
@@ -144,11 +160,27 @@ class Machine:
         """The same machine with these parameters and no others; see :meth:`with_parameters`."""
         return self._with({}, values, sigmas or {})
 
+    def with_posterior(self, values: Mapping[str, float], posterior: Posterior) -> Machine:
+        """The same machine with these parameters and no others, and what is known of them.
+
+        Args:
+            values: elementary parameters, SI.
+            posterior: of them and others about these values, 0 where there is none.
+
+        Raises:
+            InputError: for a name that is no single parameter of the machine.
+        """
+        for name in posterior.names:
+            if name not in self.catalogue.motions:
+                raise InputError(f"the covariance names {name!r}, which is no single parameter")
+        return self._with({}, values, posterior.sigmas, posterior.about(values))
+
     def _with(
         self,
         entries: dict[str, ParameterValue],
         values: Mapping[str, float],
         sigmas: Mapping[str, float],
+        posterior: Posterior | None = None,
     ) -> Machine:
         for name, value in values.items():
             if not np.isfinite(value):
@@ -159,7 +191,8 @@ class Machine:
                 entries[part] = ParameterValue(
                     weight * float(value), abs(weight) * float(sigma), unit
                 )
-        machine = Machine(replace(self.spec, parameters=entries, file="", sha256=""))
+        made = replace(self.spec, parameters=entries, posterior=posterior, warnings=())
+        machine = Machine(replace(made, file="", sha256=""))
         if "model" in self.__dict__:  # the tree is the same: share what is costly to build
             machine.__dict__["model"] = self.__dict__["model"]
         return machine

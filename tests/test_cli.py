@@ -324,7 +324,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     assert os.listdir(here) == ["experiment2.csv"]
 
 
-@pytest.mark.parametrize("where", ["write_text", "rename"])
+@pytest.mark.parametrize("where", ["write_bytes", "rename"])
 def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -477,7 +477,7 @@ def test_a_disk_that_fails(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     result = run("identify", "experiment2.csv", "--out", "out")
     assert result.exit_code == 2
     assert "out: cannot be written (no space left on device)" in result.stderr
@@ -512,7 +512,8 @@ def test_a_name_that_is_too_long(command: tuple[str, ...], here: Path) -> None:
 # --- What is made ---------------------------------------------------------------------------
 
 FILES = {
-    "result.json", "calibrated.toml", "residuals.csv", "report.html", "figures/readings.svg",
+    "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
+    "figures/readings.svg",
     "figures/residuals.svg", "figures/parameters.svg", "figures/correlations.svg",
 }  # fmt: skip
 

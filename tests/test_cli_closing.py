@@ -27,7 +27,7 @@ from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run
 RIG = Path(__file__).parent / "data" / "rig"
 FIGURES = ("causes", "signatures-1", "residuals", "readings", "workspace")
 FILES = {
-    "result.json", "calibrated.toml", "residuals.csv", "report.html",
+    "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
     *(f"figures/{name}.svg" for name in FIGURES),
 }  # fmt: skip
 

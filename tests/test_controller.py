@@ -30,7 +30,7 @@ from orthoglide.control import (
 from orthoglide.effects import MACHINE_PARAMETERS
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import LEGS, Geometry
-from orthoglide.machine_file import Controller
+from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.tree import Tree, _sorted, _with_extras
 from orthoglide.urdf import to_urdf
@@ -40,6 +40,7 @@ from tests.rig_campaigns import simulate
 ROOT = Path(__file__).parents[1]
 PITCH = 0.02
 L = Geometry().L
+ONES = np.ones((3, 3))
 
 
 def machine(values: dict[str, float], **changes: object) -> Machine:
@@ -223,17 +224,20 @@ def test_a_covariance_replaces_independence() -> None:
     names = ["joint_offset.y", "axis_offset.x.y", "axis_offset.z.y"]
     seen = machine({}).with_parameters(dict.fromkeys(names, 0.0), dict.fromkeys(names, 1e-4))
     rho = L + np.random.default_rng(0).uniform(-0.08, 0.05, (5, 3))
-    together = tcp_sigma(seen, rho, covariance=(names, np.full((3, 3), 1e-8)))
+    known = seen.with_posterior(seen.values, Posterior(tuple(names), np.zeros(3), ONES * 1e-8))
+    together = tcp_sigma(known, rho)
     assert together == pytest.approx(np.tile([0, 1e-4, 0], (5, 1)), abs=1e-12)
     assert np.all(tcp_sigma(seen, rho)[:, [0, 2]] > 1e-7)
-    plan = compensate(seen, circle(4), covariance=(names, np.full((3, 3), 1e-8)))
+    plan = compensate(known, circle(4))
     assert plan.accuracy == pytest.approx(np.full(4, 1e-4), rel=1e-3)
+    assert plan.place == pytest.approx(1e-4, rel=1e-6)
+    assert plan.shape.max() < 5e-9
     assert "covariance" in str(plan)
     assert "independent" in str(compensate(seen, circle(4)))
     with pytest.raises(InputError, match="rows and columns"):
-        tcp_sigma(seen, rho, covariance=(names, np.eye(2)))
+        Posterior(tuple(names), np.zeros(3), np.eye(2))
     with pytest.raises(InputError, match="no single parameter"):
-        tcp_sigma(seen, rho, covariance=(["axis_tilt.common"], np.eye(1)))
+        seen.with_posterior({}, Posterior(("axis_tilt.common",), np.zeros(1), np.eye(1)))
 
 
 # -- numbers for a controller -------------------------------------------------------------------

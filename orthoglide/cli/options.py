@@ -133,4 +133,6 @@ def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine
 
     effects = () if effects_file is None else load_effects(effects_file)
     machine = Machine.nominal() if path is None else Machine.load(path, effects)
+    for warning in machine.warnings:
+        click.echo(f"warning: {warning}", err=True)
     return machine.with_effects(effects)

@@ -88,7 +88,7 @@ def execute(
         if out is not None:
             files = report_files(result, step)
             write_results(out, files)
-            text = files["result.json"]
+            text = str(files["result.json"])
         elif as_json:
             step(Step("suggesting"))
             text = result_text(result)

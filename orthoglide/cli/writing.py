@@ -16,7 +16,7 @@ def write_file(path: Path, text: str) -> None:
     write_whole(path, text, overwrite=False)
 
 
-def write_results(out: Path, files: Mapping[str, str]) -> None:
+def write_results(out: Path, files: Mapping[str, str | bytes]) -> None:
     """A new folder, whole; `FileError` where it cannot be written."""
     from orthoglide.report.folder import write_folder
 

@@ -5,7 +5,6 @@ files that a controller or another program takes of a calibrated machine.
 from orthoglide.control.compensation import (
     NOT_COVERED,
     Compensation,
-    Covariance,
     compensate,
     tcp_sigma,
 )
@@ -18,7 +17,6 @@ __all__ = [
     "NOT_COVERED",
     "Compensation",
     "ControllerNumbers",
-    "Covariance",
     "DriveNumbers",
     "PathPoints",
     "calibrated_urdf",

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.effects import MACHINE_PARAMETERS, is_dial
+from orthoglide.accuracy import tcp_slopes
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
-from orthoglide.mechanism.functions import TCP
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.prediction import Conditions
@@ -22,7 +21,7 @@ RESOLUTION = 1e-9
 """Metres: commands are rounded to this, the last digit that files show."""
 
 NOT_COVERED = (
-    "the place and orientation of the machine as a whole, which leg readings cannot see",
+    "the orientation of the machine as a whole, which leg readings cannot see",
     "effects that the machine file has no parameter for",
     "temperature and load other than those given, and drift since the calibration",
     "scatter from run to run: servo lag, play that follows no rule",
@@ -30,9 +29,6 @@ NOT_COVERED = (
 """What the expected accuracy does not cover."""
 
 _ROUNDS = 12
-
-Covariance = tuple[Sequence[str], ArrayLike]
-"""Names of machine parameters and their covariance ``(P, P)``, SI; such as ``Estimate`` has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +42,9 @@ class Compensation:
         approach: direction in which each drive arrives ``(n, 3)``, +1 or -1.
         predicted: TCP that the commands reach on this machine ``(n, 3)``, metres.
         uncompensated: TCP ``(n, 3)`` that the nominal machine's commands would reach, metres.
-        sigma: standard deviation of the TCP along each base axis ``(n, 3)``, metres, from those
-            of the parameters.
+        shape_sigma: standard deviation of the TCP along each base axis ``(n, 3)``, metres, after
+            the best translation over the workspace; from what is known of the parameters.
+        place_sigma: the same of that translation ``(3,)``: where the machine as a whole sits.
         independent: whether the parameters were taken for independent.
     """
 
@@ -57,7 +54,8 @@ class Compensation:
     approach: Array
     predicted: Array
     uncompensated: Array
-    sigma: Array
+    shape_sigma: Array
+    place_sigma: Array
     independent: bool
 
     def __len__(self) -> int:
@@ -74,12 +72,22 @@ class Compensation:
         return np.linalg.norm(self.uncompensated - self.wanted, axis=1)
 
     @property
+    def shape(self) -> Array:
+        """Expected distance from the wanted point after the best translation, rms ``(n,)``."""
+        return np.sqrt(np.sum(self.shape_sigma**2, axis=1) + self.residual**2)
+
+    @property
+    def place(self) -> float:
+        """Expected length of that translation, root mean square, metres."""
+        return float(np.linalg.norm(self.place_sigma))
+
+    @property
     def accuracy(self) -> Array:
-        """Expected distance from the wanted point, root mean square ``(n,)``, metres."""
-        return np.sqrt(np.sum(self.sigma**2, axis=1) + self.residual**2)
+        """Expected distance from the wanted point, shape and place, rms ``(n,)``, metres."""
+        return np.hypot(self.shape, self.place)
 
     def __str__(self) -> str:
-        before, after = self.error_before * 1e3, self.accuracy * 1e3
+        before, shape = self.error_before * 1e3, self.shape * 1e3
         how = (
             "from the parameters' sigmas, taken for independent; values that the readings only "
             "see together make this too large"
@@ -89,8 +97,10 @@ class Compensation:
         lines = [
             f"{len(self)} points: without compensation the TCP would miss by {before.mean():.4f} "
             f"mm on average, {before.max():.4f} mm at most",
-            f"with it, expect {np.sqrt(np.mean(after**2)):.4f} mm rms, {after.max():.4f} mm at the "
-            f"worst point (one standard deviation, {how})",
+            f"with it, expect {np.sqrt(np.mean(shape**2)):.4f} mm rms, {shape.max():.4f} mm at the "
+            f"worst point, after one translation of everything (one standard deviation, {how})",
+            f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
+            f"the workpiece removes that",
             "not covered: " + "; ".join(NOT_COVERED),
         ]
         return "\n".join(lines)
@@ -104,7 +114,6 @@ def compensate(
     time: ArrayLike = 0.0,
     warming: ArrayLike = 0.0,
     load: ArrayLike = 0.0,
-    covariance: Covariance | None = None,
     resolution: float = RESOLUTION,
 ) -> Compensation:
     """Commands that bring the TCP to the wanted points, given all the machine's effects.
@@ -119,7 +128,6 @@ def compensate(
         time: seconds, a number or ``(n,)``.
         warming: kelvin above the calibration's first reading, a number or ``(n,)``.
         load: newtons at the TCP along base -z, a number or ``(n,)``.
-        covariance: of the parameters where it is known; else they are taken for independent.
         resolution: of the commands, metres.
 
     Raises:
@@ -149,58 +157,36 @@ def compensate(
         approach,
         machine.forward(rho, **conditions),
         machine.forward(nominal, **{**conditions, "approach": _approach(nominal, before)}),
-        tcp_sigma(machine, rho, covariance=covariance, **conditions),
-        covariance is None,
+        *_shape_and_place(machine, Conditions.at(rho, **conditions)),
+        machine.spec.posterior is None,
     )
 
 
-def tcp_sigma(
-    machine: Machine,
-    rho: ArrayLike,
-    *,
-    covariance: Covariance | None = None,
-    **seen: ArrayLike,
-) -> Array:
-    """``sqrt(diag(J C J^T))``: standard deviation of the TCP along each axis, from the parameters'.
+def tcp_sigma(machine: Machine, rho: ArrayLike, **seen: ArrayLike) -> Array:
+    """``sqrt(diag(J C J^T))``: standard deviation of the TCP along each axis, by the covariance.
 
     Args:
-        machine: whose parameters carry their sigmas.
+        machine: calibrated.
         rho: commands ``(n, 3)``, metres.
-        covariance: see :func:`compensate`.
         seen: conditions, as for ``Machine.pose``.
 
     Returns:
-        ``(n, 3)``, metres.
-
-    Raises:
-        InputError: for a covariance that does not fit its names.
+        ``(n, 3)``, metres; where the machine as a whole sits is in it.
     """
-    values = {name: v for name, v in machine.values.items() if not is_dial(name)}
-    if covariance is None:
-        entries = machine.spec.parameters.items()
-        known = {n: e.sigma for n, e in entries if n in MACHINE_PARAMETERS and e.sigma > 0}
-        names, spread = list(known), np.diag(np.square(list(known.values())))
-    else:
-        names, spread = _machine_part(covariance)
-    commands = np.atleast_2d(np.asarray(rho, dtype=float))
-    if not names:
-        return np.zeros_like(commands)
-    conditions = Conditions.at(commands, **seen)
-    _, slopes = machine.model.sensitivities(values, conditions, names)
-    slopes = slopes[:, TCP]
-    variance = np.einsum("nip,pq,niq->ni", slopes, spread, slopes)
+    known, at = machine.posterior, Conditions.at(rho, **seen)
+    return _spread(tcp_slopes(machine, known.names, at), known.covariance)
+
+
+def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
+    """Sigmas after the best translation over the workspace ``(n, 3)``, and of that ``(3,)``."""
+    known = machine.posterior
+    slopes, place = tcp_slopes(machine, known.names, at), tcp_slopes(machine, known.names).mean(0)
+    return _spread(slopes - place, known.covariance), _spread(place, known.covariance)
+
+
+def _spread(slopes: Array, covariance: Array) -> Array:
+    variance = np.einsum("...p,pq,...q->...", slopes, covariance, slopes)
     return np.sqrt(np.maximum(variance, 0.0))
-
-
-def _machine_part(covariance: Covariance) -> tuple[list[str], Array]:
-    names, spread = list(covariance[0]), np.asarray(covariance[1], dtype=float)
-    if spread.shape != (len(names), len(names)):
-        raise InputError(f"{len(names)} names need a covariance of that many rows and columns")
-    kept = [k for k, name in enumerate(names) if not is_dial(name)]
-    for k in kept:
-        if names[k] not in MACHINE_PARAMETERS:
-            raise InputError(f"the covariance names {names[k]!r}, which is no single parameter")
-    return [names[k] for k in kept], spread[np.ix_(kept, kept)]
 
 
 def _nominal_commands(machine: Machine, goal: Array) -> Array:

@@ -54,16 +54,17 @@ def commands_text(found: Compensation) -> str:
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     sigmas = tuple(f"sigma_{leg}_mm" for leg in LEGS)
-    ends = ("residual_mm", "expected_mm", "uncompensated_mm")
+    ends = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm")
     writer.writerow([*POINT, *RHO, *TRAVEL, *APPROACH, *sigmas, *ends])
     for k in range(len(found)):
         lengths = np.concatenate([found.wanted[k], found.rho[k], found.travel[k]])
-        last = (found.residual[k], found.accuracy[k], found.error_before[k])
+        expected = (found.shape[k], found.place, found.accuracy[k])
+        last = (found.residual[k], *expected, found.error_before[k])
         writer.writerow(
             [
                 *map(_mm, lengths),
                 *(f"{way:+.0f}" for way in found.approach[k]),
-                *map(_mm, (*found.sigma[k], *last)),
+                *map(_mm, (*found.shape_sigma[k], *last)),
             ]
         )
     return stream.getvalue()

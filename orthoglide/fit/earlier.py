@@ -15,10 +15,11 @@ import numpy as np
 from orthoglide.fit.change import Change
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import normal
-from orthoglide.fit.problem import Earlier, Problem
+from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter
 
 # One parameter in twenty changes between two visits: the log odds that a change must overcome,
@@ -28,14 +29,10 @@ _ALIKE = 2.0  # log Bayes factor within which two changes cannot be told apart
 _MOST = 12
 
 
-def earlier_of(machine: Machine) -> Earlier | None:
-    """What a machine file says of its parameters; ``None`` where it gives no sigmas."""
-    entries = machine.spec.parameters
-    names = tuple(name for name, entry in entries.items() if entry.sigma > 0)
-    if not names:
-        return None
-    mean = np.array([entries[name].value for name in names])
-    return Earlier(names, mean, np.diag([entries[name].sigma ** 2 for name in names]))
+def earlier_of(machine: Machine) -> Posterior | None:
+    """What an earlier calibration says of a machine; ``None`` where its file gives no sigmas."""
+    known = machine.posterior
+    return known if np.diag(known.covariance).any() else None
 
 
 def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate:

@@ -17,6 +17,7 @@ from orthoglide.fit.weakness import WeakDirection
 from orthoglide.frames import data_frame, html_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.notes import Note
 from orthoglide.units import Unit
 
@@ -134,12 +135,13 @@ class Estimate:
     def machine_of(self, campaign: int) -> Machine:
         """The calibrated machine as one campaign saw it; dials are left out."""
         names, matrix = self.problem.elementary(campaign)
-        values = dict(zip(names, (matrix @ self.x).tolist(), strict=True))
-        spread = np.sqrt(np.maximum(np.diag(matrix @ self.covariance @ matrix.T), 0.0))
-        sigmas = dict(zip(names, spread.tolist(), strict=True))
-        machine = self.problem.machine
-        kept = {n: v for n, v in values.items() if not machine.catalogue.effect_of(n).of_dial}
-        return machine.with_parameters(kept, sigmas)
+        catalogue = self.problem.machine.catalogue
+        kept = [k for k, n in enumerate(names) if not catalogue.effect_of(n).of_dial]
+        found = Posterior(self.names, self.x, self.covariance)
+        found = found.mapped([names[k] for k in kept], matrix[kept])
+        start = self.problem.machine
+        values = {**start.values, **dict(zip(found.names, found.mean.tolist(), strict=True))}
+        return start.with_posterior(values, found.joined(start.posterior))
 
     def __str__(self) -> str:
         return fit_report(self)

@@ -14,6 +14,7 @@ from orthoglide.fit.factors import DialReadings, Factor, TcpReadings
 from orthoglide.fit.noise import Noise
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 
@@ -37,37 +38,29 @@ class Unknown:
     bound: float
 
 
-@dataclass(frozen=True)
-class Earlier:
-    """What an earlier calibration says of a machine's parameters: a factor of its own.
+def rows_about(
+    known: Posterior, unknowns: Sequence[Unknown]
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """What is known of a machine's parameters as whitened rows about the unknowns.
 
-    Attributes:
-        names: of elementary parameters, ``E`` of them.
-        mean: ``(E,)``, SI.
-        covariance: ``(E, E)``, SI.
+    Args:
+        known: of elementary parameters.
+        unknowns: ``P`` of them.
+
+    Returns:
+        Matrix ``(k, P)`` and target ``(k,)`` of ``|matrix x - target|^2``, and which of the
+        unknowns these speak of ``(P,)``.
     """
-
-    names: tuple[str, ...]
-    mean: Array
-    covariance: Array
-
-    def rows(self, unknowns: Sequence[Unknown]) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Whitened rows about the unknowns that it knows.
-
-        Returns:
-            Matrix ``(k, P)`` and target ``(k,)`` of ``|matrix x - target|^2``, and which of the
-            unknowns these speak of ``(P,)``.
-        """
-        place = {name: k for k, name in enumerate(self.names)}
-        spoken = np.array([u.name in place for u in unknowns], dtype=bool)
-        chosen = [place[u.name] for u, s in zip(unknowns, spoken, strict=True) if s]
-        block = self.covariance[np.ix_(chosen, chosen)]
-        sd = np.sqrt(np.diag(block))
-        values, vectors = np.linalg.eigh(block / sd / sd[:, None])
-        root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd
-        matrix = np.zeros((len(chosen), len(unknowns)))
-        matrix[:, spoken] = root
-        return matrix, root @ self.mean[chosen], spoken
+    place = {n: k for k, n in enumerate(known.names) if known.covariance[k, k] > 0}
+    spoken = np.array([u.name in place for u in unknowns], dtype=bool)
+    chosen = [place[u.name] for u, s in zip(unknowns, spoken, strict=True) if s]
+    matrix = np.zeros((len(chosen), len(unknowns)))
+    block = known.covariance[np.ix_(chosen, chosen)]
+    sd = np.sqrt(np.diag(block))
+    values, vectors = np.linalg.eigh(block / sd / sd[:, None])
+    root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd
+    matrix[:, spoken] = root
+    return matrix, root @ known.mean[chosen], spoken
 
 
 @dataclass(frozen=True)
@@ -100,7 +93,7 @@ class Problem:
     placement: float
     own: tuple[str, ...] = ()
     points: tuple[TcpReadings, ...] = ()
-    earlier: Earlier | None = None
+    earlier: Posterior | None = None
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
@@ -150,7 +143,7 @@ class Problem:
         tolerances = np.diag(1 / self.prior_sd)
         if self.earlier is None:
             return tolerances, np.zeros(len(tolerances))
-        matrix, target, spoken = self.earlier.rows(self.unknowns)
+        matrix, target, spoken = rows_about(self.earlier, self.unknowns)
         rest = tolerances[~spoken]
         return np.vstack([rest, matrix]), np.concatenate([np.zeros(len(rest)), target])
 

@@ -11,8 +11,9 @@ from orthoglide.effects import Catalogue
 from orthoglide.errors import InputError
 from orthoglide.fit.factors import TcpReadings
 from orthoglide.fit.noise import Noise
-from orthoglide.fit.problem import Earlier, Problem, Unknown
+from orthoglide.fit.problem import Problem, Unknown
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 
@@ -113,7 +114,7 @@ def build_problem(
     priors: bool = True,
     bounds: Mapping[str, float] | None = None,
     points: Sequence[TcpReadings] = (),
-    earlier: Earlier | None = None,
+    earlier: Posterior | None = None,
 ) -> Problem:
     """Put an identification together.
 

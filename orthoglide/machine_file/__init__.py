@@ -9,8 +9,9 @@ from orthoglide.machine_file.model import (
     Stiffness,
     nominal_machine_file,
 )
+from orthoglide.machine_file.posterior import Posterior
 from orthoglide.machine_file.reading import parse_machine_file, read_machine_file
-from orthoglide.machine_file.writing import machine_text, write_machine_file
+from orthoglide.machine_file.writing import machine_files, machine_text, write_machine_file
 
 __all__ = [
     "SCHEMA",
@@ -18,7 +19,9 @@ __all__ = [
     "Dial",
     "MachineFile",
     "ParameterValue",
+    "Posterior",
     "Stiffness",
+    "machine_files",
     "machine_text",
     "nominal_machine_file",
     "parse_machine_file",

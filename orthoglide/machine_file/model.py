@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.geometry import Array, Geometry
+from orthoglide.machine_file.posterior import Posterior
 
 SCHEMA = 1
 """Version of the machine file that this package reads and writes."""
@@ -95,6 +96,8 @@ class MachineFile:
         catalogue: the effects that the parameters belong to.
         file: the file's name as the caller gave it, or ``""``.
         sha256: digest of the file, or ``""``.
+        posterior: covariance of the parameters, where it was kept.
+        warnings: what was noticed on reading and is no error.
     """
 
     name: str = "Orthoglide, nominal"
@@ -109,6 +112,8 @@ class MachineFile:
     catalogue: Catalogue = CATALOGUE
     file: str = field(default="", compare=False)
     sha256: str = field(default="", compare=False)
+    posterior: Posterior | None = field(default=None, compare=False, repr=False)
+    warnings: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(

@@ -21,6 +21,7 @@ from orthoglide.machine_file.model import (
     ParameterValue,
     Stiffness,
 )
+from orthoglide.machine_file.posterior import posterior_path, read_posterior
 
 
 def _number(value: Any) -> Decimal:
@@ -120,14 +121,23 @@ def read_machine_file(
         catalogue: the effects that it may name.
 
     Returns:
-        Its content in SI, with its digest.
+        Its content in SI, with its digest, and the covariance kept in the ``.npz`` beside it.
 
     Raises:
-        FileError: naming the line and what would be right.
+        FileError: naming the line and what would be right, or a covariance of another file.
     """
     content = files.read_bytes(path)
     machine = parse_machine_file(files.decode(content, path), str(path), catalogue)
-    return replace(machine, sha256=files.sha256(content))
+    digest = files.sha256(content)
+    posterior = read_posterior(path, digest)
+    warnings: tuple[str, ...] = ()
+    if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
+        beside = posterior_path(path).name
+        warnings = (
+            f"{machine.file}: there is no {beside} beside it with the covariance of its "
+            f"parameters: their sigmas are taken as independent",
+        )
+    return replace(machine, sha256=digest, posterior=posterior, warnings=warnings)
 
 
 def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOGUE) -> MachineFile:

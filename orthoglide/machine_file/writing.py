@@ -5,30 +5,62 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 from orthoglide import files, units
 from orthoglide.effects import unit_of
 from orthoglide.errors import InputError
 from orthoglide.machine_file.model import SCHEMA, MachineFile, ParameterValue
+from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
 from orthoglide.machine_file.reading import parse_machine_file
 
 
 def write_machine_file(
     machine: MachineFile, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Writes a machine file that reads back exactly; whole or not at all.
+    """Writes a machine file that reads back exactly, with its covariance beside it.
+
+    Each file appears whole or not at all; one without the other is told on reading.
 
     Args:
         machine: what to write.
-        path: where to.
-        overwrite: whether an existing file may be replaced.
+        path: where to; the covariance goes to the same name with ``.npz``.
+        overwrite: whether existing files may be replaced.
 
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
         InputError: where the machine holds what no machine file can.
     """
-    files.write_whole(path, machine_text(machine, str(path)), overwrite=overwrite)
+    contents, target = machine_files(machine, str(path)), Path(path)
+    beside = posterior_path(target)
+    if not overwrite:
+        files.check_new(target)
+        files.check_new(beside)  # it would be taken for this machine's
+    elif machine.posterior is None:
+        with files.writing(beside):
+            beside.unlink(missing_ok=True)
+    for name, content in reversed(contents.items()):
+        files.write_whole(target.with_name(name), content, overwrite=overwrite)
+
+
+def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
+    """A machine file and, where its covariance is known, the file of that, by name.
+
+    Args:
+        machine: what to write.
+        path: of the machine file.
+
+    Raises:
+        InputError: where the machine holds what no machine file can.
+    """
+    text = machine_text(machine, path)
+    found: dict[str, str | bytes] = {Path(path).name: text}
+    if machine.posterior is not None:
+        found[posterior_path(path).name] = posterior_bytes(
+            machine.posterior, files.sha256(text.encode())
+        )
+    return found
 
 
 def machine_text(machine: MachineFile, file: str = "") -> str:

@@ -27,8 +27,8 @@ __all__ = [
 ]
 
 
-def report_files(result: Result, progress: Progress = silent) -> dict[str, str]:
-    """All files of a result's folder, by name: text, in the order to write them.
+def report_files(result: Result, progress: Progress = silent) -> dict[str, str | bytes]:
+    """All files of a result's folder, by name, in the order to write them.
 
     Nothing in them depends on when or where they are made.
 
@@ -36,7 +36,7 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str]:
         result: what was found.
         progress: called with each step.
     """
-    from orthoglide.machine_file import machine_text
+    from orthoglide.machine_file import machine_files
     from orthoglide.observations import campaign_text
     from orthoglide.report.figures.draw import draw
     from orthoglide.report.page import page
@@ -50,7 +50,7 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str]:
     drawings = draw(result)
     progress(Step("writing"))
     return {
-        "calibrated.toml": machine_text(calibrated_machine(result), "calibrated.toml"),
+        **machine_files(calibrated_machine(result), "calibrated.toml"),
         "residuals.csv": residual_table(result),
         **({"next_measurements.csv": sheet} if sheet else {}),
         **{f"figures/{d.name}.svg": d.svg for d in drawings},

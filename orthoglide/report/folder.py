@@ -62,12 +62,12 @@ def _checked(out: Path, overwrite: bool) -> Path:
     return target
 
 
-def write_folder(out: Path, files: Mapping[str, str], overwrite: bool = False) -> None:
+def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = False) -> None:
     """Write files into a temporary sibling, then rename it.
 
     Args:
         out: the folder; new or empty, or an earlier report.
-        files: text by name, ``/`` for folders inside; written in this order, as UTF-8.
+        files: content by name, ``/`` for folders inside; written in this order, text as UTF-8.
         overwrite: whether an earlier report is replaced whole.
 
     Raises:
@@ -77,10 +77,10 @@ def write_folder(out: Path, files: Mapping[str, str], overwrite: bool = False) -
     with writing(out):
         made = Path(tempfile.mkdtemp(prefix=".orthoglide-", dir=target.parent))
         try:
-            for name, text in files.items():
+            for name, content in files.items():
                 path = made / name
                 path.parent.mkdir(exist_ok=True)
-                path.write_text(text, encoding="utf-8", newline="")
+                path.write_bytes(content.encode() if isinstance(content, str) else content)
             made.chmod(0o755)  # a temporary folder is its owner's alone
             _put(made, target)
         except BaseException:

@@ -123,7 +123,7 @@ def values(result: Result, figures: Figures) -> Data:
     return {
         "rows": parameter_rows(result),
         "figure": whole(figures["parameters"]) if "parameters" in figures else "",
-        "known": result.known is not None,
+        "known": result.posterior is not None,
         "priors": fit.problem.priors,
         "averaged": result.averaged,
         "others": listed(others),

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from base64 import b64encode
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
 from orthoglide.machine_file import machine_text
+from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.report.wording import headline
 
 if TYPE_CHECKING:
@@ -94,7 +96,7 @@ def _mapping(result: Result) -> dict[str, Any]:
 
 def _head(request: Request, after: Estimate) -> dict[str, Any]:
     """What was asked of which files, and the noise: enough to run it again."""
-    spec = request.machine.spec
+    spec, kept = request.machine.spec, request.machine.spec.posterior
     return {
         "schema": SCHEMA,
         "version": __version__,
@@ -106,6 +108,7 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
             "file": Path(spec.file).name or None,
             "sha256": spec.sha256 or None,
             "toml": machine_text(spec),
+            "npz": kept and b64encode(posterior_bytes(kept, spec.sha256)).decode(),
         },
         "noise_mm": _mm(after.problem.noise.typical),
         "noise_source": after.problem.noise.source,

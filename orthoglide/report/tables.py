@@ -37,7 +37,7 @@ def calibrated_machine(result: Result) -> MachineFile:
     provenance: dict[str, Any] = {
         **_origin(request),
         "verdict": result.word,
-        "sigma": "noise alone" if result.known is None else "all other effects allowed",
+        "sigma": "noise alone" if result.posterior is None else "all other effects allowed",
     }
     if result.effects:
         provenance["effects"] = [e.name for e in result.effects]

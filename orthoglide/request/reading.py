@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -11,6 +12,7 @@ from orthoglide.effects import CATALOGUE, Effect
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
+from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
 from orthoglide.request.request import Request
 
@@ -78,7 +80,10 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
     if name:
         _check_name(name)
     spec = parse_machine_file(given["toml"], name, CATALOGUE.with_effects(effects))
-    return Machine(replace(spec, file=name, sha256=given["sha256"] or ""))
+    digest = given["sha256"] or ""
+    kept = given.get("npz")
+    known = kept and parse_posterior(b64decode(kept, validate=True), digest, name)
+    return Machine(replace(spec, file=name, sha256=digest, posterior=known))
 
 
 def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from orthoglide.accuracy import Knowledge, Map, tcp_map
+from orthoglide.accuracy import Map, tcp_map
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
 from orthoglide.diagnosis.ranking import Round
@@ -18,7 +18,9 @@ from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import data_frame
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
+from orthoglide.posterior import FullPosterior
 from orthoglide.request import Request
 from orthoglide.result.causes import Cause, candidates, causes
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
@@ -48,7 +50,7 @@ class Result:
         tried: candidates that the search identified.
         left: what the last fit leaves.
         stopped: why no further effect was added, in a sentence.
-        known: what the readings say with everything else allowed; ``None`` of ``identify``.
+        posterior: what the readings say with everything else allowed; ``None`` of ``identify``.
         blunders: faults of the data, found before any physics.
         changed: parameters that are not the same in all campaigns, found before any physics.
         faulty: the base fit with the faulty readings in, where there are any.
@@ -64,7 +66,7 @@ class Result:
     tried: tuple[Tried, ...]
     left: Round
     stopped: str
-    known: Knowledge | None = None
+    posterior: FullPosterior | None = None
     blunders: tuple[Blunder, ...] = ()
     changed: tuple[Change, ...] = ()
     faulty: Estimate | None = None
@@ -126,26 +128,22 @@ class Result:
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine, sigmas of the second kind; of the first from ``identify``."""
-        if self.known is None:
+        """The calibrated machine with its covariance, all else allowed but by ``identify``."""
+        if self.posterior is None:
             return self.after.machine
-        return self.after.problem.machine.with_only(self.values, self._sigmas(self.known))
-
-    def _sigmas(self, known: Knowledge) -> dict[str, float]:
-        """Sigmas of the second kind of the machine's parameters, what fits as well in them."""
-        weights, mean = known.weights, self.values
-        names = self.catalogue.parameters
-        variance = np.einsum("pe,ef,pf->p", weights, known.covariance, weights)
-        variance += (weights @ known.shift) ** 2
+        about_fit = self.posterior.machine
+        mean = np.array([self.values.get(n, 0.0) for n in about_fit.names])
+        covariance = about_fit.covariance.copy()
         for share, other in self.explanations:
-            apart = [other.get(n, 0.0) - mean.get(n, 0.0) for n in names]
-            variance += share * np.square(apart)
-        return dict(zip(names, np.sqrt(variance).tolist(), strict=True))
+            apart = np.array([other.get(n, 0.0) for n in about_fit.names]) - mean
+            covariance += share * np.outer(apart, apart)
+        known = Posterior(about_fit.names, mean, covariance)
+        return self.after.problem.machine.with_posterior(self.values, known)
 
     @property
     def sigmas(self) -> dict[str, float]:
         """Sigmas of what was identified, SI: everything else allowed but by ``identify``."""
-        return self.after.sigmas if self.known is None else self.known.sigmas
+        return self.after.sigmas if self.posterior is None else self.posterior.unknowns.sigmas
 
     @property
     def columns(self) -> dict[str, list[Any]]:
@@ -227,24 +225,20 @@ class Result:
 
     @cached_property
     def map(self) -> Map | None:
-        """Predicted TCP over the workspace, both kinds of uncertainty; not of ``identify``."""
-        if self.known is None:
-            return None
-        return tcp_map(self.after, self.known, self.values, self.explanations)
+        """Predicted TCP over the workspace, with its uncertainty; not of ``identify``."""
+        return None if self.posterior is None else tcp_map(self.machine)
 
     @cached_property
     def workspace(self) -> Workspace | None:
         """The TCP's errors over the workspace; ``None`` of ``identify``."""
         if self.map is None:
             return None
-        return workspace_of(self.before, self.values_before, self.map)
+        return workspace_of(self.before, self.after, self.map)
 
     @cached_property
     def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
         """Effects that make most of the TCP's uncertainty, each with its share."""
-        if self.known is None or self.map is None:
-            return ()
-        return uncertain_effects(self.after, self.values, self.known, self.map.commands)
+        return () if self.posterior is None else uncertain_effects(self.machine)
 
     @cached_property
     def offsets_alone(self) -> float:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.accuracy import Knowledge, Map, knowledge, tcp_map
+from orthoglide.accuracy import Map, tcp_map, variance_by_effect, without_place
 from orthoglide.fit import Estimate
 from orthoglide.geometry import Array
-from orthoglide.prediction import Conditions
+from orthoglide.machine import Machine
+from orthoglide.posterior import full_posterior
 
 _MOST_NAMED = 3
 
@@ -46,48 +46,29 @@ class Workspace:
         }
 
 
-def workspace_of(before: Estimate, values: Mapping[str, float], after: Map) -> Workspace:
+def workspace_of(before: Estimate, after: Estimate, calibrated: Map) -> Workspace:
     """The workspace by the base model and by the calibrated machine.
 
     Args:
         before: fit of the base model.
-        values: its parameters, SI.
-        after: map of the calibrated machine.
+        after: the final fit.
+        calibrated: map of the calibrated machine.
     """
-    base = tcp_map(before, knowledge(before), values)
-    apart = after.p - base.p
+    start, posterior = before.problem.machine, full_posterior(before)
+    base = tcp_map(start.with_posterior(before.machine.values, posterior.machine))
     return Workspace(
-        after.commands - before.problem.machine.geometry.L,
-        after.error,
-        np.linalg.norm(apart - apart.mean(axis=0), axis=1),
+        calibrated.commands - start.geometry.L,
+        calibrated.error,
+        np.linalg.norm(without_place(calibrated.p - base.p), axis=1),
         base.uncertainty,
-        after.uncertainty,
-        1.96 * np.linalg.norm(after.sigma, axis=1),
+        calibrated.uncertainty,
+        tcp_map(after.machine).uncertainty,
     )
 
 
-def uncertain_effects(
-    after: Estimate, values: Mapping[str, float], known: Knowledge, commands: Array
-) -> tuple[tuple[str, float], ...]:
-    """Effects that make most of the variance of the TCP, each with its share of their sum.
-
-    Args:
-        after: the final fit.
-        values: of the calibrated machine, SI.
-        known: what the readings say with everything else allowed.
-        commands: ``(g, 3)``, metres.
-    """
-    catalogue, model = after.problem.machine.catalogue, after.problem.machine.model
-    _, by_theta = model.sensitivities(values, Conditions.at(commands), catalogue.parameters)
-    slope = by_theta[:, :3] @ known.weights
-    slope = slope - slope.mean(axis=0)
-    names = [catalogue.effect_of(n).name for n in known.names]
-    shares: dict[str, float] = {}
-    for name in dict.fromkeys(n for n in names if not catalogue[n].of_dial):
-        members = np.array([n == name for n in names])
-        part = slope[:, :, members]
-        block = known.covariance[np.ix_(members, members)]
-        shares[name] = float(np.einsum("gie,ef,gif->", part, block, part))
+def uncertain_effects(machine: Machine) -> tuple[tuple[str, float], ...]:
+    """Effects that make most of the variance of the TCP, each with its share of their sum."""
+    shares = variance_by_effect(machine)
     total = sum(shares.values())
     ranked = sorted(shares.items(), key=lambda item: -item[1])[:_MOST_NAMED]
     return tuple((name, share / total) for name, share in ranked if total > 0)

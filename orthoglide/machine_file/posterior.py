@@ -1,0 +1,146 @@
+"""Mean and covariance of parameters, and the file that keeps them beside a machine file."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orthoglide import files
+from orthoglide.errors import FileError, InputError
+from orthoglide.geometry import Array
+
+_CONTENT = ("names", "mean", "covariance", "sha256")
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What is known of parameters, as a Gaussian.
+
+    Attributes:
+        names: of the parameters, ``P`` of them.
+        mean: ``(P,)``, SI.
+        covariance: ``(P, P)``, SI.
+    """
+
+    names: tuple[str, ...]
+    mean: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        count = (len(self.names),)
+        if self.mean.shape != count or self.covariance.shape != 2 * count:
+            raise InputError(
+                f"{count[0]} names need as many values, and a covariance of that many rows and "
+                f"columns"
+            )
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
+            raise InputError("a mean and a covariance are finite numbers")
+
+    @classmethod
+    def independent(cls, values: Mapping[str, float], sigmas: Mapping[str, float]) -> Posterior:
+        """Parameters of which each is known apart from the others, SI."""
+        names = tuple(sigmas)
+        mean = np.array([values.get(n, 0.0) for n in names])
+        return cls(names, mean, np.diag(np.square([sigmas[n] for n in names]).reshape(-1)))
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """Standard deviations by name, SI."""
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.names, spread.tolist(), strict=True))
+
+    @property
+    def root(self) -> Array:
+        """A matrix ``(P, P)`` whose product with its transpose is the covariance."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        unit = np.where(sd > 0, sd, 1.0)
+        values, vectors = np.linalg.eigh(self.covariance / unit / unit[:, None])
+        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def mapped(self, names: Sequence[str], matrix: Array) -> Posterior:
+        """Of linear combinations: ``matrix`` ``(Q, P)`` gives the parameters ``names``."""
+        spread = matrix @ self.covariance @ matrix.T
+        return Posterior(tuple(names), matrix @ self.mean, spread)
+
+    def about(self, values: Mapping[str, float]) -> Posterior:
+        """The same about other values, whose distance from the mean counts as variance."""
+        centre = np.array([values.get(n, 0.0) for n in self.names])
+        apart = self.mean - centre
+        return Posterior(self.names, centre, self.covariance + np.outer(apart, apart))
+
+    def joined(self, other: Posterior) -> Posterior:
+        """With the parameters of another that are not in this, taken for independent of these."""
+        rest = [k for k, name in enumerate(other.names) if name not in self.names]
+        count = len(self.names)
+        covariance = np.zeros((count + len(rest), count + len(rest)))
+        covariance[:count, :count] = self.covariance
+        covariance[count:, count:] = other.covariance[np.ix_(rest, rest)]
+        names = (*self.names, *(other.names[k] for k in rest))
+        return Posterior(names, np.concatenate([self.mean, other.mean[rest]]), covariance)
+
+
+def posterior_path(path: str | os.PathLike[str]) -> Path:
+    """The file beside a machine file that keeps the covariance: ``calibrated.npz``."""
+    return Path(path).with_suffix(".npz")
+
+
+def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
+    """The content of that file, the same bytes for the same numbers.
+
+    Args:
+        posterior: what to keep.
+        digest: sha256 of the machine file that it belongs to.
+    """
+    arrays = {
+        "names": np.array(posterior.names, dtype=np.str_),
+        "mean": posterior.mean,
+        "covariance": posterior.covariance,
+        "sha256": np.array(digest),
+    }
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asarray(array, order="C"), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy")  # of no date, where np.savez may differ
+            archive.writestr(entry, content.getvalue())
+    return stream.getvalue()
+
+
+def read_posterior(path: str | os.PathLike[str], digest: str) -> Posterior | None:
+    """The covariance kept beside a machine file; ``None`` where there is none.
+
+    Args:
+        path: of the machine file.
+        digest: sha256 of its content.
+
+    Raises:
+        FileError: where the file is damaged or belongs to another machine file.
+    """
+    beside = posterior_path(path)
+    if not beside.exists():
+        return None
+    return parse_posterior(files.read_bytes(beside), digest, str(beside))
+
+
+def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
+    """A covariance from the bytes that `posterior_bytes` made; raises as `read_posterior`."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
+        found = Posterior(tuple(map(str, names)), mean.astype(float), covariance.astype(float))
+    except (ValueError, KeyError, EOFError, OSError, TypeError, zipfile.BadZipFile):
+        raise FileError("is damaged: write the machine again", file=file) from None
+    if str(belongs_to) != digest:
+        raise FileError(
+            "belongs to another machine file than the one beside it: put back the one it was "
+            "written with, or remove this to take its parameters for independent",
+            file=file,
+        )
+    return found

@@ -1,0 +1,159 @@
+"""What is stated of the TCP's accuracy, kept beside the machine file and judged by ``rig.py``."""
+
+from __future__ import annotations
+
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.accuracy import expected_error, tcp_map, workspace
+from orthoglide.closing import Verdict, close_loop
+from orthoglide.control import compensate
+from orthoglide.errors import FileError, InputError
+from orthoglide.machine_file import Posterior
+from tests.rig import Array, Rig
+from tests.rig_campaigns import simulate
+
+PLANTED = {
+    "joint_offset.x": 3.5e-4, "joint_offset.y": 8.2e-4, "joint_offset.z": 3.3e-4,
+    "leg_length.x": -6.5e-5, "leg_length.y": 4.5e-5, "leg_length.z": 2.2e-5,
+}  # fmt: skip
+# Name: what is planted besides, and the share of their tolerances that all others have.
+MACHINES: dict[str, tuple[dict[str, float], float]] = {
+    "tilted": ({"axis_tilt.y.z": 1.5e-3}, 0.0),
+    "sound": ({}, 0.0),
+    "rough": ({}, 0.3),
+}
+
+
+@cache
+def rig_of(which: str) -> Rig:
+    more, background = MACHINES[which]
+    rig = Rig(errors={**PLANTED, **more})
+    return rig.with_background(np.random.default_rng(8), background) if background else rig
+
+
+@cache
+def verdict_of(which: str) -> Verdict:
+    rows = simulate(rig_of(which), "sweep", np.random.default_rng(18))
+    return close_loop(og.Campaign.from_frame({n: [r[n] for r in rows] for n in rows[0]}))
+
+
+def parts(error: Array) -> tuple[float, float]:
+    """Mean shape and place of an error over the workspace ``(g, 3)``."""
+    place = error.mean(axis=0)
+    return float(np.linalg.norm(error - place, axis=1).mean()), float(np.linalg.norm(place))
+
+
+@pytest.mark.parametrize("which", MACHINES)
+def test_what_is_stated_is_what_is_achieved(which: str) -> None:
+    rig, machine = rig_of(which), verdict_of(which).machine
+    wanted = og.Machine.nominal().forward(workspace(machine.geometry))
+    middle = np.zeros_like(wanted)
+    for settings in (machine.values, {}):
+        commands = machine.with_only(settings).inverse(wanted)
+        shape, place = parts(rig.pose(commands, middle).p - wanted)
+        stated = expected_error(machine, settings)
+        assert abs(shape - stated.shape) < 3 * stated.shape_sigma + 1e-6
+        assert stated.shape < 10 * shape
+        assert place < stated.place + 3 * stated.place_sigma
+    # Known to the tolerance alone: two carriages' paths, 0.3 mm each, along each of three axes.
+    compensated = expected_error(machine, machine.values)
+    assert compensated.place > 0.3e-3
+    assert compensated.shape < 0.2 * expected_error(machine, {}).shape
+
+
+def test_compensate_states_shape_and_place_apart() -> None:
+    rig, machine = rig_of("tilted"), verdict_of("tilted").machine
+    angle = np.linspace(0, 2 * np.pi, 30)
+    goal = np.stack([0.04 * np.cos(angle), 0.035 * np.sin(angle), 0.02 * np.sin(angle)], 1)
+    plan = compensate(machine, goal)
+    apart = rig.pose(plan.rho, plan.approach).p - goal
+    achieved = np.linalg.norm(apart - apart.mean(axis=0), axis=1).mean()
+    assert achieved < 2 * plan.shape.mean() < 20 * achieved
+    assert plan.place > 0.2e-3
+    assert "where the machine as a whole sits is known to 0.3" in str(plan)
+    assert not plan.independent
+
+
+@pytest.mark.parametrize("which", MACHINES)
+def test_the_radius_stated_afterwards_is_below_the_error_now(which: str) -> None:
+    stated = tcp_map(verdict_of(which).machine)
+    assert stated.uncertainty.mean() < 0.5 * stated.error.mean()
+
+
+# -- the covariance beside the machine file ------------------------------------------------------
+
+NAMES = ("joint_offset.x", "axis_offset.y.x", "axis_tilt.y.z")
+ROOT = np.array([[1e-3, 0, 0], [0.9e-3, 1e-5, 0], [0, 1e-4, 1e-4]])
+
+
+def calibrated() -> og.Machine:
+    values = {"joint_offset.x": 1e-3, "axis_tilt.y.z": 5e-4}
+    mean = np.array([values.get(n, 0.0) for n in NAMES])
+    return og.Machine.nominal().with_posterior(values, Posterior(NAMES, mean, ROOT @ ROOT.T))
+
+
+def test_the_covariance_survives_the_files(tmp_path: Path) -> None:
+    machine = calibrated()
+    machine.save(tmp_path / "calibrated.toml")
+    assert {p.name for p in tmp_path.iterdir()} == {"calibrated.toml", "calibrated.npz"}
+    again = og.Machine.load(tmp_path / "calibrated.toml")
+    assert not again.warnings
+    assert again.posterior.names == NAMES
+    assert np.array_equal(again.posterior.covariance, ROOT @ ROOT.T)
+    assert np.array_equal(again.posterior.mean, machine.posterior.mean)
+    assert again.spec.parameters["axis_tilt.y.z"].sigma == pytest.approx(np.sqrt(2) * 1e-4)
+    sha = np.load(tmp_path / "calibrated.npz")["sha256"]
+    assert str(sha) == again.spec.sha256
+    content = (tmp_path / "calibrated.npz").read_bytes()
+    again.save(tmp_path / "calibrated.toml", overwrite=True)
+    assert (tmp_path / "calibrated.npz").read_bytes() == content
+    dates = {i.date_time for i in zipfile.ZipFile(tmp_path / "calibrated.npz").infolist()}
+    assert dates == {(1980, 1, 1, 0, 0, 0)}
+
+
+def test_without_its_covariance_the_parameters_are_independent(tmp_path: Path) -> None:
+    file = tmp_path / "calibrated.toml"
+    calibrated().save(file)
+    (tmp_path / "calibrated.npz").unlink()
+    machine = og.Machine.load(file)
+    (warning,) = machine.warnings
+    assert "no calibrated.npz" in warning
+    assert "independent" in warning
+    known = machine.posterior
+    assert np.array_equal(known.covariance, np.diag(np.diag(known.covariance)))
+    assert known.sigmas["joint_offset.x"] == pytest.approx(1e-3)
+    # A machine whose parameters changed has no covariance any more.
+    assert calibrated().with_parameters({"joint_offset.y": 1e-3}).spec.posterior is None
+
+
+def test_a_covariance_of_another_machine_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "calibrated.toml"
+    calibrated().save(file)
+    file.write_text(file.read_text().replace("value = 1.0,", "value = 1.5,"))
+    with pytest.raises(FileError, match="belongs to another machine file"):
+        og.Machine.load(file)
+    (tmp_path / "calibrated.npz").write_bytes(b"PK no")
+    with pytest.raises(FileError, match="is damaged"):
+        og.Machine.load(file)
+    # Saving without one leaves none of another machine beside it.
+    with pytest.raises(FileError, match="not overwritten"):
+        og.Machine.nominal().save(tmp_path / "calibrated.toml")
+    og.Machine.nominal().save(file, overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["calibrated.toml"]
+    (tmp_path / "new.npz").write_bytes(b"mine")
+    with pytest.raises(FileError, match="not overwritten"):
+        calibrated().save(tmp_path / "new.toml")
+    assert not (tmp_path / "new.toml").exists()
+
+
+def test_what_is_no_posterior_is_refused() -> None:
+    with pytest.raises(InputError, match="rows and columns"):
+        Posterior(NAMES, np.zeros(3), np.eye(2))
+    with pytest.raises(InputError, match="finite"):
+        Posterior(NAMES, np.zeros(3), np.full((3, 3), np.nan))
