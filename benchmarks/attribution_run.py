@@ -207,7 +207,7 @@ def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
 
 
 def _said(verdict: Verdict) -> Record:
-    left = verdict.left.detection
+    left = verdict.detection
     effects = [
         {
             "name": e.name,

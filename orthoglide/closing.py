@@ -10,7 +10,9 @@ import numpy as np
 
 from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.ranking import Round, budget, look
+from orthoglide.diagnosis.significance import Detection
 from orthoglide.effects import Effect as Declared
+from orthoglide.errors import InputError
 from orthoglide.fit import (
     Estimate,
     Frame,
@@ -28,7 +30,7 @@ from orthoglide.observations import Given, TcpPoints, as_campaigns
 from orthoglide.posterior import full_posterior
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
-from orthoglide.result import Result, Word
+from orthoglide.result import Result, Word, by_lack_of_fit
 from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
 
 __all__ = ["DETECTION", "NAMING", "Effect", "Tried", "Verdict", "close_loop", "judge", "run"]
@@ -178,10 +180,11 @@ def _identified(request: Request, progress: Progress) -> Verdict:
         frame=request.frame,
     )
     progress(Step("testing"))
-    left = _left(estimate, 0, request.seed)
+    left = _left(estimate, request.seed)
+    found = by_lack_of_fit(estimate) if left is None else left.detection
     stopped = "no cause was to be added"
     return Verdict(
-        request, _word((), left), estimate, estimate, (), (), left, stopped,
+        request, _word((), found), estimate, estimate, (), (), left, stopped,
         changed=estimate.changes,
     )  # fmt: skip
 
@@ -203,20 +206,21 @@ def _search(request: Request, search: Search, before: Estimate) -> Verdict:
     after, left, stopped = search.run(before)
     search.progress(Step("allowing"))
     effects, tried = tuple(search.effects), tuple(search.tried)
-    word, known = _word(effects, left), full_posterior(after)
+    word, known = _word(effects, left.detection), full_posterior(after)
     return Verdict(request, word, before, after, effects, tried, left, stopped, known)
 
 
-def _left(estimate: Estimate, added: int, seed: int) -> Round:
-    """What a fit leaves, tested against the catalogue."""
+def _left(estimate: Estimate, seed: int) -> Round | None:
+    """What a fit leaves, tested against the catalogue; ``None`` where all of it is free."""
     rng = np.random.default_rng([max(seed, 0), 1])
-    limit = budget(look(estimate, 0, rng).signatures)
-    return look(estimate, max(limit - added, 1), rng)
+    try:
+        return look(estimate, max(budget(look(estimate, 0, rng).signatures), 1), rng)
+    except InputError:
+        return None
 
 
-def _word(effects: Sequence[Effect], left: Round) -> Word:
+def _word(effects: Sequence[Effect], test: Detection) -> Word:
     """The verdict. Lack of fit decides with the best of the catalogue: either is significant."""
-    test = left.detection
     if not effects:
         significant = test.p_value < DETECTION or test.lack_of_fit_p < SIGNIFICANT
         return "unexplained" if significant else "adequate"

@@ -22,7 +22,7 @@ LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
 """The legs, and the base axes: leg i slides along base axis i."""
 
 
-_FAR = 10.0  # bars' lengths; the longest command within a machine's reach is two
+_FAR = 100.0  # bars' lengths; the longest command within a machine's reach is two
 
 
 def vectors(values: ArrayLike, name: str) -> Array:
@@ -39,7 +39,7 @@ def vectors(values: ArrayLike, name: str) -> Array:
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{name} must have shape (..., 3), not {array.shape}")
     if not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite numbers, in metres")
+        raise InputError(f"{name} must be finite numbers of shape (..., 3), in metres")
     return array
 
 

@@ -60,6 +60,11 @@ class Closure:
     frame_1: str
     frame_2: str
 
+    @property
+    def rows(self) -> int:
+        """Conditions that it sets: 3 or 6."""
+        return 3 if self.kind == "point" else 6
+
 
 # Colour (red, green, blue) and density in kg/m^3.
 _MATERIALS: dict[str, tuple[Vector, float]] = {

@@ -22,7 +22,6 @@ from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Controller, nominal_machine_file
 from orthoglide.notes import Note
 from orthoglide.observations import (
-    CONDITIONS,
     Campaign,
     Moves,
     campaign_from_rows,
@@ -36,6 +35,7 @@ from orthoglide.observations import (
     tcp_rows,
     write_campaign,
 )
+from orthoglide.prediction import Conditions
 
 KINDS = ("standard", "sweep", "two-gauges")
 PUBLISHED = sorted(
@@ -272,7 +272,7 @@ def test_no_cell_brings_more_than_a_file_error(
         tmp_path_factory.mktemp("fuzz") / "c.csv", as_text(rows).encode("utf-8", "replace")
     )
     with contextlib.suppress(FileError):
-        assert read_campaign(file).n == len(rows) - 1
+        assert len(read_campaign(file)) == len(rows) - 1
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
@@ -637,7 +637,7 @@ def test_files_are_not_overwritten_unasked_and_leave_nothing_behind(tmp_path: Pa
         write_campaign(measured(), file)
     assert file.read_text() == "mine"
     write_campaign(measured(), file, overwrite=True)
-    assert read_campaign(file).n == 54
+    assert len(read_campaign(file)) == 54
     assert os.listdir(tmp_path) == ["c.csv"]
     with pytest.raises(FileError, match="choose another place"):
         write_campaign(measured(), tmp_path / "none" / "c.csv")
@@ -665,7 +665,9 @@ def test_subset_keeps_what_it_needs() -> None:
     assert [s.name for s in part.setups] == ["yx-0.5", "yz-0.5"]
     assert part.same_as(campaign.subset(np.flatnonzero(mask)))
     assert np.array_equal(part.temperature_rise, campaign.temperature_rise[mask])
-    assert np.array_equal(part.conditions, campaign.conditions[mask])
+    every = Conditions.of(campaign)
+    for found, whole in zip(vars(Conditions.of(part)).values(), vars(every).values(), strict=True):
+        assert np.array_equal(found, whole[mask])
     names = [[c.setups[k].name for k in c.setup] for c in (part, campaign)]
     assert names[0] == [name for name, kept in zip(names[1], mask, strict=True) if kept]
     assert len(campaign.subset([])) == 0
@@ -689,22 +691,16 @@ def test_weight_forbids_relabelling() -> None:
         replace(campaign, load=np.ones(len(campaign))).relabelled()
 
 
-def test_conditions_have_their_columns() -> None:
+def test_conditions_are_what_was_recorded_and_else_0() -> None:
     campaign = full_campaign()
-    assert campaign.conditions.shape == (len(campaign), len(CONDITIONS))
-    by_name = dict(zip(CONDITIONS, campaign.conditions.T, strict=True))
-    assert np.array_equal(by_name["rho_z"], campaign.command[:, 2])
-    assert np.array_equal(by_name["approach_y"], campaign.approach[:, 1])
-    assert np.array_equal(by_name["load"], campaign.load)
-    assert np.isfinite(campaign.conditions).all()
-
-
-def test_rows_are_the_arrays_one_by_one() -> None:
-    campaign = full_campaign()
-    row = list(campaign.rows)[7]
-    assert row.setup is campaign.setups[campaign.setup[7]]
-    assert row.command == tuple(campaign.command[7])
-    assert (row.repeat, row.line, row.posture) == (1, 9, "+60")
+    found = Conditions.of(campaign)
+    assert np.array_equal(found.command, campaign.command)
+    assert np.array_equal(found.approach, campaign.approach)
+    assert np.array_equal(found.load, campaign.load)
+    blank = np.full(len(campaign), np.nan)
+    none = Conditions.of(replace(campaign, time=blank, temperature=blank))
+    assert not none.time.any()
+    assert not none.warming.any()
 
 
 def test_arrays_are_the_campaigns_own_and_cannot_be_changed() -> None:

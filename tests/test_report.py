@@ -295,6 +295,18 @@ def test_residuals_add_up() -> None:
         assert value == pytest.approx(float(row["residual_after_mm"]), abs=2e-6)
 
 
+def test_everything_can_be_freed_at_once() -> None:
+    """Nothing of the catalogue is left to weigh: lack of fit decides alone."""
+    machine = og.Machine.nominal()
+    free = tuple(name for name in machine.catalogue if name != "screw_error")
+    result = identified(DATA / "experiment2.csv", free=free)
+    assert result.left is None
+    assert result.word in ("adequate", "unexplained")
+    kept = json.loads(report_files(result)["result.json"])
+    assert kept["left"]["detection_p"] is None
+    assert kept["invisible"] == []
+
+
 # --- Figures --------------------------------------------------------------------------------
 
 

@@ -94,71 +94,54 @@ def message(problem: Problem, fault: Fault) -> str:
     lines = _listed([int(campaign.line[row]) for k, row in at if k == at[0][0]])
     names = setup_names(problem)
     setups = " and ".join(repr(names[s]) for s in fault.setups)
-    clause = _CLAUSES[fault.kind](problem, fault)
-    return f"{where}, {lines}, setup{'s' * (len(fault.setups) > 1)} {setups}: {clause}"
+    plural = "s" * (len(fault.setups) > 1)
+    return f"{where}, {lines}, setup{plural} {setups}: {_clause(problem, fault)}"
 
 
-def _outlier(problem: Problem, fault: Fault) -> str:
-    visits = np.sum(problem.station[fault.rows[0]] == problem.station)
-    rest = "the other readings of this posture" if visits > 1 else "what all others say"
-    return (
-        f"the reading {_first(problem, fault)} mm is {fault.size * 1e3:+.3g} mm off {rest}: "
-        f"look it up in the notes and correct it, or measure this posture again"
-    )
-
-
-def _knock(problem: Problem, fault: Fault) -> str:
-    return (
-        f"from here on all readings of the setup are {fault.size * 1e3:+.3g} mm higher than "
-        f"before, as if the dial's stand had been knocked: give these rows a setup name of their "
-        f"own, or measure the setup again"
-    )
-
-
-def _sign(problem: Problem, fault: Fault) -> str:
-    setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
-    other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
-    return (
-        f"the readings fit with the opposite sign, so the dial counted the other way: look at "
-        f"which way its hand turns and put direction {other} instead of {setup.direction}"
-    )
-
-
-def _labels(problem: Problem, fault: Fault) -> str:
-    return (
-        "the readings of these two fit once they are exchanged, so the two dials or their columns "
-        "were mixed up: check which dial stood where and exchange the setups' labels"
-    )
-
-
-def _unit(problem: Problem, fault: Fault) -> str:
-    factor = min(UNITS, key=lambda f: abs(np.log(f / fault.size)))
-    return (
-        f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to be "
-        f"{UNITS[factor]}: put this setup into millimetres"
-    )
-
-
-def _stuck(problem: Problem, fault: Fault) -> str:
-    return (
-        f"the dial shows {_first(problem, fault)} mm in {len(fault.rows)} readings one after the "
-        f"other while the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and "
-        f"measure these rows again"
-    )
-
-
-_CLAUSES = {
-    "outlier": _outlier,
-    "knocked_stand": _knock,
-    "sign": _sign,
-    "exchanged_labels": _labels,
-    "unit": _unit,
-    "stuck": _stuck,
-}
-
-
-def _first(problem: Problem, fault: Fault) -> str:
-    return f"{problem.measured[fault.rows[0]] * 1e3:.6g}"
+def _clause(problem: Problem, fault: Fault) -> str:
+    """What a fault looks like, and what to do about it."""
+    first = f"{problem.measured[fault.rows[0]] * 1e3:.6g} mm"
+    size = f"{fault.size * 1e3:+.3g} mm"
+    match fault.kind:
+        case "outlier":
+            visits = np.sum(problem.station[fault.rows[0]] == problem.station)
+            rest = "the other readings of this posture" if visits > 1 else "what all others say"
+            return (
+                f"the reading {first} is {size} off {rest}: look it up in the notes and correct "
+                f"it, or measure this posture again"
+            )
+        case "knocked_stand":
+            return (
+                f"from here on all readings of the setup are {size} higher than before, as if the "
+                f"dial's stand had been knocked: give these rows a setup name of their own, or "
+                f"measure the setup again"
+            )
+        case "sign":
+            setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
+            other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
+            return (
+                f"the readings fit with the opposite sign, so the dial counted the other way: look "
+                f"at which way its hand turns and put direction {other} instead of "
+                f"{setup.direction}"
+            )
+        case "exchanged_labels":
+            return (
+                "the readings of these two fit once they are exchanged, so the two dials or their "
+                "columns were mixed up: check which dial stood where and exchange the setups' "
+                "labels"
+            )
+        case "unit":
+            factor = min(UNITS, key=lambda f: abs(np.log(f / fault.size)))
+            return (
+                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
+                f"be {UNITS[factor]}: put this setup into millimetres"
+            )
+        case "stuck":
+            return (
+                f"the dial shows {first} in {len(fault.rows)} readings one after the other while "
+                f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure "
+                f"these rows again"
+            )
 
 
 def _listed(lines: Sequence[int]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -56,8 +57,10 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
             add("unit", rows, (s,), factor, factor * measured[rows])
     commands = np.concatenate([c.command for c in problem.campaigns])
     predicted = _under_each_label(problem, means.signatures.estimate.x)
-    for one, other in _pairs(problem, setups):
+    for one, other in combinations(setups, 2):
         a, b = order[one], order[other]
+        if not np.isfinite(predicted[a, other]).all():
+            continue  # of another campaign
         rows, crossed = np.concatenate([a, b]), np.concatenate([b, a])
         if len(a) == len(b):
             add("exchanged_labels", rows, (one, other), 0.0, measured[crossed])
@@ -71,19 +74,11 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
     return found
 
 
-def _pairs(problem: Problem, setups: Sequence[int]) -> list[tuple[int, int]]:
-    """Two setups of one campaign."""
-    home = np.repeat(np.arange(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
-    return [
-        (one, other)
-        for k, one in enumerate(setups)
-        for other in setups[k + 1 :]
-        if home[one] == home[other]
-    ]
-
-
 def _under_each_label(problem: Problem, x: Array) -> Array:
-    """What every row would read, datums apart, were it of each setup ``(n, setups)``, metres."""
+    """What every row would read, datums apart, were it of each setup ``(n, setups)``, metres.
+
+    Setups of other campaigns: nan.
+    """
     predicted = np.full((len(problem.measured), problem.setup_count), np.nan)
     first = 0
     for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):

@@ -11,12 +11,13 @@ takes more than its share. Only what does is said.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.faults import setup_names
-from orthoglide.fit import Estimate
+from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis
 from orthoglide.geometry import LEGS, Array
 
@@ -30,70 +31,6 @@ _FEWEST_TURNS = 1.5  # of a period that must lie within the travel
 _PERIODS = 60
 
 
-@dataclass(frozen=True)
-class _Left:
-    """What is left, whitened and past what was fitted.
-
-    Attributes:
-        estimate: the fit.
-        basis: orthonormal columns of everything fitted, rows of readings ``(n, q)``.
-        residual: whitened ``(n,)``.
-        travel: of the touched leg's carriage from mechanical zero ``(n,)``, metres.
-        degrees: degrees of freedom of station means; of readings.
-        setups: number of setups.
-    """
-
-    estimate: Estimate
-    basis: Array
-    residual: Array
-    travel: Array
-    degrees: tuple[float, float]
-    setups: int
-
-    @property
-    def setup(self) -> NDArray[np.int64]:
-        """Setup of each reading ``(n,)``."""
-        return self.estimate.problem.setup_of_row
-
-    def by_setup(self, column: Array) -> Array:
-        """A column of its own for every setup ``(n, setups)``."""
-        return np.asarray((self.setup[:, None] == np.arange(self.setups)) * column[:, None])
-
-    def gain(self, columns: Array) -> tuple[float, int]:
-        """Squared length of the residual along columns ``(n, k)`` past the fit, and their rank."""
-        weighted = columns * self.estimate.nuisance.weight[:, None]
-        past = weighted - self.basis @ (self.basis.T @ weighted)
-        scale = np.linalg.norm(weighted, axis=0)
-        kept = np.linalg.norm(past, axis=0) > 1e-3 * np.where(scale > 0, scale, 1)
-        if not kept.any():
-            return 0.0, 0
-        left, singular, _ = np.linalg.svd(past[:, kept] / scale[kept], full_matrices=False)
-        left = left[:, singular > 1e-3 * singular[0]]
-        return float(np.sum((left.T @ self.residual) ** 2)), left.shape[1]
-
-    def p_value(self, columns: Array, by_reading: bool = False) -> tuple[float, float]:
-        """Probability by the F test, and the share of what is left that the columns take."""
-        from scipy.special import fdtrc
-
-        total = float(self.residual @ self.residual)
-        if not by_reading:
-            total = self.between
-        gain, k = self.gain(columns)
-        degrees = self.degrees[1 if by_reading else 0]
-        if k == 0 or degrees - k < 1 or total <= 0:
-            return 1.0, 0.0
-        rest = max(total - gain, 1e-12 * total)
-        return float(fdtrc(k, degrees - k, gain / k / (rest / (degrees - k)))), gain / total
-
-    @property
-    def between(self) -> float:
-        """Squared length of the station means."""
-        station, weight = self.estimate.problem.station, self.estimate.nuisance.weight
-        total = np.bincount(station, self.residual * weight)
-        size = np.bincount(station, weight**2)
-        return float(np.sum(total**2 / size))
-
-
 def describe_left(estimate: Estimate) -> tuple[str, ...]:
     """What is left of the readings, in sentences without a full stop; only what is significant.
 
@@ -104,148 +41,214 @@ def describe_left(estimate: Estimate) -> tuple[str, ...]:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs
         by approach, drifts in time, or repeats along an axis.
     """
-    left = _left(estimate)
-    loud = _loud(left)
-    found = [
-        *_where(left, loud),
-        *_single_station(left),
-        *_parity(left, loud),
-        *_hysteresis(left),
-        *_trend(left),
-        *_period(left),
-    ]
-    if not found:
-        found = ["it shows no pattern that can be told from chance by these readings"]
-    return tuple(found)
+    rest = _Rest(estimate)
+    tests = (_where, _single_station, _parity, _hysteresis, _trend, _period)
+    found = tuple(text for test in tests if (text := test(rest)))
+    return found or ("it shows no pattern that can be told from chance by these readings",)
 
 
-def _left(estimate: Estimate) -> _Left:
-    problem = estimate.problem
-    leg = np.concatenate([c.leg for c in problem.campaigns])
-    command = np.concatenate([c.command for c in problem.campaigns])
-    basis = fitted_basis(problem, estimate.nuisance, estimate.at)[: len(problem.measured)]
-    stations, taken = int(problem.station.max()) + 1, float(np.sum(basis**2))
-    return _Left(
-        estimate,
-        basis,
-        estimate.residuals * estimate.nuisance.weight,
-        command[np.arange(len(leg)), leg] - problem.machine.geometry.L,
-        (stations - taken, len(leg) - taken),
-        problem.setup_count,
+def _f_test(k: Array | float, degrees: Array | float, ratio: Array | float) -> Array:
+    """Probability of a ratio of mean squares this large on k and ``degrees``."""
+    from scipy.special import fdtrc
+
+    return np.asarray(fdtrc(k, degrees, ratio))
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """What a fit leaves, whitened and past what was fitted.
+
+    Attributes:
+        estimate: the fit.
+    """
+
+    estimate: Estimate
+
+    @property
+    def problem(self) -> Problem:
+        """Of the fit."""
+        return self.estimate.problem
+
+    @property
+    def count(self) -> int:
+        """Number of dial readings: only these are looked at."""
+        return sum(map(len, self.problem.campaigns))
+
+    @property
+    def weight(self) -> Array:
+        """1 / sigma of each reading ``(n,)``."""
+        return self.estimate.nuisance.weight[: self.count]
+
+    @property
+    def setup(self) -> NDArray[np.int64]:
+        """Setup of each reading ``(n,)``."""
+        return self.problem.setup_of_row[: self.count]
+
+    @property
+    def station(self) -> NDArray[np.int64]:
+        """Station of each reading ``(n,)``."""
+        return self.problem.station[: self.count]
+
+    @cached_property
+    def basis(self) -> Array:
+        """Orthonormal columns of everything fitted, rows of readings ``(n, q)``."""
+        return fitted_basis(self.problem, self.estimate.nuisance, self.estimate.at)[: self.count]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Whitened ``(n,)``."""
+        return self.estimate.residuals[: self.count] * self.weight
+
+    @cached_property
+    def leg(self) -> NDArray[np.int64]:
+        """Leg touched by each reading ``(n,)``."""
+        return np.concatenate([c.leg for c in self.problem.campaigns])
+
+    @cached_property
+    def travel(self) -> Array:
+        """Of the touched leg's carriage from mechanical zero ``(n,)``, metres."""
+        command = np.concatenate([c.command for c in self.problem.campaigns])
+        return command[np.arange(len(self.leg)), self.leg] - self.problem.machine.geometry.L
+
+    @cached_property
+    def dominant(self) -> NDArray[np.int64]:
+        """Setups that hold more of what is left than their share of the readings."""
+        squares, rows = np.bincount(self.setup, self.residual**2), np.bincount(self.setup)
+        degrees = rows - np.bincount(self.setup, np.sum(self.basis**2, axis=1))
+        rest, others = squares.sum() - squares, degrees.sum() - degrees
+        usable = (degrees > 0.5) & (others > 0.5) & (rest > 0)
+        degrees, others = np.maximum(degrees, 0.5), np.maximum(others, 0.5)
+        ratio = np.where(usable, squares / degrees / np.where(usable, rest / others, 1.0), 0.0)
+        p = _f_test(degrees, others, ratio)
+        found = np.flatnonzero(usable & (p < ALPHA / len(rows)))
+        return found if len(found) <= len(rows) / 2 else found[:0]
+
+    def past(self, columns: Array) -> tuple[Array, Array]:
+        """Columns ``(n, k)`` whitened and past the fit, and their length before ``(k,)``."""
+        weighted = columns * self.weight[:, None]
+        scale = np.linalg.norm(weighted, axis=0)
+        return weighted - self.basis @ (self.basis.T @ weighted), np.where(scale > 0, scale, 1.0)
+
+    def by_setup(self, column: Array) -> Array:
+        """A column of its own for every setup ``(n, setups)``."""
+        setups = np.arange(self.problem.setup_count)
+        return np.asarray((self.setup[:, None] == setups) * column[:, None])
+
+    def p_value(self, columns: Array, by_reading: bool = False) -> tuple[float, float]:
+        """Probability by the F test, and the share of what is left that the columns take.
+
+        Args:
+            columns: of the contrast ``(n, k)``.
+            by_reading: against all readings instead of the station means.
+        """
+        past, scale = self.past(columns)
+        kept = np.linalg.norm(past, axis=0) > 1e-3 * scale
+        station = self.station
+        total = float(self.residual @ self.residual)
+        degrees = len(station) - float(np.sum(self.basis**2))
+        if not by_reading:
+            means = np.bincount(station, self.residual * self.weight) ** 2
+            total = float(np.sum(means / np.bincount(station, self.weight**2)))
+            degrees += int(station.max()) + 1 - len(station)
+        if not kept.any() or total <= 0:
+            return 1.0, 0.0
+        left, singular, _ = np.linalg.svd(past[:, kept] / scale[kept], full_matrices=False)
+        left = left[:, singular > 1e-3 * singular[0]]
+        gain, k = float(np.sum((left.T @ self.residual) ** 2)), left.shape[1]
+        if degrees - k < 1:
+            return 1.0, 0.0
+        remainder = max(total - gain, 1e-12 * total) / (degrees - k)
+        return float(_f_test(k, degrees - k, gain / k / remainder)), gain / total
+
+
+def _where(rest: _Rest) -> str:
+    """Setups that hold most of it."""
+    setups = rest.dominant
+    if not len(setups):
+        return ""
+    squares = np.bincount(rest.setup, rest.residual**2)
+    names = setup_names(rest.problem)
+    share = squares[setups].sum() / squares.sum()
+    listed = " and ".join(names[k] for k in setups)
+    return (
+        f"setup{'s' * (len(setups) > 1)} {listed} hold{'s' * (len(setups) < 2)} {share:.0%} of it"
     )
 
 
-def _loud(left: _Left) -> NDArray[np.int64]:
-    """Setups that hold more of what is left than their share of the readings."""
-    from scipy.special import fdtrc
-
-    if left.setups < 2:
-        return np.zeros(0, dtype=np.int64)
-    squares = np.bincount(left.setup, left.residual**2)
-    rows = np.bincount(left.setup)
-    own = rows - np.bincount(left.setup, np.sum(left.basis**2, axis=1))
-    rest, others = squares.sum() - squares, own.sum() - own
-    usable = (own > 0.5) & (others > 0.5) & (rest > 0)
-    ratio = np.where(usable, squares / np.maximum(own, 0.5), 0.0)
-    ratio /= np.where(usable, rest / np.maximum(others, 0.5), 1.0)
-    p = fdtrc(np.maximum(own, 0.5), np.maximum(others, 0.5), ratio)
-    loud = np.flatnonzero(usable & (p < ALPHA / left.setups))
-    return loud if len(loud) <= left.setups / 2 else loud[:0]
-
-
-def _where(left: _Left, loud: NDArray[np.int64]) -> list[str]:
-    if not len(loud):
-        return []
-    squares = np.bincount(left.setup, left.residual**2)
-    names = setup_names(left.estimate.problem)
-    share = squares[loud].sum() / squares.sum()
-    told = " and ".join(names[k] for k in loud)
-    return [f"setup{'s' * (len(loud) > 1)} {told} hold{'s' * (len(loud) < 2)} {share:.0%} of it"]
-
-
-def _single_station(left: _Left) -> list[str]:
+def _single_station(rest: _Rest) -> str:
     """A single station that stands out: a slip at one posture, or an end of the travel."""
-    problem = left.estimate.problem
-    columns = np.eye(int(problem.station.max()) + 1)[problem.station]
-    weighted = columns * left.estimate.nuisance.weight[:, None]
-    past = weighted - left.basis @ (left.basis.T @ weighted)
-    size = np.sum(past**2, axis=0)
-    seen = size > 1e-6 * np.sum(weighted**2, axis=0)
-    gains = np.where(seen, (left.residual @ past) ** 2 / np.where(seen, size, 1.0), 0.0)
+    station = rest.station
+    columns = np.eye(int(station.max()) + 1)[station]
+    past, scale = rest.past(columns)
+    size = np.linalg.norm(past, axis=0)
+    visible = size > 1e-3 * scale
+    gains = np.where(visible, (rest.residual @ past / np.where(visible, size, 1.0)) ** 2, 0.0)
     best = int(np.argmax(gains))
-    p, share = left.p_value(columns[:, [best]])
-    own = left.setup == left.setup[problem.station == best][0]
+    p, share = rest.p_value(columns[:, [best]])
+    row = int(np.flatnonzero(station == best)[0])
     # Where a setup has few stations, whatever is left of it looks like one of them.
-    few = len(np.unique(problem.station[own])) < _FEWEST_STATIONS
+    few = len(np.unique(station[rest.setup == rest.setup[row]])) < _FEWEST_STATIONS
     if few or share < _MOSTLY or p * len(gains) >= ALPHA:
-        return []
-    row = int(np.flatnonzero(problem.station == best)[0])
-    postures = [label for c in problem.campaigns for label in c.posture]
-    name = setup_names(problem)[problem.setup_of_row[row]]
-    label = postures[row] or f"{left.travel[row] * 1e3:+.4g} mm"
-    return [f"a single station, posture {label} of setup {name}, holds {share:.0%} of it"]
+        return ""
+    posture = [label for c in rest.problem.campaigns for label in c.posture][row]
+    label = posture or f"{rest.travel[row] * 1e3:+.4g} mm"
+    name = setup_names(rest.problem)[rest.setup[row]]
+    return f"a single station, posture {label} of setup {name}, holds {share:.0%} of it"
 
 
-def _parity(left: _Left, loud: NDArray[np.int64]) -> list[str]:
+def _parity(rest: _Rest) -> str:
     """Odd or even along the stroke of the touched leg's own axis, where most of it is."""
-    from scipy.special import fdtrc
-
-    own = loud if len(loud) else np.arange(left.setups)
+    setups = rest.dominant if len(rest.dominant) else np.arange(rest.problem.setup_count)
     gain, degrees = np.zeros(2), np.zeros(2)  # odd, even
-    for k in own:
-        for power, column in enumerate(_along(left, int(k)), start=1):
+    for k in setups:
+        for power, column in enumerate(_polynomials(rest, int(k)), start=1):
             # What the fit takes of a column is not free to be left.
-            degrees[1 - power % 2] += 1 - float(np.sum((column @ left.basis) ** 2))
-            gain[1 - power % 2] += float(column @ left.residual) ** 2
+            degrees[1 - power % 2] += 1 - float(np.sum((column @ rest.basis) ** 2))
+            gain[1 - power % 2] += float(column @ rest.residual) ** 2
     if degrees.min() < 1:
-        return []
-    words = (
-        "it is odd along the stroke: what is too much at one end is too little at the other",
-        "it is even along the stroke: both ends deviate the same way, as with a bend",
-    )
+        return ""
     per = gain / degrees
-    for k, text in enumerate(words):
-        ratio = per[k] / max(per[1 - k], 1e-12 * per[k]) if per[k] else 0.0
-        if float(fdtrc(degrees[k], degrees[1 - k], ratio)) < ALPHA:
-            return [text]
-    return []
+    ratio = per / np.maximum(per[::-1], 1e-12 * np.maximum(per, 1e-300))
+    odd, even = _f_test(degrees, degrees[::-1], ratio) < ALPHA
+    if odd:
+        return "it is odd along the stroke: what is too much at one end is too little at the other"
+    if even:
+        return "it is even along the stroke: both ends deviate the same way, as with a bend"
+    return ""
 
 
-def _along(left: _Left, setup: int) -> Array:
+def _polynomials(rest: _Rest, setup: int) -> Array:
     """Orthonormal polynomials of degree 1 to 4 in the travel of a setup, as rows ``(k, n)``."""
-    rows = np.flatnonzero(left.setup == setup)
-    s, weight = left.travel[rows], left.estimate.nuisance.weight[rows]
+    rows = np.flatnonzero(rest.setup == setup)
+    s = rest.travel[rows]
     places = len(np.unique(np.round(s, 6)))
     u = (s - (s.max() + s.min()) / 2) / max(np.ptp(s) / 2, 1e-12)
-    powers = np.vander(u, min(places, 5), increasing=True) * weight[:, None]
-    columns = np.zeros((powers.shape[1] - 1, len(left.residual)))
+    powers = np.vander(u, min(places, 5), increasing=True) * rest.weight[rows][:, None]
+    columns = np.zeros((powers.shape[1] - 1, len(rest.residual)))
     columns[:, rows] = np.linalg.qr(powers)[0].T[1:]
     return columns
 
 
-def _hysteresis(left: _Left) -> list[str]:
+def _hysteresis(rest: _Rest) -> str:
     """Readings that differ by the side from which an axis came."""
-    approach = np.concatenate([c.approach for c in left.estimate.problem.campaigns])
+    approach = np.nan_to_num(np.concatenate([c.approach for c in rest.problem.campaigns]))
     found = []
-    for axis, leg in enumerate(LEGS):
-        column = np.nan_to_num(approach[:, axis])
-        if len(np.unique(column[column != 0])) < 2:
-            continue
-        p, share = left.p_value(left.by_setup(column))
-        if p < ALPHA / 3:
+    for column, leg in zip(approach.T, LEGS, strict=True):
+        if len(np.unique(column[column != 0])) > 1:
+            p, share = rest.p_value(rest.by_setup(column))
             found.append((p, leg, share))
-    if not found:
-        return []
+    if not found or min(found)[0] >= ALPHA / len(LEGS):
+        return ""
     _, leg, share = min(found)
-    return [f"it depends on the side from which axis {leg} came ({share:.0%} of it): hysteresis"]
+    return f"it depends on the side from which axis {leg} came ({share:.0%} of it): hysteresis"
 
 
-def _trend(left: _Left) -> list[str]:
+def _trend(rest: _Rest) -> str:
     """A drift along the sequence of the readings."""
-    campaigns = left.estimate.problem.campaigns
+    campaigns = rest.problem.campaigns
     place = np.concatenate([_progress(c.time, c.order.astype(float)) for c in campaigns])
-    p, share = left.p_value(left.by_setup(place), by_reading=True)
-    return [f"it drifts in time ({share:.0%} of it)"] if p < ALPHA else []
+    p, share = rest.p_value(rest.by_setup(place), by_reading=True)
+    return f"it drifts in time ({share:.0%} of it)" if p < ALPHA else ""
 
 
 def _progress(time: Array, order: Array) -> Array:
@@ -254,34 +257,27 @@ def _progress(time: Array, order: Array) -> Array:
     return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
 
 
-def _period(left: _Left) -> list[str]:
+def _period(rest: _Rest) -> str:
     """Something that repeats along the travel of one axis."""
-    problem = left.estimate.problem
-    leg = np.concatenate([c.leg for c in problem.campaigns])
     found = []
     for axis, name in enumerate(LEGS):
-        own = leg == axis
-        places = np.unique(np.round(left.travel[own], 6)) if own.any() else np.zeros(0)
+        on_leg = rest.leg == axis
+        places = np.unique(np.round(rest.travel[on_leg], 6))
         if len(places) < _FEWEST_TRAVELS:
             continue
         # Shorter than twice the finest step is not told from longer; longer is a bend.
-        low, high = 2 * np.diff(places).min(), np.ptp(places) / _FEWEST_TURNS
-        if low >= high:
+        step, high = np.diff(places).min(), np.ptp(places) / _FEWEST_TURNS
+        if 2 * step >= high:
             continue
-        rates = np.linspace(1 / high, 1 / low, _PERIODS)
-        tests = []
-        for rate in rates:
-            phase = 2 * np.pi * rate * left.travel
-            columns = [left.by_setup(f(phase) * own) for f in (np.sin, np.cos)]
-            tests.append(left.p_value(np.hstack(columns)))
-        best = int(np.argmin([p for p, _ in tests]))
-        p, share = tests[best]
-        if p * len(rates) * len(LEGS) < ALPHA:
-            found.append((p, name, 1e3 / rates[best], share, 1e3 * np.diff(places).min()))
-    if not found:
-        return []
+        for rate in np.linspace(1 / high, 1 / (2 * step), _PERIODS):
+            phase = 2 * np.pi * rate * rest.travel
+            waves = [rest.by_setup(wave(phase) * on_leg) for wave in (np.sin, np.cos)]
+            p, share = rest.p_value(np.hstack(waves))
+            found.append((p, name, 1e3 / rate, share, 1e3 * step))
+    if not found or min(found)[0] * _PERIODS * len(LEGS) >= ALPHA:
+        return ""
     _, name, period, share, step = min(found)
-    return [
+    return (
         f"it repeats along the travel of {name}, every {period:.0f} mm as far as steps of "
         f"{step:.2g} mm can tell ({share:.0%} of it)"
-    ]
+    )

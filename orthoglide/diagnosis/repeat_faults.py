@@ -7,7 +7,7 @@ and nothing of the causes in the catalogue or outside it that do not change with
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, Rows, in_order
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, Rows, in_order, untouched
 from orthoglide.diagnosis.station_means import orthonormal, past
 from orthoglide.fit import Estimate, Problem
 from orthoglide.geometry import Array
@@ -135,20 +135,6 @@ def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
     return max(least, float(np.median(spread)) if spread else 0.0)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What was found in a setup: a fault at a place, or a trend of some powers of time."""
-
-    kind: Kind | Literal["trend"]
-    place: int
-    evidence: float
-
-    def columns(self, scatter: Scatter) -> Array:
-        if self.kind == "trend":
-            return scatter.trend[:, : self.place]
-        return scatter.columns(self.kind)[:, [self.place]]
-
-
 def repeat_faults(
     problem: Problem, setups: Sequence[Scatter], known: Sequence[Fault]
 ) -> list[Fault]:
@@ -160,74 +146,89 @@ def repeat_faults(
         known: faults found before; their setups are left alone.
     """
     scale = noise_scale(problem, setups)
-    touched = {s for fault in known for s in fault.setups}
-    found: list[Fault] = []
-    for scatter in setups:
-        if scatter.dof >= 2 and scatter.setup not in touched:
-            found += _confirmed(problem, scatter, _greedy(problem, scatter, scale), scale)
-    return found
+    free = untouched(problem, known)
+    tests = [_Test(problem, s, scale) for s in setups if s.dof >= 2 and s.setup in free]
+    return [fault for test in tests for fault in test.confirmed(test.found())]
 
 
-def _greedy(problem: Problem, scatter: Scatter, scale: float) -> list[_Found]:
-    """The best of outliers, steps and trends, one after the other, until none is left."""
-    found: list[_Found] = []
-    now = scatter
-    for _ in range(_MOST):
-        best = max(_choices(problem, now, scale), key=lambda choice: choice.evidence)
-        if best.evidence < EVIDENCE:
-            break
-        found.append(best)
-        now = now.without(best.columns(scatter))
-    return found
+_Place = tuple[Kind | Literal["trend"], int]
+"""A fault at a reading, or a trend of some powers of time."""
 
 
-def _choices(problem: Problem, scatter: Scatter, scale: float) -> list[_Found]:
-    """The best of each kind, its evidence less the logarithm of the number of its like."""
-    resolution = problem.machine.spec.dial.resolution
-    choices = []
-    for kind, least in _STEPS.items():
-        gain, size = scatter.gains(scatter.columns(kind))
-        evidence = scatter.evidence(gain, 1, scale) - np.log(len(problem.measured))
-        evidence[np.abs(size) < (least - 0.5) * resolution] = -np.inf
-        # Of two visits that contradict each other the one that fits worse.
-        even = np.flatnonzero(evidence >= evidence.max() - 1e-6)
-        place = int(even[np.argmax(np.abs(scatter.fitted[even]))])
-        choices.append(_Found(kind, place, float(evidence[place])))
-    for power in (1, 3):
-        fall = scatter.gain(scatter.trend[:, :power])
-        evidence = float(scatter.evidence(fall, power, scale)) - 2 * power
-        choices.append(_Found("trend", power, evidence))
-    return choices
+@dataclass(frozen=True)
+class _Test:
+    """A search for slips in one setup.
 
+    Attributes:
+        problem: of the readings.
+        scatter: of the setup.
+        scale: squared scatter of all readings, whitened.
+    """
 
-def _confirmed(
-    problem: Problem, scatter: Scatter, found: list[_Found], scale: float
-) -> list[Fault]:
-    """Faults that stand beside all others found, and no smooth trend in their place."""
-    columns = [f.columns(scatter) for f in found]
-    last = scatter.without(np.hstack(columns)) if found else scatter
-    noisy = last.chi2 > _NOISY * scale * max(last.dof, 1) or 2 * last.dof < scatter.dof
-    if noisy or sum(f.kind == "outlier" for f in found) > max(2, len(scatter.rows) // 6):
-        return []  # a setup that scatters as a whole is no handful of slips
-    faults = []
-    for k, item in enumerate(found):
-        if item.kind == "trend":
-            continue
-        others = [c for i, c in enumerate(columns) if i != k]
-        rest = scatter.without(np.hstack(others)) if others else scatter
-        (gain,), (size,) = rest.gains(item.columns(rest))
-        evidence = float(rest.evidence(gain, 1, scale)) - float(np.log(len(problem.measured)))
-        rows = scatter.rows[[item.place]]
-        if item.kind == "knocked_stand":
-            rows = scatter.rows[item.place :]
-            if not _beats_trend(rest, float(gain), scale):
+    problem: Problem
+    scatter: Scatter
+    scale: float
+
+    def columns(self, item: _Place) -> Array:
+        """What it would show of the setup's readings ``(k, c)``."""
+        kind, place = item
+        if kind == "trend":
+            return self.scatter.trend[:, :place]
+        return self.scatter.columns(kind)[:, [place]]
+
+    def found(self) -> list[_Place]:
+        """The best of outliers, steps and trends, one after the other, until none is left."""
+        found: list[_Place] = []
+        now = self.scatter
+        for _ in range(_MOST):
+            evidence, item = max(self._choices(now), key=lambda choice: choice[0])
+            if evidence < EVIDENCE:
+                break
+            found.append(item)
+            now = now.without(self.columns(item))
+        return found
+
+    def _choices(self, now: Scatter) -> Iterator[tuple[float, _Place]]:
+        """The best of each kind, its evidence less the logarithm of the number of its like."""
+        for kind, least in _STEPS.items():
+            gain, size = now.gains(now.columns(kind))
+            evidence = self._evidence(now, gain)
+            too_small = (least - 0.5) * self.problem.machine.spec.dial.resolution
+            evidence[np.abs(size) < too_small] = -np.inf
+            # Of two visits that contradict each other the one that fits worse.
+            even = np.flatnonzero(evidence >= evidence.max() - 1e-6)
+            place = int(even[np.argmax(np.abs(now.fitted[even]))])
+            yield float(evidence[place]), (kind, place)
+        for power in (1, 3):
+            fall = now.gain(now.trend[:, :power])
+            yield float(now.evidence(fall, power, self.scale)) - 2 * power, ("trend", power)
+
+    def _evidence(self, now: Scatter, gain: ArrayLike) -> Array:
+        return now.evidence(gain, 1, self.scale) - np.log(len(self.problem.measured))
+
+    def confirmed(self, found: list[_Place]) -> list[Fault]:
+        """Faults that stand beside all others found, and no smooth trend in their place."""
+        scatter, columns = self.scatter, [self.columns(item) for item in found]
+        last = scatter.without(np.hstack(columns)) if found else scatter
+        noisy = last.chi2 > _NOISY * self.scale * max(last.dof, 1) or 2 * last.dof < scatter.dof
+        outliers = sum(kind == "outlier" for kind, _ in found)
+        if noisy or outliers > max(2, len(scatter.rows) // 6):
+            return []  # a setup that scatters as a whole is no handful of slips
+        faults = []
+        for k, (kind, place) in enumerate(found):
+            if kind == "trend":
                 continue
-        if evidence >= EVIDENCE:
-            faults.append(Fault(item.kind, rows, (scatter.setup,), float(size), evidence))
-    return faults
+            others = columns[:k] + columns[k + 1 :]
+            rest = scatter.without(np.hstack(others)) if others else scatter
+            (gain,), (size,) = rest.gains(rest.columns(kind)[:, [place]])
+            evidence = float(self._evidence(rest, gain))
+            step = kind == "knocked_stand"
+            if evidence >= EVIDENCE and not (step and self._smooth(rest, float(gain))):
+                rows = scatter.rows[place:] if step else scatter.rows[[place]]
+                faults.append(Fault(kind, rows, (scatter.setup,), float(size), evidence))
+        return faults
 
-
-def _beats_trend(scatter: Scatter, gain: float, scale: float) -> bool:
-    left = max(scatter.chi2 - gain, 0.0)
-    noise = max(scale, left / max(scatter.dof - 1, 1))
-    return gain - scatter.gain(scatter.trend[:, :2]) > _TREND_MARGIN * noise
+    def _smooth(self, rest: Scatter, gain: float) -> bool:
+        """Whether a drift over time explains a step of some gain nearly as well."""
+        noise = max(self.scale, max(rest.chi2 - gain, 0.0) / max(rest.dof - 1, 1))
+        return gain - rest.gain(rest.trend[:, :2]) <= _TREND_MARGIN * noise

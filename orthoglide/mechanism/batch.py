@@ -13,18 +13,17 @@ from orthoglide.geometry import Array
 from orthoglide.mechanism.compiled import compiled
 from orthoglide.mechanism.functions import (
     LINES,
-    OUTPUTS,
     RIGID_ROWS,
     ROTATION,
     TCP,
     closure_functions,
 )
+from orthoglide.mechanism.mapped import Mapped
 from orthoglide.mechanism.tree import Tree
 
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
 
-_CHUNK = 256
 # Compiling takes two seconds once: as much as this many postures have cost by then.
 _WORTH_COMPILING = 20_000
 
@@ -38,17 +37,6 @@ def placed(shape: tuple[int, ...]) -> Iterator[None]:
         if error.index:
             error.index = tuple(int(k) for k in np.unravel_index(error.index[0], shape))
         raise
-
-
-def view(array: Array) -> Any:
-    """An array as CasADi's buffers take it."""
-    return memoryview(array)  # type: ignore[arg-type]
-
-
-def blocks(count: int) -> Iterator[slice]:
-    """Rows in pieces that one mapped call takes and the cache holds."""
-    for start in range(0, count, _CHUNK):
-        yield slice(start, min(start + _CHUNK, count))
 
 
 class Outputs:
@@ -92,100 +80,85 @@ class BatchClosure:
 
     def __init__(self, tree: Tree, *, compile: bool | None = None) -> None:
         self.tree = tree
-        self._plain = self._build()
-        self._functions: dict[str, Any] = vars(self._plain).copy()
-        self._mapped: dict[tuple[str, int], tuple[Any, Any]] = {}
+        self._plain: dict[str, Any] = self._build()
+        self._functions = {name: Mapped(function) for name, function in self._plain.items()}
         self._pending, self._asked = compile is None, 0
         self.compiled = False
         if compile is not False:
             self._compile(build=bool(compile))
 
-    def _build(self) -> Any:
-        """A dataclass of CasADi functions of (unknowns, what is given)."""
+    def _build(self) -> dict[str, Any]:
+        """CasADi functions of (unknowns, what is known), by name."""
         rows = None if len(self.tree.relief) else RIGID_ROWS
-        return closure_functions(self.tree, self.tree.free, rows)
+        return vars(closure_functions(self.tree, self.tree.free, rows))
+
+    def _known(self, given: Array) -> Array:
+        """What the functions take for given."""
+        return np.asarray(given, dtype=float)
 
     def _compile(self, *, build: bool) -> None:
-        names = list(self._functions)
-        found = compiled([getattr(self._plain, name) for name in names], build=build)
+        found = compiled(list(self._plain.values()), build=build)
         if found is not None:
-            self._functions = dict(zip(names, found, strict=True))
-            self._mapped = {}
+            self._functions = dict(zip(self._plain, map(Mapped, found), strict=True))
             self.compiled, self._pending = True, False
         elif build:
             self._pending = False
 
-    def _call(self, name: str, x: Array, given: Array, *shapes: tuple[int, ...]) -> list[Array]:
-        """Evaluate a function for all rows; outputs of the given shapes, column-major in CasADi."""
-        n = len(given)
-        self._asked += n
+    def _call(self, name: str, x: Array, known: Array) -> list[Array]:
+        self._asked += len(known)
         if self._pending and self._asked >= _WORTH_COMPILING:
             self._compile(build=True)
-        results = [np.empty((n, *shape[::-1])) for shape in shapes]
-        x, given = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(given, dtype=float)
-        for part in blocks(n):
-            buffer, evaluate = self._buffer(name, part.stop - part.start)
-            buffer.set_arg(0, view(x[part]))
-            buffer.set_arg(1, view(given[part]))
-            for k, result in enumerate(results):
-                buffer.set_res(k, view(result[part]))
-            evaluate()
-        return [np.moveaxis(r, 1, -1) if r.ndim == 3 else r for r in results]
+        return self._functions[name](x, known)
 
-    def _buffer(self, name: str, size: int) -> tuple[Any, Any]:
-        key = (name, size)
-        if key not in self._mapped:
-            self._mapped[key] = self._functions[name].map(size).buffer()
-        return self._mapped[key]
+    def _solved(self, start: Array, known: Array) -> tuple[Array, Array]:
+        """Unknowns where Newton's method ends, and the largest residual of each row."""
+        (x,) = self._call("close", start, known)
+        (residual,) = self._call("residual", x, known)
+        return x, residual
 
     def close(self, given: Array, guess: Array | None = None) -> Array:
-        """Free joints that close the loops.
+        """Unknowns that close the loops.
 
         Args:
             given: ``(N, 3 + m)``.
-            guess: free joints to start from, ``(N, n)``; the assembled neutral posture by default.
+            guess: unknowns to start from, ``(N, n)``; the assembled neutral posture by default.
 
         Returns:
-            Free joints ``(N, n)``, radians, in the order of ``tree.free``.
+            ``(N, n)``: free joints in the order of ``tree.free``, radians.
 
         Raises:
             ClosureError: naming the first posture that does not close, with its residual by loop.
         """
-        size = len(self.tree.free)
-        start = np.zeros((len(given), size)) if guess is None else np.asarray(guess, dtype=float)
-        (x,) = self._call("close", start, given, (size,))
-        (residual,) = self._call("residual", x, given, (size,))
+        known = self._known(given)
+        start = np.zeros(self._plain["close"].size1_out(0)) if guess is None else guess
+        x, residual = self._solved(start, known)
         worst = np.max(np.abs(residual), axis=1, initial=0.0)
         bad = np.flatnonzero(~(worst <= CLOSED))
         if bad.size:
-            raise self._failure(int(bad[0]), residual[bad[0]], len(bad), len(given))
+            raise self._failure(int(bad[0]), residual[bad[0]], len(bad), known)
         return x
 
-    def _failure(self, index: int, residual: Array, count: int, total: int) -> ClosureError:
+    def _failure(self, index: int, residual: Array, count: int, known: Array) -> ClosureError:
         full = np.zeros(21)
         full[list(RIGID_ROWS) if len(residual) == len(RIGID_ROWS) else slice(None)] = residual
-        by_loop, start = {}, 0
-        for loop in self.tree.loops:
-            size = 3 if loop.kind == "point" else 6
-            by_loop[loop.name] = float(np.max(np.abs(full[start : start + size])))
-            start += size
+        by_loop = self.tree.by_loop(full)
         worst = max(by_loop, key=lambda name: np.nan_to_num(by_loop[name], nan=np.inf))
         return ClosureError(
-            f"{count} of {total} postures do not close; the first is number {index}, with its "
+            f"{count} of {len(known)} postures do not close; the first is number {index}, with its "
             f"largest misfit of {by_loop[worst] * 1e3:.3g} mm or mrad at {worst}",
             residuals=by_loop,
             index=(index,),
         )
 
     def outputs(self, x: Array, given: Array) -> Outputs:
-        """What postures show, for free joints ``(N, n)`` as :meth:`close` returns them."""
-        return Outputs(self._call("outputs", x, given, (OUTPUTS,))[0])
+        """What postures show, for unknowns ``(N, n)`` as :meth:`close` returns them."""
+        return Outputs(self._call("outputs", x, self._known(given))[0])
 
     def tangent(self, x: Array, given: Array) -> tuple[Outputs, Array]:
         """What postures show and how it moves while the loops stay closed.
 
         Returns:
-            Outputs, and their derivative ``(N, 48, 3 + m)`` by the given drives and virtual joints.
+            Outputs, and their derivative ``(N, 48, 3 + m)`` by what is given.
         """
-        values, by_given = self._call("tangent", x, given, (OUTPUTS,), (OUTPUTS, given.shape[1]))
+        values, by_given = self._call("tangent", x, self._known(given))
         return Outputs(values), by_given

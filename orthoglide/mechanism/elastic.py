@@ -9,9 +9,8 @@ import numpy as np
 
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import LEGS, Array
-from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs
+from orthoglide.mechanism.batch import CLOSED, BatchClosure
 from orthoglide.mechanism.elastic_functions import BARS, TENSION, elastic_functions
-from orthoglide.mechanism.functions import OUTPUTS
 from orthoglide.mechanism.tree import RELIEF_NAMES, Tree
 
 RELIEF_LIMIT = float(np.deg2rad(1.0))
@@ -144,10 +143,10 @@ class ElasticClosure(BatchClosure):
         self.torsion = torsion or 0.0
         super().__init__(tree, compile=compile)
 
-    def _build(self) -> Any:
-        return elastic_functions(self.tree)
+    def _build(self) -> dict[str, Any]:
+        return vars(elastic_functions(self.tree))
 
-    def _condition(self, given: Array) -> Array:
+    def _known(self, given: Array) -> Array:
         given = np.asarray(given, dtype=float)
         wanted = len(LEGS) + len(self.tree.virtual) + 1
         if given.ndim != 2 or given.shape[1] != wanted:
@@ -155,40 +154,12 @@ class ElasticClosure(BatchClosure):
         springs = np.broadcast_to([self.compliance, self.torsion], (len(given), 2))
         return np.concatenate([given, springs], axis=1)
 
-    def close(self, given: Array, guess: Array | None = None) -> Array:
-        """Unknowns of the equilibrium.
-
-        Args:
-            given: ``(N, 34)``.
-            guess: unknowns to start from, ``(N, 27)``; the assembled neutral posture by default.
-
-        Returns:
-            ``[free joints; tensions]`` ``(N, 27)``, radians and ``TENSION`` newtons.
-
-        Raises:
-            ClosureError: naming the first posture without equilibrium.
-        """
-        known = self._condition(given)
-        size = len(self.tree.free) + BARS
-        start = np.zeros((len(known), size)) if guess is None else np.asarray(guess, dtype=float)
-        x, residual = self._solved(start, known)
-        worst = np.max(np.abs(residual), axis=1, initial=0.0)
-        bad = np.flatnonzero(~(worst <= CLOSED))
-        if bad.size:
-            raise self._unbalanced(known, int(bad[0]), residual[bad[0]], len(bad))
-        return x
-
-    def _solved(self, start: Array, known: Array) -> tuple[Array, Array]:
-        (x,) = self._call("close", start, known, start.shape[1:])
-        (residual,) = self._call("residual", x, known, start.shape[1:])
-        return x, residual
-
-    def _unbalanced(self, known: Array, index: int, residual: Array, count: int) -> ClosureError:
+    def _failure(self, index: int, residual: Array, count: int, known: Array) -> ClosureError:
         slack = known[index : index + 1].copy()
         slack[:, -3:] = 0.0  # no load, rigid bars, legs free to twist: do the loops close at all?
-        _, without = self._solved(np.zeros((1, len(residual))), slack)
+        _, without = self._solved(np.zeros(len(residual)), slack)
         if not float(np.max(np.abs(without))) <= CLOSED:
-            return self._failure(index, without[0, : len(self.tree.free)], count, len(known))
+            return super()._failure(index, without[0, : len(self.tree.free)], count, known)
         return ClosureError(
             f"{count} of {len(known)} postures find no elastic equilibrium; the first is number "
             f"{index}, which closes without springs: a load of {known[index, -3]:g} N is too heavy "
@@ -197,28 +168,12 @@ class ElasticClosure(BatchClosure):
             index=(index,),
         )
 
-    def outputs(self, x: Array, given: Array) -> Outputs:
-        """What postures show, for unknowns ``(N, 27)`` as :meth:`close` returns them."""
-        return super().outputs(x, self._condition(given))
-
-    def tangent(self, x: Array, given: Array) -> tuple[Outputs, Array]:
-        """What postures show and how it moves along equilibria, exact to second order.
-
-        Returns:
-            Outputs, and their derivative ``(N, 48, 34)`` by the given drives, virtual joints and
-            load.
-        """
-        shapes = ((OUTPUTS,), (OUTPUTS, np.shape(given)[1]))
-        values, by_given = self._call("tangent", x, self._condition(given), *shapes)
-        return Outputs(values), by_given
-
     def forces(self, x: Array, given: Array) -> Array:
         """Generalised forces ``(N, 33)`` that drives and virtual joints feel, N and N m.
 
         Minus the derivative of the energy, the load's included, by each of them (Castigliano).
         """
-        (force,) = self._call("force", x, self._condition(given), (np.shape(given)[1] - 1,))
-        return force
+        return self._call("force", x, self._known(given))[0]
 
     def deformation(self, x: Array, given: Array) -> Deformation:
         """Deformation, forces and energy by joint, for unknowns as :meth:`close` returns them."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
@@ -40,9 +38,6 @@ class Loops:
             self._models.append(pin.ConstraintModel(anchor(tree.model, *places)))
         for model in self._models:
             self._datas.append(model.createData())
-        sizes = [3 if loop.kind == "point" else 6 for loop in tree.loops]
-        self._starts = np.cumsum([0, *sizes[:-1]])
-        self._names = [loop.name for loop in tree.loops]
         # The containers hold copies: what is calculated with must be taken back from them.
         self._pairs = [
             (self._models[k], self._datas[k], self._datas[k].extract())
@@ -74,17 +69,8 @@ class Loops:
         """Constraint Jacobian ``(21, nq)``: the exact derivative of :meth:`update` anywhere."""
         self.update(q)
         rows = self.newton_matrix()
-        start = 0
         for loop, (_, _, view) in zip(self.tree.loops, self._pairs, strict=True):
-            size = 3 if loop.kind == "point" else 6
             if loop.kind == "frame":
-                placement: Any = view.c1Mc2
-                to_rows = pin.Jlog6(placement) @ placement.inverse().action
-                rows[start : start + size] = to_rows @ rows[start : start + size]
-            start += size
+                own, placement = self.tree.rows[loop.name], view.c1Mc2
+                rows[own] = pin.Jlog6(placement) @ placement.inverse().action @ rows[own]
         return rows
-
-    def by_loop(self, residual: Array) -> dict[str, float]:
-        """Largest entry of a closure residual ``(21,)`` by loop: metres, or radians for turns."""
-        largest = np.maximum.reduceat(np.abs(residual), self._starts)
-        return dict(zip(self._names, largest.tolist(), strict=True))

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
-from orthoglide.errors import ClosureError, InputError, UnreachableError
-from orthoglide.geometry import LEGS, Array, Geometry, leg_axes, vectors
+from orthoglide.errors import ClosureError, InputError
+from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.mechanism import seed
 from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs, placed
 from orthoglide.mechanism.loops import Loops
@@ -160,41 +160,35 @@ class Mechanism:
         import pinocchio as pin
 
         residual = self.loops.update(q)
-        by_loop = self.loops.by_loop(residual)
+        by_loop = self.tree.by_loop(residual)
         if not float(np.abs(residual).max()) <= CLOSED:
-            worst = max(by_loop, key=lambda name: by_loop[name])
+            worst, size = max(by_loop.items(), key=lambda item: item[1])
             reason = (
                 "rigid PRPaR legs cannot take up these errors of the parts"
                 if legs == "rigid" and iterations < _STEPS
                 else "the legs do not reach each other"
             )
             raise ClosureError(
-                f"the loops do not close: {reason}; the largest misfit is "
-                f"{by_loop[worst] * 1e3:.3g} mm or mrad at {worst}",
+                f"the loops do not close: {reason}; the largest misfit is {size * 1e3:.3g} mm or "
+                f"mrad at {worst}",
                 residuals=by_loop,
             )
         pin.updateFramePlacement(self.tree.model, self.loops.data, self._tcp)
         placement = self.loops.data.oMf[self._tcp]
-        posture = Posture(
-            q, placement.translation.copy(), placement.rotation.copy(), by_loop, iterations
-        )
-        if self._mode(posture) != mode:
-            raise ClosureError(
-                f"closure ended in the {self._mode(posture)} assembly mode instead of {mode}",
-                residuals=by_loop,
-            )
-        return posture
-
-    def _mode(self, posture: Posture) -> Mode:
-        drives = posture.q[self.tree.drive] + self.geometry.L
+        p, R = placement.translation.copy(), placement.rotation.copy()
         # Far from any plausible error of the parts the nominal plane of the carriages will do.
-        return "machine" if float(np.sum(posture.p / drives)) < 1.0 else "other"
+        side = float(np.sum(p / (q[self.tree.drive] + self.geometry.L)))
+        found: Mode = "machine" if side < 1.0 else "other"
+        if found != mode:
+            raise ClosureError(
+                f"closure ended in the {found} assembly mode instead of {mode}", residuals=by_loop
+            )
+        return Posture(q, p, R, by_loop, iterations)
 
     def velocity_jacobian(self, posture: Posture) -> Array:
         """dp/drho ``(3, 3)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
         import pinocchio as pin
 
-        self.loops.update(posture.q)
         rows = self.loops.jacobian(posture.q)
         tcp = pin.getFrameJacobian(
             self.tree.model, self.loops.data, self._tcp, pin.LOCAL_WORLD_ALIGNED
@@ -219,12 +213,22 @@ class Mechanism:
 
     # Batches, by CasADi --------------------------------------------------------------------
 
-    def given(self, commands: Array, displacements: Array | None = None) -> Array:
-        """``[drives; virtual]`` ``(N, 33)`` for commands ``(N, 3)`` and moves ``(N, 3, 10)``."""
-        moves = np.zeros((len(commands), VIRTUAL_COUNT))
-        if displacements is not None:
-            moves = np.asarray(displacements, dtype=float).reshape(len(commands), VIRTUAL_COUNT)
-        return np.concatenate([commands - self.geometry.L, moves], axis=1)
+    def given(self, commands: Array, displacements: ArrayLike | None = None) -> Array:
+        """``[drives; virtual]`` ``(..., 33)`` for commands ``(..., 3)`` and displacements
+        ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
+        """
+        moves = np.zeros(VIRTUAL_COUNT) if displacements is None else np.asarray(displacements)
+        if moves.shape[-1] != VIRTUAL_COUNT:
+            moves = moves.reshape(*moves.shape[:-2], VIRTUAL_COUNT)
+        every = np.broadcast_to(moves, (*commands.shape[:-1], VIRTUAL_COUNT))
+        return np.concatenate([commands - self.geometry.L, every], axis=-1)
+
+    def _closing(
+        self, commands: Array, displacements: ArrayLike | None
+    ) -> tuple[BatchClosure, Array]:
+        """The smallest closure that will do, and what is given of it ``(N, 3 or 33)``."""
+        given = self.given(commands, displacements).reshape(-1, 3 + VIRTUAL_COUNT)
+        return (self.nominal_batch, given[:, :3]) if displacements is None else (self.batch, given)
 
     def forward(
         self,
@@ -244,34 +248,23 @@ class Mechanism:
             ClosureError: naming the first posture that does not close.
         """
         rho = self.geometry.commands(commands, "commands")
-        flat = rho.reshape(-1, 3)
-        moves = None if displacements is None else np.asarray(displacements, float)
-        if moves is not None:
-            moves = np.broadcast_to(moves, (*rho.shape[:-1], 3, 10)).reshape(-1, 3, 10)
+        batch, given = self._closing(rho, displacements)
         with placed(rho.shape[:-1]):
-            return self._outputs(flat, moves, mode).p.reshape(rho.shape)
+            return self._outputs(batch, given, mode).p.reshape(rho.shape)
 
-    def _outputs(self, rho: Array, moves: Array | None, mode: Mode) -> Outputs:
-        batch = self.nominal_batch if moves is None else self.batch
-        given = self.given(rho, moves)[:, : 3 + len(batch.tree.virtual)]
-        x = batch.close(given)
-        out = batch.outputs(x, given)
+    def _outputs(self, batch: BatchClosure, given: Array, mode: Mode) -> Outputs:
+        out = batch.outputs(batch.close(given), given)
         if mode == "other":
             p = seed.mirrored(out.lines, self.geometry.r, out.p)
-            start = seed.free_joints(batch.tree, rho - self.geometry.L, p)
+            start = seed.free_joints(batch.tree, given[:, :3], p)
             out = batch.outputs(batch.close(given, start), given)
-        self._check_mode(out, mode)
-        return out
-
-    def _check_mode(self, out: Outputs, mode: Mode) -> None:
-        normal, offset = seed.carriage_plane(out.lines, self.geometry.r)
-        own = np.sum(normal * out.p, axis=-1) < offset
-        wrong = np.flatnonzero(own != (mode == "machine"))
+        wrong = np.flatnonzero(
+            seed.in_machine_mode(out.lines, self.geometry.r, out.p) ^ (mode == "machine")
+        )
         if wrong.size:
-            raise ClosureError(
-                f"posture {int(wrong[0])} closed in the wrong assembly mode",
-                index=(int(wrong[0]),),
-            )
+            first = int(wrong[0])
+            raise ClosureError(f"posture {first} closed in the wrong assembly mode", index=(first,))
+        return out
 
     def inverse(self, p: ArrayLike, displacements: ArrayLike | None = None) -> Array:
         """Commands rho ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.
@@ -283,52 +276,23 @@ class Mechanism:
             ClosureError: where the drives do not converge.
         """
         target = vectors(p, "the wanted points")
-        moves = None
-        if displacements is not None:
-            moves = np.broadcast_to(
-                np.asarray(displacements, float), (*target.shape[:-1], 3, 10)
-            ).reshape(-1, 3, 10)
+        goal = target.reshape(-1, 3)
         with placed(target.shape[:-1]):
-            return self._inverse(target.reshape(-1, 3), moves).reshape(target.shape)
+            start = seed.commands(self.geometry, goal)
+            batch, given = self._closing(start.reshape(target.shape), displacements)
+            return self._inverse(goal, batch, given).reshape(target.shape)
 
-    def _inverse(self, goal: Array, moves: Array | None) -> Array:
-        self._check_reach(goal)
-        batch = self.nominal_batch if moves is None else self.batch
-        rho = self._perfect_commands(goal)
-        x = seed.free_joints(batch.tree, rho - self.geometry.L, goal)
+    def _inverse(self, goal: Array, batch: BatchClosure, given: Array) -> Array:
+        given = given.copy()
+        x = seed.free_joints(batch.tree, given[:, :3], goal)
         for _ in range(_STEPS):
-            given = self.given(rho, moves)[:, : 3 + len(batch.tree.virtual)]
             x = batch.close(given, x)
             out, by_given = batch.tangent(x, given)
             miss = goal - out.p
-            if np.abs(miss).max(initial=0.0) < 1e-13:
-                return rho
-            rho = rho + np.linalg.solve(by_given[:, :3, :3], miss[..., None])[..., 0]
-        if np.abs(miss).max(initial=0.0) < 1e-12:
-            return rho
+            largest = np.abs(miss).max(initial=0.0)
+            if largest < 1e-13:
+                break
+            given[:, :3] += np.linalg.solve(by_given[:, :3, :3], miss[..., None])[..., 0]
+        if largest < 1e-12:
+            return given[:, :3] + self.geometry.L
         raise ClosureError("the drives do not converge on the wanted points")
-
-    def _perfect_commands(self, goal: Array) -> Array:
-        rho = np.empty_like(goal)
-        for leg in range(3):
-            a, b, c = leg_axes(leg)
-            rho[:, a] = goal[:, a] + np.sqrt(self.geometry.L**2 - goal[:, b] ** 2 - goal[:, c] ** 2)
-        return rho
-
-    def _check_reach(self, goal: Array) -> None:
-        for leg in range(3):
-            _, b, c = leg_axes(leg)
-            excess = np.hypot(goal[:, b], goal[:, c]) - self.geometry.L
-            worst = int(np.argmax(excess)) if len(goal) else 0
-            if len(goal) and excess[worst] >= 0:
-                which = f"point {worst + 1}: " if len(goal) > 1 else ""
-                short = excess[worst] * 1e3
-                shown = f"{short:.3f}" if short < 1e6 else f"{short:g}"
-                away = float(np.hypot.reduce(goal[worst]))
-                far = f" for a point {away:g} m away" if away > 10 * self.geometry.L else ""
-                raise UnreachableError(
-                    f"{which}leg {LEGS[leg]} is {shown} mm too short{far}",
-                    leg=LEGS[leg],
-                    excess=float(excess[worst]),
-                    index=(worst,),
-                )

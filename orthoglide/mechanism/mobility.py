@@ -76,11 +76,7 @@ class Conditioning:
 def mobility(loops: Loops, q: Array) -> Mobility:
     """Rank of the constraint Jacobian at a closed posture ``q`` of the nominal tree."""
     rows = loops.jacobian(q)
-    rank, by_loop, start = _rank(rows), {}, 0
-    for loop in loops.tree.loops:
-        size = 3 if loop.kind == "point" else 6
-        by_loop[loop.name] = _rank(rows[start : start + size])
-        start += size
+    rank, by_loop = _rank(rows), {n: _rank(rows[own]) for n, own in loops.tree.rows.items()}
     count, joints = rows.shape
     return Mobility(joints, count, rank, joints - rank, count - rank, by_loop)
 

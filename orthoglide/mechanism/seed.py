@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orthoglide.geometry import Array, Geometry, leg_axes
+from orthoglide.errors import UnreachableError
+from orthoglide.geometry import LEGS, Array, Geometry, leg_axes
 from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
+
+_FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
 
 
 def free_joints(tree: Tree, travel: Array, p: Array) -> Array:
@@ -28,6 +32,31 @@ def free_joints(tree: Tree, travel: Array, p: Array) -> Array:
     passive = [_angles(geometry, span) for span in spans]
     relief = np.zeros((len(p), 3 * len(RELIEF_NAMES) if len(tree.relief) else 0))
     return np.concatenate([*passive, relief], axis=1)
+
+
+def commands(geometry: Geometry, p: Array) -> Array:
+    """Commands ``(N, 3)`` of perfect legs that hold the TCP at ``p`` ``(N, 3)``, metres.
+
+    Raises:
+        UnreachableError: naming the leg that is too short, and the point that it misses most.
+    """
+    across = np.hypot(p[:, [1, 2, 0]], p[:, [2, 0, 1]])
+    excess = across - geometry.L
+    short = np.flatnonzero((excess >= 0).any(axis=0))
+    if short.size:
+        leg, worst = int(short[0]), int(np.argmax(excess[:, short[0]]))
+        size = float(excess[worst, leg])
+        shown = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
+        which = f"point {worst + 1}: " if len(p) > 1 else ""
+        away = float(np.hypot.reduce(p[worst]))
+        far = f" for a point {away:g} m away" if away > _FAR * geometry.L else ""
+        raise UnreachableError(
+            f"{which}leg {LEGS[leg]} is {shown} mm too short{far}",
+            leg=LEGS[leg],
+            excess=size,
+            index=(worst,),
+        )
+    return np.asarray(p + np.sqrt(geometry.L**2 - across**2))
 
 
 def _span(geometry: Geometry, leg: int, travel: Array, p: Array) -> Array:
@@ -54,6 +83,12 @@ def mirrored(lines: Array, r: float, p: Array) -> Array:
     """
     normal, offset = carriage_plane(lines, r)
     return p - 2 * (np.sum(normal * p, axis=-1) - offset)[:, None] * normal
+
+
+def in_machine_mode(lines: Array, r: float, p: Array) -> NDArray[np.bool_]:
+    """Whether postures ``(N,)`` stand in the machine's own assembly mode; as :func:`mirrored`."""
+    normal, offset = carriage_plane(lines, r)
+    return np.asarray(np.sum(normal * p, axis=-1) < offset)
 
 
 def carriage_plane(lines: Array, r: float) -> tuple[Array, Array]:

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from orthoglide.geometry import LEGS, Geometry
+from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.urdf import Closure, closures, to_urdf
 
 
@@ -109,6 +110,19 @@ class Tree:
     def free(self) -> NDArray[np.intp]:
         """Positions of all joints that closure moves: passive, then relief."""
         return np.concatenate([self.passive, self.relief])
+
+    @cached_property
+    def rows(self) -> dict[str, slice]:
+        """Each loop's rows among the 21 of the closure residual."""
+        ends = np.cumsum([loop.rows for loop in self.loops]).tolist()
+        return {
+            loop.name: slice(end - loop.rows, end)
+            for loop, end in zip(self.loops, ends, strict=True)
+        }
+
+    def by_loop(self, residual: Array) -> dict[str, float]:
+        """Largest entry of a closure residual ``(21,)`` by loop: metres, or radians for turns."""
+        return {name: float(np.abs(residual[rows]).max()) for name, rows in self.rows.items()}
 
 
 def nominal_tree(geometry: Geometry | None = None) -> Tree:

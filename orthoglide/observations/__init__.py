@@ -1,7 +1,7 @@
 """What was measured: campaigns of dial readings and TCP points, read from files and checked."""
 
 from orthoglide.observations.approach import Moves, derive_approach
-from orthoglide.observations.campaign import CONDITIONS, Campaign, Reading, Setup
+from orthoglide.observations.campaign import Campaign, Setup
 from orthoglide.observations.protocols import protocol
 from orthoglide.observations.reading import (
     Given,
@@ -19,11 +19,9 @@ from orthoglide.observations.writing import (
 )
 
 __all__ = [
-    "CONDITIONS",
     "Campaign",
     "Given",
     "Moves",
-    "Reading",
     "Setup",
     "TcpPoints",
     "as_campaigns",

@@ -5,7 +5,7 @@ Arrays hold one entry a reading. Nothing here reads files; units are SI througho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -16,12 +16,6 @@ from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
-
-CONDITIONS = (
-    "rho_x", "rho_y", "rho_z", "approach_x", "approach_y", "approach_z",
-    "time", "temperature_rise", "load",
-)  # fmt: skip
-"""Columns of `Campaign.conditions`."""
 
 
 @dataclass(frozen=True)
@@ -48,24 +42,6 @@ class Setup:
     def direction(self) -> str:
         """The axis with its sign as files write it: ``"y"`` or ``"-y"``."""
         return ("-" if self.sign < 0 else "") + LEGS[self.axis]
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One row of a campaign (SI; nan where nothing was recorded)."""
-
-    setup: Setup
-    command: tuple[float, float, float]
-    approach: tuple[int, int, int]
-    time: float
-    temperature: float
-    load: float
-    repeat: int
-    order: int
-    posture: str
-    reading: float
-    sigma: float
-    line: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,23 +133,6 @@ class Campaign:
         return html_table(repr(self)[1:-1], columns)
 
     @property
-    def n(self) -> int:
-        """Number of readings."""
-        return len(self)
-
-    @property
-    def rows(self) -> Iterator[Reading]:
-        """The readings one by one."""
-        for k in range(len(self)):
-            yield Reading(
-                setup=self.setups[self.setup[k]],
-                command=tuple(self.command[k].tolist()),
-                approach=tuple(self.approach[k].astype(int).tolist()),
-                posture=self.posture[k],
-                **{name: getattr(self, name)[k].item() for name in _SCALARS},
-            )
-
-    @property
     def leg(self) -> Ints:
         """Leg touched, by reading ``(n,)``."""
         return np.array([s.leg for s in self.setups], dtype=np.int64)[self.setup]
@@ -182,22 +141,6 @@ class Campaign:
     def temperature_rise(self) -> Array:
         """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
         return np.nan_to_num(self.temperature - self._reference())
-
-    @property
-    def conditions(self) -> Array:
-        """What the machine saw at each reading ``(n, 9)``, columns as in `CONDITIONS` (SI).
-
-        Unrecorded times and temperatures count as 0, so that equal rows can be merged.
-        """
-        return np.column_stack(
-            [
-                self.command,
-                self.approach,
-                np.nan_to_num(self.time),
-                self.temperature_rise,
-                self.load,
-            ]
-        )
 
     @property
     def derived_approach(self) -> Array:
@@ -289,7 +232,6 @@ _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
     "sigma": (np.float64, ()),
     "line": (np.int64, ()),
 }
-_SCALARS = ("time", "temperature", "load", "repeat", "order", "reading", "sigma", "line")
 
 
 def _index_type(rows: ArrayLike) -> type:

@@ -6,12 +6,14 @@ moves along that leg's axis.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS, Geometry
+from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.campaign import Campaign, Setup
 
@@ -78,26 +80,61 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     visit = np.repeat(np.arange(len(visits)), 2)  # two dials read at each
     mounting = visit // (REPEATS * len(postures))
     command = [geometry.command_on_axis(leg, travel) for leg, _, _, (_, travel) in visits]
-    n = len(visit)
-    order = np.arange(n)
-    rho = np.round(command, 9)[visit]  # what fits on a sheet
-    sheet = Campaign(
-        name=kind,
-        setups=setups,
-        setup=2 * mounting + order % 2,
-        command=rho,
-        approach=derive_approach(rho, order),
-        time=visit * VISIT + mounting * (MOUNTING - VISIT),
-        temperature=np.full(n, np.nan),
-        load=np.zeros(n),
+    sheet = unread(
+        kind,
+        setups,
+        2 * mounting + np.arange(len(visit)) % 2,
+        np.round(command, 9)[visit],  # what fits on a sheet
+        posture=[visits[k][3][0] for k in visit],
         repeat=np.array([repeat for _, _, repeat, _ in visits])[visit],
-        order=order,
-        posture=tuple(visits[k][3][0] for k in visit),
-        reading=np.full(n, np.nan),
-        sigma=np.full(n, np.nan),
-        line=order + 2,
+        time=visit * VISIT + mounting * (MOUNTING - VISIT),
     )
     return sheet.with_moves()
+
+
+def unread(
+    name: str,
+    setups: Sequence[Setup],
+    setup: ArrayLike,
+    command: Array,
+    approach: Array | None = None,
+    *,
+    posture: Sequence[str],
+    repeat: ArrayLike = 1,
+    time: ArrayLike = np.nan,
+    load: float = 0.0,
+) -> Campaign:
+    """A campaign whose rows, to be gone through in their order, have no readings yet.
+
+    Args:
+        name: of the campaign.
+        setups: the mountings.
+        setup: index into them ``(n,)``.
+        command: joint coordinates ``(n, 3)``, metres.
+        approach: directions to be reached from ``(n, 3)``; as the order gives them if None.
+        posture: labels for people, ``n`` of them.
+        repeat: number of the repetition ``(n,)``.
+        time: planned, seconds ``(n,)``.
+        load: at the TCP, newtons.
+    """
+    n = len(command)
+    order, nothing = np.arange(n), np.full(n, np.nan)
+    return Campaign(
+        name=name,
+        setups=tuple(setups),
+        setup=np.asarray(setup),
+        command=command,
+        approach=derive_approach(command, order) if approach is None else approach,
+        time=np.broadcast_to(np.asarray(time, dtype=float), n),
+        temperature=nothing,
+        load=np.full(n, load),
+        repeat=np.broadcast_to(np.asarray(repeat), n),
+        order=order,
+        posture=tuple(posture),
+        reading=nothing,
+        sigma=nothing,
+        line=order + 2,
+    )
 
 
 def _named(geometry: Geometry) -> list[Posture]:

@@ -12,6 +12,7 @@ from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
 from orthoglide.observations.approach import OVERSHOOT
+from orthoglide.observations.protocols import unread
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
 """Where the dials may stand, as fractions of the leg."""
@@ -122,22 +123,14 @@ def reading_pool(
                     setup = Setup(name, leg, axis, 1, round(gauge * geometry.L, _GRID), bar)
                     rows += [(len(setups), s) for s in reach if visible(s, setup)]
                     setups.append(setup)
-    n = len(rows)
-    return Campaign(
-        name="next",
-        setups=tuple(setups),
-        setup=np.array([k for k, _ in rows]),
-        command=np.array([s.command for _, s in rows]),
-        approach=np.repeat([[float(s.approach)] for _, s in rows], 3, axis=1),
-        time=np.full(n, np.nan),
-        temperature=np.full(n, np.nan),
-        load=np.full(n, load),
-        repeat=np.ones(n, dtype=np.int64),
-        order=np.arange(n),
-        posture=tuple(s.label for _, s in rows),
-        reading=np.full(n, np.nan),
-        sigma=np.full(n, np.nan),
-        line=np.arange(n) + 2,
+    return unread(
+        "next",
+        setups,
+        [k for k, _ in rows],
+        np.array([s.command for _, s in rows]),
+        np.repeat([[float(s.approach)] for _, s in rows], 3, axis=1),
+        posture=[s.label for _, s in rows],
+        load=load,
     )
 
 

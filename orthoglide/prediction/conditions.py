@@ -64,9 +64,10 @@ class Conditions:
 
     @classmethod
     def of(cls, campaign: Campaign) -> Conditions:
-        """Conditions of every row of a campaign."""
-        c = campaign.conditions
-        return cls(c[:, :3], c[:, 3:6], c[:, 6], c[:, 7], c[:, 8])
+        """Conditions of every row of a campaign; what was not recorded counts as 0."""
+        time = np.nan_to_num(campaign.time)
+        warming = campaign.temperature_rise
+        return cls(campaign.command, campaign.approach, time, warming, campaign.load)
 
     def merged(self, needs: Collection[str]) -> tuple[Conditions, NDArray[np.intp]]:
         """Distinct conditions and, for each row, which of them it has.

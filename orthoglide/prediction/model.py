@@ -14,9 +14,10 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.batch import BatchClosure, Outputs, blocks, view
+from orthoglide.mechanism.batch import BatchClosure, Outputs
 from orthoglide.mechanism.elastic import Deformation, ElasticClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS
+from orthoglide.mechanism.mapped import Mapped, blocks
 from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.dial import (
@@ -75,12 +76,11 @@ class Model:
         self.stiffness = stiffness or Stiffness()
         self.mechanism = Mechanism(self.geometry, compile=compile)
         self._compile = compile
-        self._mapped: dict[tuple[str, int], Any] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """What it was made with: CasADi functions do not travel and are built again."""
         built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
-        return {n: v for n, v in vars(self).items() if n not in built} | {"_mapped": {}}
+        return {n: v for n, v in vars(self).items() if n not in built}
 
     @cached_property
     def elastic(self) -> ElasticClosure:
@@ -115,12 +115,16 @@ class Model:
         return displacement_function(self.catalogue, self.geometry, self.pitch)
 
     @cached_property
-    def _displacement_tangent(self) -> Any:
-        return displacement_tangent(self.displacement)
+    def _displacement(self) -> Mapped:
+        return Mapped(self.displacement)
 
     @cached_property
-    def _displacement_by_command(self) -> Any:
-        return displacement_by_command(self.displacement)
+    def _displacement_tangent(self) -> Mapped:
+        return Mapped(displacement_tangent(self.displacement))
+
+    @cached_property
+    def _displacement_by_command(self) -> Mapped:
+        return Mapped(displacement_by_command(self.displacement))
 
     @cached_property
     def reading(self) -> Any:
@@ -128,8 +132,12 @@ class Model:
         return reading_function(self.catalogue.of_dials)
 
     @cached_property
-    def _reading_tangent(self) -> Any:
-        return reading_tangent(self.reading)
+    def _reading(self) -> Mapped:
+        return Mapped(self.reading)
+
+    @cached_property
+    def _reading_tangent(self) -> Mapped:
+        return Mapped(reading_tangent(self.reading))
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """All parameters of the machine ``(P,)``, SI, zero where not named; dials are skipped.
@@ -171,56 +179,27 @@ class Model:
             ]
         )
 
-    def _map(self, function: Any, *arguments: Array) -> list[Array]:
-        """Evaluate a CasADi function for rows; outputs with the rows first."""
-        n = len(arguments[-1])
-        rows = [np.ascontiguousarray(np.broadcast_to(a, (n, a.shape[-1]))) for a in arguments]
-        results = [
-            np.empty((n, function.size2_out(k), function.size1_out(k)))
-            for k in range(function.n_out())
-        ]
-        for part in blocks(n):
-            buffer, evaluate = self._buffer(function, part.stop - part.start)
-            for k, row in enumerate(rows):
-                buffer.set_arg(k, view(row[part]))
-            for k, result in enumerate(results):
-                buffer.set_res(k, view(result[part]))  # CasADi stores columns: (columns, rows)
-            evaluate()
-        return results
-
-    def _buffer(self, function: Any, size: int) -> tuple[Any, Any]:
-        key = (function.name(), size)
-        if key not in self._mapped:
-            self._mapped[key] = function.map(size).buffer()
-        return self._mapped[key]
-
     def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Displacements of the virtual joints ``(n, 30)``, metres and radians."""
         theta = self.vector(values)
         if not len(conditions) or not theta.any():
             return np.zeros((len(conditions), self.displacement.size1_out(0)))
-        (moves,) = self._map(self.displacement, theta, self.seen(conditions))
-        return moves[:, 0]
+        return self._displacement(theta, self.seen(conditions))[0]
 
     def displacement_derivative(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Array, Array]:
         """Displacements ``(n, 30)`` and their derivative by machine parameters ``(n, 30, P)``."""
-        moves, by_theta = self._map(
-            self._displacement_tangent, self.vector(values), self.seen(conditions)
-        )
-        columns = by_theta[:, [self._place[name] for name in names]]
-        return moves[:, 0], np.swapaxes(columns, 1, 2)
+        moves, by_theta = self._displacement_tangent(self.vector(values), self.seen(conditions))
+        return moves, by_theta[:, :, [self._place[name] for name in names]]
 
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         batch, given = self.closing(values, conditions)
         _, by_given = batch.tangent(batch.close(given), given)
-        (moves,) = self._map(
-            self._displacement_by_command, self.vector(values), self.seen(conditions)
-        )
-        by_virtual = by_given[:, :3, 3 : 3 + moves.shape[2]]
-        return np.asarray(by_given[:, :3, :3] + by_virtual @ moves.swapaxes(1, 2))
+        (moves,) = self._displacement_by_command(self.vector(values), self.seen(conditions))
+        by_virtual = by_given[:, :3, 3 : 3 + moves.shape[1]]
+        return np.asarray(by_given[:, :3, :3] + by_virtual @ moves)
 
     def outputs(self, values: Mapping[str, float], conditions: Conditions) -> Outputs:
         """Poses and bars of closed postures.
@@ -267,8 +246,7 @@ class Model:
         """Readings ``(n,)``, datums apart, metres."""
         conditions, place = self.merged(Conditions.of(campaign), values)
         lines = self.outputs(values, conditions).lines
-        (shown,) = self._map(self.reading, *self._dial_arguments(values, campaign, lines[place]))
-        return shown[:, 0, 0]
+        return self._reading(*self._dial_arguments(values, campaign, lines[place]))[0][:, 0]
 
     def _dial_arguments(
         self, values: Mapping[str, float], campaign: Campaign, lines: Array
@@ -296,19 +274,19 @@ class Model:
         machine = [name for name in names if name in self._place]
         conditions, place = self.merged(Conditions.of(campaign), [*values, *names])
         outputs, by_name = self.sensitivities(values, conditions, machine)
-        shown, by_ends, by_mounting, by_dial = self._map(
-            self._reading_tangent, *self._dial_arguments(values, campaign, outputs.lines[place])
+        shown, by_ends, by_mounting, by_dial = self._reading_tangent(
+            *self._dial_arguments(values, campaign, outputs.lines[place])
         )
         ends = by_name[:, LINES].reshape(len(conditions), 3, 12, len(machine))
         jacobian = np.zeros((len(campaign), len(names)))
         jacobian[:, [k for k, n in enumerate(names) if n in self._place]] = (
-            by_ends @ ends[place, campaign.leg]
+            by_ends[:, None] @ ends[place, campaign.leg]
         )[:, 0]
         for column, name in zip(jacobian.T, names, strict=True):
             if name in dials:
                 row, k = dials[name]
-                column[:] = np.where(campaign.setup == row, by_dial[:, 0, k], 0.0)
-        return Readings(shown[:, 0, 0], jacobian, by_mounting[:, 0, BY_GAUGE])
+                column[:] = np.where(campaign.setup == row, by_dial[:, k], 0.0)
+        return Readings(shown[:, 0], jacobian, by_mounting[:, BY_GAUGE])
 
 
 def tolerance_of(name: str, tolerance: Mapping[str, float]) -> float:

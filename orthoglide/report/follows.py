@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from orthoglide.report.rows import controller_rows, millimetres, parameter_rows
 
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
+    from orthoglide.observations import Campaign
     from orthoglide.result import Result, Workspace
 
 Data = dict[str, Any]
@@ -41,29 +43,28 @@ _AIMS = {
     "narrow": "To narrow what is hardly seen",
 }
 _MINUS = re.compile(r"(?<=\s)-(?=\d)")
-_COLUMNS = ("setup", "leg", "direction", "posture", "gauge_mm", "bar")
 
 
 def following(result: Result, sheet: str) -> Data:
     """What to measure next, with the sheet as a link."""
-    suggested = result.next_measurements
+    suggested, proposed = result.next_measurements, result.next_sheet
     suggestions = [
         {
             "aim": _AIMS[s.aim],
             "reason": _reason(s.reason),
-            "rows": [_station(row) for row in _once(s.rows)],
-            "bar": any(row.get("bar") for row in s.rows),
-            "approach": any("approach_x" in row for row in s.rows),
+            "rows": _stations(s.campaign),
+            "bar": any(setup.bar for setup in s.campaign.setups),
         }
         for s in suggested
-        if s.aim != "none"
+        if s.campaign is not None
     ]
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": suggestions,
-        "hopeless": [_reason(s.reason) for s in suggested if s.aim == "none"],
+        "hopeless": [_reason(s.reason) for s in suggested if s.campaign is None],
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
-        "count": max(sheet.count("\n") - 1, 0),
+        "readings": len(proposed or ()),
+        "moves": len(proposed.moves) if proposed else 0,
     }
 
 
@@ -71,26 +72,30 @@ def _reason(text: str) -> str:
     return sentence(_MINUS.sub("−", text))
 
 
-def _once(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
-    """Rows that are visited several times, once, with how often."""
-    found: dict[tuple[tuple[str, str], ...], int] = {}
-    for row in rows:
-        key = tuple((k, v) for k, v in row.items() if k not in ("repeat", "order"))
-        found[key] = found.get(key, 0) + 1
-    return [{**dict(key), "times": str(times)} for key, times in found.items()]
-
-
-def _station(row: Mapping[str, str]) -> dict[str, str]:
-    rho = [f"{float(row[f'rho_{leg}_mm']):.2f}" for leg in LEGS]
-    sides = {"1": "+", "-1": "−"}
-    side = "".join(sides.get(row.get(f"approach_{leg}", ""), "·") for leg in LEGS)
-    return {
-        **{k: row.get(k, "") for k in _COLUMNS},
-        "gauge_mm": f"{float(row['gauge_mm']):.1f}",
-        "rho": ", ".join(rho),
-        "side": side,
-        "times": row["times"],
-    }
+def _stations(sheet: Campaign) -> list[dict[str, str]]:
+    """Stations of a sheet, each once, with how often it is visited."""
+    every = zip(sheet.setup.tolist(), sheet.command.tolist(), sheet.approach.tolist(), strict=True)
+    visits = Counter(
+        (k, tuple(rho), tuple(near), label)
+        for (k, rho, near), label in zip(every, sheet.posture, strict=True)
+    )
+    found = []
+    for (k, rho, near, label), times in visits.items():
+        setup = sheet.setups[k]
+        found.append(
+            {
+                "setup": setup.name,
+                "leg": LEGS[setup.leg],
+                "direction": setup.direction,
+                "posture": label,
+                "gauge_mm": f"{setup.gauge * 1e3:.1f}",
+                "bar": str(setup.bar or ""),
+                "rho": ", ".join(f"{value * 1e3:.2f}" for value in rho),
+                "side": "".join({1.0: "+", -1.0: "−"}.get(way, "·") for way in near),
+                "times": str(times),
+            }
+        )
+    return found
 
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:

@@ -157,7 +157,7 @@ def causes(result: Result, figures: Figures) -> Data:
         }
         for cause in result.causes
     ]
-    detection = result.left.detection
+    detection = result.detection
     return {
         "rows": rows,
         "rounds": len({t.round for t in result.candidates}) > 1,
@@ -166,7 +166,7 @@ def causes(result: Result, figures: Figures) -> Data:
         "stopped": result.stopped,
         "detection": probability(detection.p_value),
         "lack": probability(detection.lack_of_fit_p),
-        "count": len(result.left.signatures.candidates),
+        "count": len(result.left.signatures.candidates) if result.left else 0,
     }
 
 

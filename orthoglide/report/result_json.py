@@ -45,7 +45,7 @@ def _mm(metres: float, digits: int = _DIGITS) -> float | None:
 
 def _mapping(result: Result) -> dict[str, Any]:
     after, before = result.after, result.before
-    faulty, detection = result.first.problem.campaigns, result.left.detection
+    faulty, detection = result.first.problem.campaigns, result.detection
     return {
         **_head(result.request, after),
         "summary": headline(result),

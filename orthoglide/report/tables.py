@@ -16,7 +16,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 
 if TYPE_CHECKING:
-    from orthoglide.observations import Reading
+    from orthoglide.observations import Campaign
     from orthoglide.request import Request
     from orthoglide.result import Result
 
@@ -73,36 +73,36 @@ def residual_table(result: Result) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([*_PLACES, *_FIGURES, "set_aside"])
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
-        for row, values in zip(campaign.rows, figures[part], strict=True):
-            writer.writerow([*_cells(campaign.name, row), *map(_mm, values), ""])
+        for row, values in enumerate(figures[part]):
+            writer.writerow([*_cells(campaign, row), *map(_mm, values), ""])
     for points, part in zip(
         problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
     ):
-        for row, point, axis in zip(figures[part], points.point, points.setup, strict=True):
+        for values, point, axis in zip(figures[part], points.point, points.setup, strict=True):
             places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
             places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
-            writer.writerow([*places, *map(_mm, row), ""])
-    for name, row, kind in _set_aside(result):
+            writer.writerow([*places, *map(_mm, values), ""])
+    for campaign, row, kind in _set_aside(result):
         empty = [""] * (len(_FIGURES) - 1)
-        writer.writerow([*_cells(name, row), _mm(row.reading), *empty, kind])
+        writer.writerow([*_cells(campaign, row), _mm(campaign.reading[row]), *empty, kind])
     return stream.getvalue()
 
 
-def _set_aside(result: Result) -> Iterator[tuple[str, Reading, str]]:
+def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:
     campaigns = result.first.problem.campaigns
     for blunder in result.blunders:
         if blunder.kind == "knocked_stand":  # its rows count, with a datum of their own
             continue
         for place, row in blunder.rows:
-            campaign = campaigns[place]
-            yield campaign.name, next(iter(campaign.subset([row]).rows)), blunder.kind
+            yield campaigns[place], row, blunder.kind
 
 
-def _cells(campaign: str, row: Reading) -> list[Any]:
-    setup = row.setup
+def _cells(campaign: Campaign, row: int) -> list[Any]:
+    setup = campaign.setups[campaign.setup[row]]
     return [
-        campaign, row.line, setup.name, LEGS[setup.leg], setup.direction, row.posture,
-        *map(_mm, row.command), _mm(setup.gauge), row.repeat, row.order,
+        campaign.name, campaign.line[row], setup.name, LEGS[setup.leg], setup.direction,
+        campaign.posture[row], *map(_mm, campaign.command[row]), _mm(setup.gauge),
+        campaign.repeat[row], campaign.order[row],
     ]  # fmt: skip
 
 

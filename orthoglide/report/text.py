@@ -67,13 +67,14 @@ def console_text(parts: Iterable[RenderableType]) -> str:
 
 
 def _table(*columns: str) -> Table:
-    """A table whose first column is a name and whose others are numbers."""
+    """A table whose first column is a name and whose others are numbers, or in words."""
     from rich import box
     from rich.table import Table
 
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for k, column in enumerate(columns):
-        made.add_column(column, justify="left" if k == 0 else "right", no_wrap=k == 0)
+        left = k == 0 or column == "in words"
+        made.add_column(column, justify="left" if left else "right", no_wrap=k == 0)
     return made
 
 
@@ -86,7 +87,7 @@ def _parameters(result: Result) -> Table:
 
 
 def _causes(result: Result) -> Table:
-    shown = _table("cause", "probability", "p of structureless", "in words")
+    shown = _table("cause", "probability", "naming p", "in words")
     for cause in result.causes:
         one, p = cause.chosen, probability(cause.effect.naming_p)
         shown.add_row(one.name, f"{one.probability:.2f}", p, one.words)

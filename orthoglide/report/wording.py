@@ -77,7 +77,7 @@ def _partial(result: Result) -> str:
 
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
-    fit, test = result.after, result.left.detection
+    fit, test = result.after, result.detection
     noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
     if left > noise:
         return (

@@ -12,6 +12,7 @@ from orthoglide.accuracy import Map, tcp_map
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
 from orthoglide.diagnosis.ranking import Round
+from orthoglide.diagnosis.significance import Detection
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
@@ -48,7 +49,7 @@ class Result:
         after: fit with the effects added; ``before`` where there are none.
         effects: in the order in which they were added.
         tried: candidates that the search identified.
-        left: what the last fit leaves.
+        left: what the last fit leaves; ``None`` where the whole catalogue is free.
         stopped: why no further effect was added, in a sentence.
         posterior: what the readings say with everything else allowed; ``None`` of ``identify``.
         blunders: faults of the data, found before any physics.
@@ -64,7 +65,7 @@ class Result:
     after: Estimate
     effects: tuple[Effect, ...]
     tried: tuple[Tried, ...]
-    left: Round
+    left: Round | None
     stopped: str
     posterior: FullPosterior | None = None
     blunders: tuple[Blunder, ...] = ()
@@ -185,7 +186,14 @@ class Result:
     @property
     def invisible(self) -> tuple[str, ...]:
         """Effects that these readings cannot show: not absent, not visible."""
-        return self.left.signatures.invisible
+        return () if self.left is None else self.left.signatures.invisible
+
+    @property
+    def detection(self) -> Detection:
+        """Whether anything is left; by lack of fit alone where the whole catalogue is free."""
+        if self.left is not None:
+            return self.left.detection
+        return by_lack_of_fit(self.after)
 
     @property
     def unexcited(self) -> tuple[str, ...]:
@@ -282,3 +290,9 @@ def last_values(estimate: Estimate) -> dict[str, float]:
     """Parameters of the last campaign's machine, dials included, SI."""
     problem = estimate.problem
     return problem.values(problem.last, estimate.x)
+
+
+def by_lack_of_fit(estimate: Estimate) -> Detection:
+    """What is left by chi2 alone: no effect is weighed."""
+    p = estimate.scores.lack_of_fit_p
+    return Detection(float("nan"), p, p, float("nan"))

@@ -1,0 +1,57 @@
+"""CasADi functions evaluated for many rows at once, without a loop in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from orthoglide.geometry import Array
+
+_CHUNK = 256
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Rows in pieces that one mapped call takes and the cache holds."""
+    for start in range(0, count, _CHUNK):
+        yield slice(start, min(start + _CHUNK, count))
+
+
+class Mapped:
+    """A CasADi function of vectors, for rows of them. Holds buffers: one object serves one thread.
+
+    Args:
+        function: of column vectors; its results are dense.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        self._buffers: dict[int, tuple[Any, Any]] = {}
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Results ``(n, rows)``, or ``(n, rows, columns)`` where they are matrices.
+
+        Args:
+            arguments: each ``(n, k)``, or ``(k,)`` where all rows share it; the last sets n.
+        """
+        n, f = len(arguments[-1]), self.function
+        rows = [
+            np.ascontiguousarray(np.broadcast_to(a, (n, np.shape(a)[-1])), dtype=float)
+            for a in arguments
+        ]
+        # CasADi stores columns.
+        results = [np.empty((n, f.size2_out(k), f.size1_out(k))) for k in range(f.n_out())]
+        for part in blocks(n):
+            buffer, evaluate = self._buffer(part.stop - part.start)
+            for k, row in enumerate(rows):
+                buffer.set_arg(k, memoryview(row[part]))  # type: ignore[arg-type]
+            for k, result in enumerate(results):
+                buffer.set_res(k, memoryview(result[part]))  # type: ignore[arg-type]
+            evaluate()
+        return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
+
+    def _buffer(self, size: int) -> tuple[Any, Any]:
+        if size not in self._buffers:
+            self._buffers[size] = self.function.map(size).buffer()
+        return self._buffers[size]
