@@ -29,7 +29,7 @@ TABLE2_ROWS = tuple(
     for sign in "+-"
     for row in (f"{a}_{b}", f"{b}_{a}")
 )
-SETS = {"offsets+lengths": "all", "offsets": "joint_offset", "lengths": "leg_length"}
+SETS = {"offsets+lengths": "all", "offsets": "offsets", "lengths": "lengths"}
 SLIPS = (
     ("2", "offsets+lengths", "z_y+"),
     ("2", "offsets", "y_z-"),
@@ -398,7 +398,7 @@ def entry_experiment3() -> Misprint:
 
 
 def entry_experiment1() -> Misprint:
-    system, data = reduction.reduced_system(MACHINE).select("joint_offset"), table1("1")
+    system, data = reduction.reduced_system(MACHINE).select("offsets"), table1("1")
     residuals_mm = published()["table1_expected_residual_mm"]["1"]
     expected = {row: residuals_mm[row.replace("_", "")] for row in data}
     printed, differences, averages = data["x_z"], [], []

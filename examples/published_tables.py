@@ -98,6 +98,11 @@ def fit(
     return system, reduction.solve(system, system.ordered(deviations))
 
 
+def _names(which: str) -> list[str]:
+    """Parameters of a set as the catalogue has them, in the order of the system's columns."""
+    return [f"{family}.{leg}" for family in FAMILIES[which] for leg in "xyz"]
+
+
 def _rms_row(
     table: str, experiment: str, which: str, printed: float, ours: float, count: int
 ) -> Row:
@@ -119,7 +124,7 @@ def table3() -> Iterator[Row]:
     for which, printed in published()["table3_mm"].items():
         system, found = fit(table2("2"), which)
         weak = which == "offsets+lengths"
-        ours = dict(zip(system.columns, found.values.tolist(), strict=True))
+        ours = dict(zip(_names(which), found.values.tolist(), strict=True))
         for family in FAMILIES[which]:
             for leg, value in zip("xyz", printed[family], strict=True):
                 name = f"{family}.{leg}"
@@ -164,7 +169,7 @@ def table1_rows() -> Iterator[Row]:
     for experiment in ("1", "2", "3"):
         data = table1(experiment) | MENDED_1.get(experiment, {})
         label = f"{experiment} mended" if experiment in MENDED_1 else experiment
-        system = reduction.reduced_system().select("joint_offset")
+        system = reduction.reduced_system().select("offsets")
         found = reduction.solve(system, system.ordered(data))
         ours = dict(zip(system.rows, found.residuals.tolist(), strict=True))
         printed = published()["table1_expected_residual_mm"][experiment]
@@ -184,12 +189,12 @@ def beyond() -> list[Beyond]:
     campaign = read_campaign(str(DATA / "experiment2.csv"))
     machine, found = Machine.nominal(), []
     for which, free in FAMILIES.items():
-        system, linear = fit(table2("2"), which)
+        _, linear = fit(table2("2"), which)
         equal = identify(campaign, machine, free, priors=False, weighting="deviations")
         weighed = identify(campaign, machine, free, priors=False)
         known = identify(campaign, machine, free)
         printed = published()["table3_mm"][which]
-        for name, value in zip(system.columns, linear.values.tolist(), strict=True):
+        for name, value in zip(_names(which), linear.values.tolist(), strict=True):
             family, leg = name.split(".")
             ways = [e.values[name] / MM for e in (equal, weighed)]
             found.append(

@@ -362,6 +362,25 @@ def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> Non
     assert tree(here / "out") == tree(here / "again")
 
 
+def test_rerun_of_a_result_of_the_first_schema(here: Path) -> None:
+    """Its values must be found again; what it says otherwise was said another way."""
+    done("identify", "experiment2.csv", "--out", "out", "--quiet")
+
+    def edit(result: Any) -> None:
+        result["schema"], result["verdict"] = 1, None
+        result["before"] = result.pop("nominal")
+        del result["workspace"], result["left"]
+
+    change(here / "out" / "result.json", edit)
+    assert "The same numbers again" in done("rerun", "out/result.json")
+
+    def spoil(result: Any) -> None:
+        result["parameters"]["joint_offset.x"]["value"] = 1.0
+
+    change(here / "out" / "result.json", spoil)
+    assert run("rerun", "out/result.json").exit_code == 3
+
+
 def test_rerun_keeps_the_lines_of_the_file(here: Path) -> None:
     lines = (RIG / "rig-3.csv").read_text().splitlines()
     cells = lines[40].split(",")

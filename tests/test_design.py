@@ -13,12 +13,15 @@ from scipy.stats import ncx2
 
 import orthoglide as og
 from orthoglide.cli.design import design as design_command
+from orthoglide.cli.sheets import protocol as protocol_command
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import BASE_FAMILIES, CATALOGUE, relabelled
 from orthoglide.errors import InputError
 from orthoglide.fit import build_problem, noise_of
+from orthoglide.fit.least_squares import linearise, normal, nuisances
+from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
 from orthoglide.planning import (
     design,
@@ -26,26 +29,24 @@ from orthoglide.planning import (
     observability,
     reading_pool,
     repeats_needed,
-    report_design,
     smallest_effects,
 )
-from orthoglide.planning.alike import groups
-from orthoglide.planning.bench import Bench, Scatter
 from orthoglide.planning.choosing import choose, replayed
-from orthoglide.planning.designs import is_elementary
-from orthoglide.planning.detectable import noncentrality, separation
-from orthoglide.planning.expected import bench_of, expected
-from orthoglide.planning.objectives import (
+from orthoglide.planning.criteria import (
     Determinant,
-    Discriminate,
-    Narrow,
-    Separate,
+    EffectSeparation,
+    LeastVariance,
+    RivalSeparation,
     gram,
     separations,
 )
-from orthoglide.planning.observability import indices
+from orthoglide.planning.detectable import noncentrality, separation
+from orthoglide.planning.linear import LinearReadings
+from orthoglide.planning.observability import of_jacobian
 from orthoglide.planning.pool import DIAL_TRAVEL, sheet
-from orthoglide.planning.precision import accuracy_of
+from orthoglide.planning.repeats import sigma_by_repeats
+from orthoglide.planning.rivals import inseparable_groups
+from orthoglide.planning.wording import detectable_rows, repeats_row
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, simulate, write_csv
 
@@ -116,68 +117,71 @@ def test_the_pool_is_the_same_for_every_leg(machine):
 
 
 @pytest.fixture(scope="module")
-def bench(machine) -> Bench:
+def readings(machine) -> LinearReadings:
     pool = reading_pool(machine.geometry, gauges=(0.35, 0.65), bars=(0, 1))
-    return bench_of(machine, pool, ("joint_offset.x", "joint_offset.y", "axis_tilt.x.y"))
+    return LinearReadings.of(machine, pool, ("joint_offset.x", "joint_offset.y", "axis_tilt.x.y"))
 
 
-def by_hand(bench, rows):
+def by_hand(readings, rows):
     """Information with datum, place and rounding as unknowns of their own, eliminated last."""
-    rows, s = np.asarray(rows), bench.scatter
-    setups, mounting = np.unique(bench.pool.setup[rows], return_inverse=True)
+    rows, s = np.asarray(rows), readings
+    setups, mounting = np.unique(readings.campaign.setup[rows], return_inverse=True)
     stations, station = np.unique(rows, return_inverse=True)
     datum = np.eye(len(setups))[mounting]
-    extra = np.hstack([datum, datum * bench.slope[rows][:, None], np.eye(len(stations))[station]])
-    prior = [1e4] * len(setups) + [s.placement**-2] * len(setups) + [s.common**-2] * len(stations)
-    J = bench.columns[rows] / s.reading
-    U = extra / s.reading
+    extra = np.hstack(
+        [datum, datum * readings.slope[rows][:, None], np.eye(len(stations))[station]]
+    )
+    prior = [0.0] * len(setups) + [s.placement**-2] * len(setups) + [s.common**-2] * len(stations)
+    J = readings.columns[rows] / s.sigma[rows, None]
+    U = extra / s.sigma[rows, None]
     inner = U.T @ U + np.diag(prior)
     return J.T @ J - J.T @ U @ np.linalg.solve(inner, U.T @ J)
 
 
-def some_rows(bench, seed=0):
+def some_rows(readings, seed=0):
     rng = np.random.default_rng(seed)
-    setups = rng.choice(len(bench.pool.setups), 3, replace=False)
-    rows = [int(k) for s in setups for k in rng.choice(bench.of_setup[s], 4, replace=False)]
+    setups = rng.choice(len(readings.campaign.setups), 3, replace=False)
+    rows = [int(k) for s in setups for k in rng.choice(readings.of_setup[s], 4, replace=False)]
     return sorted([*rows, rows[1], rows[1]])  # one station three times
 
 
-def test_information_is_that_of_the_problem_with_all_nuisances(bench):
+def test_information_is_that_of_the_problem_with_all_nuisances(readings):
     # A dial whose rounding repeats share shows most where something is wrong.
-    coarse = replace(bench, scatter=Scatter(5e-6, 3e-6, 1e-3))
+    sigma = np.full(len(readings.campaign), 5e-6)
+    coarse = replace(readings, sigma=sigma, common=3e-6, placement=1e-3)
     rows = some_rows(coarse)
     assert coarse.information(rows) == pytest.approx(by_hand(coarse, rows), rel=1e-6)
 
 
-def test_steps_add_up_to_the_whole(bench):
-    rows = some_rows(bench)
+def test_steps_add_up_to_the_whole(readings):
+    rows = some_rows(readings)
     C = np.diag([2.0, 1.0, 3.0])
-    M = bench.information(rows)
-    after = replayed(bench, Determinant(C), rows)
+    M = readings.information(rows)
+    after = replayed(readings, Determinant(C), rows)
     assert after.value == pytest.approx(np.linalg.slogdet(np.eye(3) + C @ M)[1], rel=1e-6)
     assert after.covariance == pytest.approx(np.linalg.inv(np.linalg.inv(C) + M), rel=1e-5)
     d = np.array([1.0, 0.0, -1.0])
-    narrowed = replayed(bench, Narrow(C, d), rows)
+    narrowed = replayed(readings, LeastVariance(C, d), rows)
     assert narrowed.variance == pytest.approx(d @ after.covariance @ d, rel=1e-5)
 
 
-def test_steps_gain_what_they_promise(bench):
-    start = Discriminate(np.diag([1.0, 1.0, 0.0]), 2, np.array([[0, 0]]))
-    for objective in (Determinant(np.eye(3)), Narrow(np.eye(3), np.ones(3)), start):
-        steps = bench.steps(some_rows(bench), 4)
+def test_steps_gain_what_they_promise(readings):
+    start = EffectSeparation(np.diag([1.0, 1.0, 0.0]), 2, np.array([[0, 0]]))
+    for objective in (Determinant(np.eye(3)), LeastVariance(np.eye(3), np.ones(3)), start):
+        steps = readings.steps(some_rows(readings), 4)
         for k in (0, len(steps.rows) // 2, len(steps.rows) - 1):
             promised = objective.gains(steps)[k]
             assert objective.after(steps, k).value - objective.value == pytest.approx(promised)
 
 
-def test_rivals_are_as_far_apart_as_least_squares_says(bench):
+def test_rivals_are_as_far_apart_as_least_squares_says(readings):
     rng = np.random.default_rng(3)
-    predicted = rng.normal(0, 2e-5, (len(bench.pool), 2))
-    both = Bench(bench.pool, np.hstack([bench.columns, predicted]), bench.slope, bench.scatter)
+    predicted = rng.normal(0, 2e-5, (len(readings.campaign), 2))
+    both = readings.with_columns(np.hstack([readings.columns, predicted]))
     spread = np.stack([np.diag([1.0, 2.0, 0.5]), np.diag([0.3, 0.1, 4.0])])
     pairs = np.array([[0, 1], [1, 0]])
-    rows = some_rows(bench)
-    after = replayed(both, Separate(spread, pairs, np.zeros((2, 3)), np.zeros(2)), rows)
+    rows = some_rows(readings)
+    after = replayed(both, RivalSeparation(spread, pairs, np.zeros((2, 3)), np.zeros(2)), rows)
     W = both.information(rows)
     for chi2, (a, b) in zip(after.chi2, pairs, strict=True):
         e = np.eye(2)[a] - np.eye(2)[b]
@@ -192,21 +196,21 @@ def test_rivals_are_as_far_apart_as_least_squares_says(bench):
 
 def test_indices_are_those_of_the_definitions():
     J = np.random.default_rng(0).normal(size=(30, 5)) @ np.diag([1.0, 2.0, 5.0, 0.1, 3.0])
-    found = indices(J, 30)
+    found = of_jacobian(J, 30)
     s = np.sqrt(np.linalg.eigvalsh(J.T @ J))[::-1]
-    assert found.o1 == pytest.approx(np.prod(s) ** (1 / 5) / np.sqrt(30))
-    assert found.o2 == pytest.approx(s[-1] / s[0])
-    assert found.o2 == pytest.approx(1 / np.linalg.cond(J))
-    assert found.o3 == pytest.approx(s[-1])
-    assert found.o4 == pytest.approx(s[-1] ** 2 / s[0])
-    assert found.o5 == pytest.approx(1 / np.sum(1 / s))
+    assert found.indices["O1"] == pytest.approx(np.prod(s) ** (1 / 5) / np.sqrt(30))
+    assert found.indices["O2"] == pytest.approx(s[-1] / s[0])
+    assert found.indices["O2"] == pytest.approx(1 / np.linalg.cond(J))
+    assert found.indices["O3"] == pytest.approx(s[-1])
+    assert found.indices["O4"] == pytest.approx(s[-1] ** 2 / s[0])
+    assert found.indices["O5"] == pytest.approx(1 / np.sum(1 / s))
     assert found.rank == 5
 
 
 def test_what_is_not_seen_has_no_observability():
     J = np.ones((4, 2))
-    assert indices(J, 4).rank == 1
-    assert set(indices(J, 4).indices.values()) == {0.0}
+    assert of_jacobian(J, 4).rank == 1
+    assert set(of_jacobian(J, 4).indices.values()) == {0.0}
 
 
 def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
@@ -222,8 +226,8 @@ def test_repeating_a_protocol_helps_o3_but_not_o1(machine):
     once = protocol("standard").subset(protocol("standard").repeat == 1)
     one = observability(machine, once, BASE_FAMILIES)
     three = observability(machine, protocol("standard"), BASE_FAMILIES)
-    assert three.o3 > 1.3 * one.o3
-    assert three.o1 < 1.05 * one.o1
+    assert three.indices["O3"] > 1.3 * one.indices["O3"]
+    assert three.indices["O1"] < 1.05 * one.indices["O1"]
 
 
 # -- designs -------------------------------------------------------------------------------------
@@ -234,7 +238,7 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     assert len(found.campaign) == 24
     pool = reading_pool(machine.geometry)
     names = found.names
-    everything = bench_of(machine, pool, names)
+    everything = LinearReadings.of(machine, pool, names)
     start = Determinant(1e4 * np.eye(len(names)))
     rng = np.random.default_rng(1)
     mountings = len(found.campaign.setups)
@@ -249,14 +253,23 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
         random.append(replayed(everything, start, rows).value)
     assert found.value > max(random) + 3
     standard = observability(machine, protocol("standard"), BASE_FAMILIES)
-    assert found.indices.o1 > standard.o1
+    assert found.indices.indices["O1"] > standard.indices["O1"]
 
 
-def test_exchange_does_not_make_a_design_worse(bench):
+def test_exchange_does_not_make_a_design_worse(readings):
     start = Determinant(1e4 * np.eye(3))
-    _, greedy = choose(bench, start, 8)
-    _, exchanged = choose(bench, start, 8, exchange=True)
+    _, greedy = choose(readings, start, 8)
+    _, exchanged = choose(readings, start, 8, exchange=True)
     assert exchanged.value >= greedy.value
+
+
+def identified(machine, campaign, free):
+    """Whitened Jacobian of an identification from a sheet, by unknowns in tolerances."""
+    told = campaign.with_readings(machine.readings(campaign))
+    problem = build_problem(machine, [told], free, noise_of([told], machine.spec.dial))
+    at = linearise(problem, problem.start)
+    here = normal(problem, at, nuisances(problem, at.by_gauge))
+    return here.jacobian * problem.tolerance
 
 
 def test_a_discriminating_design_separates_better_than_a_d_optimal_one(machine):
@@ -264,12 +277,12 @@ def test_a_discriminating_design_separates_better_than_a_d_optimal_one(machine):
     found = design(machine, families, 16, "discriminate")
     assert len(found.campaign) == 16
     optimal = design(machine, families, 16)
-    seen = expected(machine, optimal.campaign, (*BASE_FAMILIES, *families)).jacobian
+    seen = identified(machine, optimal.campaign, (*BASE_FAMILIES, *families))
     prior = np.diag([1.0] * base + [0.0] * 3)
     pairs = np.array([(i, j) for i in range(3) for j in range(i, 3)])
     least = np.sqrt(separations(gram(prior + seen.T @ seen, base), pairs).min())
     assert found.value > least
-    again = expected(machine, found.campaign, (*BASE_FAMILIES, *families)).jacobian
+    again = identified(machine, found.campaign, (*BASE_FAMILIES, *families))
     same = np.sqrt(separations(gram(prior + again.T @ again, base), pairs).min())
     assert found.value == pytest.approx(same, rel=0.02)
 
@@ -283,9 +296,9 @@ def test_a_design_is_a_sheet_that_reads_back(machine, tmp_path):
     assert again.setups == campaign.setups
 
 
-def test_a_sheet_numbers_the_visits_of_a_station(bench):
-    rows = [int(bench.of_setup[0][2])] * 3 + [int(bench.of_setup[0][5])]
-    made = sheet(bench.pool, rows)
+def test_a_sheet_numbers_the_visits_of_a_station(readings):
+    rows = [int(readings.of_setup[0][2])] * 3 + [int(readings.of_setup[0][5])]
+    made = sheet(readings.campaign, rows)
     assert made.repeat.tolist() == [1, 1, 2, 3]
     assert len(made.setups) == 1
 
@@ -311,20 +324,20 @@ def test_what_no_design_can_serve_is_refused(machine, families, count, criterion
 @pytest.mark.parametrize("what", ["TCP", "joint_offset.x"])
 def test_repeats_are_the_fewest_that_reach_the_accuracy(machine, what):
     campaign = protocol("standard")
-    two = accuracy_of(machine, campaign, BASE_FAMILIES, what).sigma(2)
-    five = accuracy_of(machine, campaign, BASE_FAMILIES, what).sigma(5)
+    two = sigma_by_repeats(machine, campaign, BASE_FAMILIES, what)(2)
+    five = sigma_by_repeats(machine, campaign, BASE_FAMILIES, what)(5)
     wanted = (two + five) / 2
     found = repeats_needed(machine, campaign, BASE_FAMILIES, what, wanted)
     assert found.sigma <= wanted
     assert 2 < found.repeats <= 5
-    fewer = accuracy_of(machine, campaign, BASE_FAMILIES, what).sigma(found.repeats - 1)
+    fewer = sigma_by_repeats(machine, campaign, BASE_FAMILIES, what)(found.repeats - 1)
     assert fewer > wanted
 
 
 def test_sigma_with_the_protocols_repeats_is_that_of_the_identification(machine):
     campaign = measured(machine, Rig(), "standard", 4)
     estimate = og.identify(campaign, machine, method="nested")
-    told = accuracy_of(machine, campaign, BASE_FAMILIES, "joint_offset.x").sigma(3)
+    told = sigma_by_repeats(machine, campaign, BASE_FAMILIES, "joint_offset.x")(3)
     assert told == pytest.approx(estimate.sigmas["joint_offset.x"] / estimate.sigma_scale, rel=0.02)
 
 
@@ -332,7 +345,7 @@ def test_repeats_do_not_help_beyond_their_floor(machine):
     found = repeats_needed(machine, protocol("standard"), BASE_FAMILIES, "TCP", 1e-9)
     assert found.repeats is None
     assert found.floor < found.sigma
-    assert "out of reach" in report_design(repeats=[found])[0]
+    assert "out of reach" in repeats_row(found, machine.catalogue)
     with pytest.raises(InputError, match="not identified"):
         repeats_needed(machine, protocol("standard"), BASE_FAMILIES, "axis_tilt.x.y", 1e-3)
 
@@ -371,10 +384,10 @@ def test_an_effect_of_the_smallest_size_is_found_as_often_as_promised(machine):
 
 
 def test_smallest_effects_do_not_depend_on_the_legs_names(machine):
-    told = smallest_effects(machine, protocol("sweep"), families=["axis_tilt", "backlash"])
+    told = smallest_effects(machine, protocol("sweep"), names=["axis_tilt", "backlash"])
     size = {s.name: s.detectable for s in told.smallest}
     assert {n.partition(".")[0] for n in size} == {"axis_tilt", "backlash"}
-    for name in filter(is_elementary, size):
+    for name in (s.name for s in told.smallest if s.elementary):
         assert size[relabelled(CATALOGUE.parameter(name))] == pytest.approx(size[name], rel=0.02)
 
 
@@ -385,7 +398,7 @@ def test_effects_with_one_signature_are_never_named(machine):
     assert np.isinf(same.nameable)
     bow = told["rail_bow.x.y"]
     assert bow.detectable <= bow.nameable < np.inf
-    lines = report_design(detectability=smallest_effects(machine, protocol("standard")))
+    lines = detectable_rows(smallest_effects(machine, protocol("standard")))
     assert any("never" in line for line in lines)
     assert "mount_tilt.x.a" in lines[-1]
 
@@ -499,9 +512,9 @@ def test_a_direction_that_no_dial_sees_is_said_to_stay(machine):
 
 
 def test_rivals_alike_are_told_in_groups_of_which_no_two_differ():
-    chain = groups({(0, 1): 0.5, (1, 0): 0.5, (1, 2): 1.5, (3, 4): 0.1})
+    chain = inseparable_groups({(0, 1): 0.5, (1, 2): 1.5, (3, 4): 0.1})
     assert chain == [([0, 1], 0.5), ([1, 2], 1.5), ([3, 4], 0.1)]
-    assert groups({(0, 1): 0.5, (0, 2): 1.0, (1, 2): 1.5}) == [([0, 1, 2], 1.5)]
+    assert inseparable_groups({(0, 1): 0.5, (0, 2): 1.0, (1, 2): 1.5}) == [([0, 1, 2], 1.5)]
 
 
 # -- sheets are driven as they are written --------------------------------------------------------
@@ -580,3 +593,39 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
     assert isinstance(again.exception, InputError)
     wrong = CliRunner().invoke(design_command, ["--want", "TCP"])
     assert isinstance(wrong.exception, InputError)
+
+
+@pytest.fixture
+def counting(machine):
+    """The machine with a controller that counts in a way of its own."""
+    controller = Controller(zero=(0.1, -0.05, 0.0), sign=(-1, 1, 1))
+    return og.Machine(replace(machine.spec, controller=controller))
+
+
+@pytest.mark.parametrize("command", [protocol_command, design_command], ids=["protocol", "design"])
+def test_sheets_of_the_command_line_show_what_the_controller_shows(command, counting, tmp_path):
+    counting.save(tmp_path / "machine.toml")
+    out = tmp_path / "sheet.csv"
+    arguments = ["--machine", str(tmp_path / "machine.toml"), "--out", str(out)]
+    done = CliRunner().invoke(
+        command, [*arguments, *(["--count", "8"] * (command.name == "design"))]
+    )
+    assert done.exit_code == 0, done.output
+    rows = pd.read_csv(out)
+    assert not [name for name in rows if name.startswith("rho_")]
+    found = og.read_campaign(out, counting.spec, require_readings=False)
+    for axis, leg in enumerate("xyz"):
+        rho = np.concatenate([found.moves.command, found.command])[:, axis]
+        shown = counting.spec.controller.from_rho(rho[:, None].repeat(3, 1), counting.geometry)
+        assert np.allclose(sorted(rows[f"travel_{leg}_mm"]), sorted(shown[:, axis] * 1e3))
+    if command is protocol_command:
+        assert found.same_as(replace(protocol("standard", counting.geometry), name="sheet"))
+
+
+def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguous, tmp_path):
+    campaign, _ = ambiguous
+    og.close_loop([campaign], counting).report(tmp_path / "out")
+    rows = pd.read_csv(tmp_path / "out" / "next_measurements.csv")
+    assert {"travel_x_mm", "travel_y_mm", "travel_z_mm"} <= set(rows)
+    again = og.read_campaign(tmp_path / "out" / "next_measurements.csv", counting.spec, False)
+    assert counting.geometry.in_stroke(again.command).all()

@@ -427,7 +427,7 @@ def test_reduced_and_offset_systems_follow_from_11():
         np.testing.assert_array_equal(reduced.matrix[i], plus - minus)
     np.testing.assert_array_equal(reduced.noise, 2 * np.eye(6))
     np.testing.assert_array_equal(offsets.matrix, full.matrix[:, :3])
-    assert full.select(["leg_length.y"]).columns == ("leg_length.y",)
+    assert full.select(["length.y"]).columns == ("length.y",)
 
 
 def test_covariance_is_that_of_simulated_readings():
@@ -484,7 +484,7 @@ def test_table_1(experiment):
     if experiment == "1":
         data["x_z"] = 1.48
     expected = MISPRINTS["published"]()["table1_expected_residual_mm"][experiment]
-    system = reduction.reduced_system().select("joint_offset")
+    system = reduction.reduced_system().select("offsets")
     fit = reduction.solve(system, system.ordered(data))
     for row, residual in zip(system.rows, fit.residuals, strict=True):
         assert residual == pytest.approx(expected[row.replace("_", "")], abs=0.006)

@@ -14,6 +14,7 @@ import yourdfpy
 
 from orthoglide import urdf
 from orthoglide.geometry import LEGS, Geometry, base_from_leg, leg_axes
+from orthoglide.urdf import solids
 
 ROOT = Path(__file__).parents[1]
 NOMINAL = Geometry()
@@ -191,7 +192,7 @@ def drawn_inertia(link: ET.Element) -> pin.Inertia:
     for visual in link.findall("visual"):
         origin = visual.find("origin").attrib  # type: ignore[union-attr]
         material = visual.find("material").attrib["name"]  # type: ignore[union-attr]
-        density = urdf._MATERIALS[material][1]
+        density = solids.MATERIALS[material][1]
         shape = visual.find("geometry")[0]  # type: ignore[index]
         if shape.tag == "box":
             size = [float(text) for text in shape.attrib["size"].split()]

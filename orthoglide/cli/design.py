@@ -9,7 +9,7 @@ import click
 
 from orthoglide.cli.options import PATH, Names, load_machine, machine_option, noise_metres
 from orthoglide.cli.progress import progress
-from orthoglide.cli.writing import write_file
+from orthoglide.cli.writing import write_sheet
 from orthoglide.errors import InputError
 from orthoglide.progress import Progress, Step
 
@@ -63,17 +63,14 @@ def design(
     quiet: bool,
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
-    from orthoglide.effects import BASE_FAMILIES
     from orthoglide.files import check_new
-    from orthoglide.observations import campaign_text
     from orthoglide.planning import (
         design as choose,
         observability,
         reading_pool,
-        report_design,
         smallest_effects,
     )
-    from orthoglide.planning.expected import expected_noise
+    from orthoglide.planning.wording import detectable_rows, index_rows, pair_rows, repeats_row
 
     if out is not None:
         check_new(out)
@@ -82,16 +79,14 @@ def design(
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    families = free or (BASE_FAMILIES if criterion == "d-optimal" else ())
     wanted = _wanted(want)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
-        found = choose(machine, families, count, criterion, noise=noise)  # type: ignore[arg-type]
+        found = choose(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
         step(Step("computing", "comparing"))
         sheets = _sheets(machine, campaigns)
         compared = [
-            (name, observability(machine, c, found.names, expected_noise(machine, c, noise)))
-            for name, c in sheets.items()
+            (name, observability(machine, c, found.names, noise)) for name, c in sheets.items()
         ]
         sheets["design"] = found.campaign
         answers = [
@@ -103,18 +98,14 @@ def design(
         for name, c in sheets.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
-        if out is not None:
-            write_file(out, campaign_text(found.campaign, machine.spec))
+        written = "" if out is None else write_sheet(out, found.campaign, machine)
     if quiet:
         return
-    for line in report_design(found, compared):
-        click.echo(line)
-    for name, answer in answers:
-        click.echo(name + report_design(repeats=[answer])[0])
+    lines = [*index_rows([*compared, (criterion, found.indices)]), *pair_rows(found)]
+    lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
     for name, detectability in small:
-        click.echo("\n".join((f"\n{name}:", *report_design(detectability=detectability))))
-    if out is not None:
-        click.echo(f"{click.format_filename(out)}: {len(found.campaign)} readings")
+        lines += ["", f"{name}:", *detectable_rows(detectability)]
+    click.echo("\n".join([*lines, *([written] if written else [])]))
 
 
 COMMANDS = (design,)

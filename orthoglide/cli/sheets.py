@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orthoglide.cli.options import PATH, load_machine, machine_option
-from orthoglide.cli.writing import write_file
+from orthoglide.cli.writing import write_file, write_sheet
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,15 +34,10 @@ def _kind_option(command: Any) -> Any:
 @machine_option
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     """Write a measuring sheet: every row but the reading."""
-    from orthoglide.observations import campaign_text, protocol as make
+    from orthoglide.observations import protocol as make
 
     machine = load_machine(machine_path)
-    sheet = make(kind, machine.geometry)  # type: ignore[arg-type]
-    write_file(out, campaign_text(sheet, machine.spec))
-    click.echo(
-        f"{click.format_filename(out)}: {len(sheet)} readings in {len(sheet.setups)} setups, to be "
-        f"filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing"
-    )
+    click.echo(write_sheet(out, make(kind, machine.geometry), machine))  # type: ignore[arg-type]
 
 
 @click.command()

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import Any
 
@@ -22,21 +21,11 @@ from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.urdf import Closure, closures, to_urdf
 
 
-class Kind(Enum):
-    """Who moves a joint."""
-
-    DRIVE = "drive"
-    PASSIVE = "passive"
-    RELIEF = "relief"
-    VIRTUAL = "virtual"
-
-
 @dataclass(frozen=True)
 class Extra:
-    """A joint that the URDF lacks: its name within the leg, its kind and its Pinocchio model."""
+    """A joint that the URDF lacks: its name within the leg and its Pinocchio model."""
 
     name: str
-    kind: Kind
     joint: Callable[[], Any]
 
 
@@ -44,35 +33,31 @@ def _slide(x: float, y: float, z: float) -> Callable[[], Any]:
     return lambda: pin.JointModelPrismaticUnaligned(np.array([x, y, z]))
 
 
-def _virtual(name: str, joint: Callable[[], Any]) -> Extra:
-    return Extra(name, Kind.VIRTUAL, joint)
-
-
 # Joints that follow a URDF joint and carry all that is behind it; the leg's a, b, c = x, y, z.
 BEHIND: dict[str, tuple[Extra, ...]] = {
     "slide": (
-        _virtual("travel", pin.JointModelPX),
-        _virtual("lateral_b", pin.JointModelPY),
-        _virtual("lateral_c", pin.JointModelPZ),
-        _virtual("turn_a", pin.JointModelRX),
-        _virtual("turn_b", pin.JointModelRY),
-        _virtual("turn_c", pin.JointModelRZ),
+        Extra("travel", pin.JointModelPX),
+        Extra("lateral_b", pin.JointModelPY),
+        Extra("lateral_c", pin.JointModelPZ),
+        Extra("turn_a", pin.JointModelRX),
+        Extra("turn_b", pin.JointModelRY),
+        Extra("turn_c", pin.JointModelRZ),
     ),
-    "bar1": (_virtual("stretch1", _slide(-1, 0, 0)),),
-    "bar2": (_virtual("stretch2", _slide(-1, 0, 0)),),
-    "knuckle": (_virtual("width1", _slide(0, 0, -1)),),
+    "bar1": (Extra("stretch1", _slide(-1, 0, 0)),),
+    "bar2": (Extra("stretch2", _slide(-1, 0, 0)),),
+    "knuckle": (Extra("width1", _slide(0, 0, -1)),),
 }
 
 # Relief joints stand before a URDF joint: the bar's torsion at bar 1's tip, and a revolute about
 # the short link at bar 2's root. A torsion placed nearer to the carriage gives another machine.
 BEFORE: dict[str, Extra] = {
-    "knuckle": Extra("relief_bar", Kind.RELIEF, pin.JointModelRX),
-    "bar2": Extra("relief_link", Kind.RELIEF, pin.JointModelRZ),
+    "knuckle": Extra("relief_bar", pin.JointModelRX),
+    "bar2": Extra("relief_link", pin.JointModelRZ),
 }
 
 # A joint between a body and one of its frames: here the short link's far end, so that the platform
 # keeps to the middle of a link that is too wide.
-BEFORE_FRAME: dict[str, Extra] = {"knuckle_tip": _virtual("width2", _slide(0, 0, -1))}
+BEFORE_FRAME: dict[str, Extra] = {"knuckle_tip": Extra("width2", _slide(0, 0, -1))}
 
 VIRTUAL_NAMES: tuple[str, ...] = (
     "travel", "lateral_b", "lateral_c", "turn_a", "turn_b", "turn_c",

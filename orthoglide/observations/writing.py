@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,13 +82,26 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
         "load_N": bool(campaign.load.any()),
         "sigma_mm": bool(np.isfinite(campaign.sigma).any()),
     }
-    columns: dict[str, Sequence[Any]] = {}
-    for name, cells in _WRITERS.items():
-        if name == "gauge_mm":
-            columns |= _commands(campaign.command, machine_file)
-        if needed.get(name, True):
-            columns[name] = cells(campaign)
-    rows = _rows(columns)
+    setups = [campaign.setups[k] for k in campaign.setup]
+    columns: dict[str, Sequence[Any]] = {
+        "kind": ["leg"] * len(campaign),
+        "setup": [s.name for s in setups],
+        "leg": [LEGS[s.leg] for s in setups],
+        "direction": [s.direction for s in setups],
+        "posture": campaign.posture,
+        **_commands(campaign.command, machine_file),
+        "gauge_mm": [units.from_si(s.gauge, MM) for s in setups],
+        "bar": [s.bar or "" for s in setups],
+        "repeat": campaign.repeat.tolist(),
+        "order": campaign.order.tolist(),
+        **{name: _signs(campaign.approach[:, axis]) for axis, name in enumerate(APPROACH)},
+        "time_s": _numbers(campaign.time),
+        "temperature_C": _numbers(campaign.temperature),
+        "load_N": _numbers(campaign.load),
+        "reading_mm": _numbers(campaign.reading, MM),
+        "sigma_mm": _numbers(campaign.sigma, MM),
+    }
+    rows = _rows({name: cells for name, cells in columns.items() if needed.get(name, True)})
     return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
 
 
@@ -157,38 +170,3 @@ def _numbers(values: Array, factor: float = 1.0) -> list[str]:
 
 def _signs(values: Array) -> list[str]:
     return ["" if v == 0 else f"{v:.0f}" for v in values.tolist()]
-
-
-Cells = Callable[[Campaign], Sequence[Any]]
-
-
-def _of_setup(cell: Callable[[Any], Any]) -> Cells:
-    return lambda campaign: [cell(campaign.setups[place]) for place in campaign.setup]
-
-
-def _field(name: str, factor: float = 1.0) -> Cells:
-    return lambda campaign: _numbers(getattr(campaign, name), factor)
-
-
-def _approach(axis: int) -> Cells:
-    return lambda campaign: _signs(campaign.approach[:, axis])
-
-
-_WRITERS: dict[str, Cells] = {
-    "kind": lambda campaign: ["leg"] * len(campaign),
-    "setup": _of_setup(lambda s: s.name),
-    "leg": _of_setup(lambda s: LEGS[s.leg]),
-    "direction": _of_setup(lambda s: s.direction),
-    "posture": lambda campaign: campaign.posture,
-    "gauge_mm": _of_setup(lambda s: units.from_si(s.gauge, MM)),
-    "bar": _of_setup(lambda s: s.bar or ""),
-    "repeat": lambda campaign: campaign.repeat.tolist(),
-    "order": lambda campaign: campaign.order.tolist(),
-    **{name: _approach(axis) for axis, name in enumerate(APPROACH)},
-    "time_s": _field("time"),
-    "temperature_C": _field("temperature"),
-    "load_N": _field("load"),
-    "reading_mm": _field("reading", MM),
-    "sigma_mm": _field("sigma", MM),
-}
-"""Columns in the order of FORMAT's table; the commands stand before the gauge."""

@@ -8,27 +8,27 @@ from typing import TypeVar
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.planning.bench import Bench
-from orthoglide.planning.objectives import Objective
+from orthoglide.planning.criteria import Criterion
+from orthoglide.planning.linear import LinearReadings
 
-Criterion = TypeVar("Criterion", bound=Objective)
+C = TypeVar("C", bound=Criterion)
 
 _PASSES = 2
 _NOTHING = 1e-9  # gain below which a step is not worth a reading
 
 
 def choose(
-    bench: Bench,
-    start: Criterion,
+    readings: LinearReadings,
+    start: C,
     count: int,
     *,
     mounting: float = 2.0,
     exchange: bool = False,
-) -> tuple[tuple[int, ...], Criterion]:
+) -> tuple[tuple[int, ...], C]:
     """Readings that serve a criterion best.
 
     Args:
-        bench: to choose from.
+        readings: to choose from.
         start: the criterion before any is taken.
         count: how many readings at most.
         mounting: what it costs to mount a dial and take its first two readings, in readings.
@@ -44,12 +44,12 @@ def choose(
         raise InputError(
             f"a setup needs two readings, as its datum is free: ask for 2, not {count}"
         )
-    rows, best = _grow(bench, start, [], count, mounting)
+    rows, best = _grow(readings, start, [], count, mounting)
     for _ in range(_PASSES if exchange else 0):
         before = best.value
-        for setup in dict.fromkeys(int(bench.pool.setup[k]) for k in rows):
-            kept = [k for k in rows if bench.pool.setup[k] != setup]
-            again, found = _grow(bench, replayed(bench, start, kept), kept, count, mounting)
+        for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
+            kept = [k for k in rows if readings.campaign.setup[k] != setup]
+            again, found = _grow(readings, replayed(readings, start, kept), kept, count, mounting)
             if found.value > best.value:
                 rows, best = again, found
         if best.value - before < 1e-6 * abs(before):
@@ -58,30 +58,30 @@ def choose(
 
 
 def _grow(
-    bench: Bench, objective: Criterion, rows: Sequence[int], count: int, mounting: float
-) -> tuple[list[int], Criterion]:
+    readings: LinearReadings, criterion: C, rows: Sequence[int], count: int, mounting: float
+) -> tuple[list[int], C]:
     """Take the step of most gain for its cost until the readings are used up."""
     taken = list(rows)
-    while len(taken) < count and not (taken and objective.reached):
-        steps = bench.steps(taken, count - len(taken))
+    while len(taken) < count and not (taken and criterion.reached):
+        steps = readings.steps(taken, count - len(taken))
         if not len(steps.rows):
             break
-        gains = objective.gains(steps)
+        gains = criterion.gains(steps)
         k = int(np.argmax(gains / np.where(steps.opening, mounting, 1.0)))
         if not gains[k] > _NOTHING:
             break
-        objective = objective.after(steps, k)
+        criterion = criterion.after(steps, k)
         taken += steps.taken(k)
-    return taken, objective
+    return taken, criterion
 
 
-def replayed(bench: Bench, start: Criterion, rows: Sequence[int]) -> Criterion:
+def replayed(readings: LinearReadings, start: C, rows: Sequence[int]) -> C:
     """The criterion once rows have been taken, mounting by mounting."""
-    objective = start
-    for setup in dict.fromkeys(int(bench.pool.setup[k]) for k in rows):
-        own = [k for k in rows if bench.pool.setup[k] == setup]
+    criterion = start
+    for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
+        own = [k for k in rows if readings.campaign.setup[k] == setup]
         for i in range(1, len(own)):
-            steps = bench.continued(setup, own[:i])
+            steps = readings.continued(setup, own[:i])
             place = int(np.flatnonzero(steps.rows[:, 1] == own[i])[0])
-            objective = objective.after(steps, place)
-    return objective
+            criterion = criterion.after(steps, place)
+    return criterion

@@ -1,4 +1,4 @@
-"""A design before any measurement: the readings to take, and how they compare with protocols."""
+"""A design before any measurement: the readings to take."""
 
 from __future__ import annotations
 
@@ -8,20 +8,15 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from orthoglide.effects import BASE_FAMILIES, MACHINE_PARAMETERS, family_of, is_dial
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.planning.bench import Bench
 from orthoglide.planning.choosing import choose
-from orthoglide.planning.detectable import Detectability, Smallest
-from orthoglide.planning.expected import bench_of, expected_noise, machine_families
-from orthoglide.planning.objectives import Determinant, Discriminate, gram, separations
+from orthoglide.planning.criteria import Determinant, EffectSeparation, gram, separations
+from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool, sheet
-from orthoglide.planning.precision import Repeats
-from orthoglide.units import Unit
 
 Criterion = Literal["d-optimal", "discriminate"]
 
@@ -36,7 +31,7 @@ class Pair:
     Attributes:
         one: parameter.
         other: parameter.
-        sigmas: between them, base, datums and the other's size fitted.
+        sigmas: between them, zeros and lengths, datums and the other's size fitted.
     """
 
     one: str
@@ -50,7 +45,7 @@ class Design:
 
     Attributes:
         criterion: ``d-optimal`` or ``discriminate``.
-        names: parameters it is for, the base last where it is fitted besides.
+        names: parameters it is for; those fitted besides come first.
         campaign: a measuring sheet.
         value: of the criterion: log det of the information in tolerances, gained over its loose
             priors; or the sigmas between the two effects that are hardest to tell apart.
@@ -70,7 +65,7 @@ class Design:
 
 def design(
     machine: Machine,
-    families: Sequence[str] = BASE_FAMILIES,
+    free: Sequence[str] | None = None,
     count: int = 24,
     criterion: Criterion = "d-optimal",
     *,
@@ -81,8 +76,9 @@ def design(
 
     Args:
         machine: tolerances, dial, and where to linearise.
-        families: families, parameters or structured members: to identify (``d-optimal``), or to
-            tell apart (``discriminate``; offsets and lengths are fitted besides).
+        free: effects, parameters or structured members: to identify (``d-optimal``; zeros and
+            lengths if None), or to tell apart (``discriminate``; all that a design can show if
+            None, zeros and lengths being fitted besides).
         count: readings.
         criterion: ``d-optimal``: the largest determinant of the information, with priors of a
             hundred tolerances; ``discriminate``: the largest least separation of two effects at
@@ -98,158 +94,88 @@ def design(
             f"there is no criterion {criterion!r}: it is one of {', '.join(get_args(Criterion))}"
         )
     pool = pool or reading_pool(machine.geometry)
-    names = machine_families(machine, pool, families)
+    closest: tuple[Pair, ...] = ()
+    never: tuple[Pair, ...] = ()
+    base = machine.catalogue.base
     if criterion == "d-optimal":
-        bench = bench_of(machine, pool, names, noise)
-        rows, best = choose(
-            bench, Determinant(_LOOSE**2 * np.eye(len(names))), count, exchange=True
-        )
-        return _finished(machine, bench, names, rows, criterion, best.value, noise)
-    base = machine_families(machine, pool, BASE_FAMILIES)
-    effects = tuple(n for n in names if n not in base)
-    if not effects:
-        raise InputError("offsets and lengths are always fitted: name other effects to tell apart")
-    return _discriminating(machine, pool, (*base, *effects), len(base), count, noise)
-
-
-def _finished(
-    machine: Machine,
-    bench: Bench,
-    names: tuple[str, ...],
-    rows: Sequence[int],
-    criterion: Criterion,
-    value: float,
-    noise: float | None,
-    closest: tuple[Pair, ...] = (),
-    never: tuple[Pair, ...] = (),
-) -> Design:
-    campaign = sheet(bench.pool, rows, "design")
-    level = expected_noise(machine, campaign, noise)
-    seen = observability(machine, campaign, names, level)
+        names = shown_names(machine, pool, base if free is None else free)
+        readings = LinearReadings.of(machine, pool, names, noise)
+        start = Determinant(_LOOSE**2 * np.eye(len(names)))
+        rows, best = choose(readings, start, count, exchange=True)
+        value = best.value
+    else:
+        fitted = machine.catalogue.expand(base)
+        apart = tuple(n for n in shown_names(machine, pool, free or ()) if n not in fitted)
+        if not apart:
+            raise InputError(
+                "offsets and lengths are always fitted: name other effects to tell apart"
+            )
+        names = (*fitted, *apart)
+        readings = LinearReadings.of(machine, pool, names, noise)
+        rows, closest, never = _told_apart(readings, apart, len(fitted), count)
+        value = closest[0].sigmas
+    campaign = sheet(pool, rows, "design")
+    seen = observability(machine, campaign, names, noise)
     return Design(criterion, names, campaign, value, seen, closest, never)
 
 
-def _discriminating(
-    machine: Machine,
-    pool: Campaign,
-    names: tuple[str, ...],
-    base: int,
-    count: int,
-    noise: float | None,
-) -> Design:
-    bench = bench_of(machine, pool, names, noise)
-    size = len(names) - base
-    pairs = np.array([(i, j) for i in range(size) for j in range(i, size)])
-    prior = np.diag([1.0] * base + [0.0] * size)
-    everything = np.sqrt(separations(gram(prior + bench.everything, base), pairs))
-    possible = everything >= _NEVER
-    if not possible.any():
-        raise InputError("no reading within reach shows any of these effects at its tolerance")
-    rows, best = choose(bench, Discriminate(prior, base, pairs[possible]), count, exchange=True)
-    sigmas = np.sqrt(best.squares)
-    order = np.argsort(sigmas, kind="stable")
-    closest = tuple(_pair(names[base:], pairs[possible][k], sigmas[k]) for k in order)
-    never = tuple(_pair(names[base:], pairs[k], everything[k]) for k in np.flatnonzero(~possible))
-    return _finished(
-        machine, bench, names, rows, "discriminate", float(sigmas.min()), noise, closest, never
-    )
+def shown_names(machine: Machine, pool: Campaign, free: Sequence[str]) -> tuple[str, ...]:
+    """Parameters of the machine that names stand for; all that a design can show where empty.
+
+    Raises:
+        InputError: for effects of the dial, which belong to a mounting and not to a design, and for
+            those that no reading of the pool can show.
+    """
+    catalogue = machine.catalogue
+    given = {"approach"}
+    given |= {"load"} if pool.load.any() else set()
+    given |= set() if machine.spec.screw_pitch is None else {"pitch"}
+    if not free:
+        free = [n for n, e in catalogue.items() if not e.of_dial and e.needs <= given]
+    for name in free:
+        effect = catalogue.effect_of(name)
+        if effect.of_dial:
+            raise InputError(
+                f"{name} belongs to one mounting of a dial: a design is for parameters of the "
+                "machine, leave it out"
+            )
+        if not effect.needs <= given:
+            raise InputError(
+                f"{name} shows in no reading that a design can choose (no load, warmth, drift or "
+                "screw pitch is known): leave it out"
+            )
+    return catalogue.expand(free)
 
 
-def _pair(names: Sequence[str], places: Array, sigmas: float) -> Pair:
-    i, j = (int(k) for k in places)
-    return Pair(names[i], "" if i == j else names[j], float(sigmas))
-
-
-# -- in words ------------------------------------------------------------------------------------
-
-
-def report_design(
-    found: Design | None = None,
-    compared: Sequence[tuple[str, Observability]] = (),
-    detectability: Detectability | None = None,
-    repeats: Sequence[Repeats] = (),
-) -> tuple[str, ...]:
-    """Rows of text for the command line.
+def _told_apart(
+    readings: LinearReadings, names: Sequence[str], base: int, count: int
+) -> tuple[tuple[int, ...], tuple[Pair, ...], tuple[Pair, ...]]:
+    """Rows that tell effects apart, pairs by their separation, and pairs that nothing separates.
 
     Args:
-        found: a design.
-        compared: names of campaigns or protocols with their indices.
-        detectability: of a protocol.
-        repeats: answers to "how often".
+        readings: of the pool, by what is fitted besides, then by the effects.
+        names: of the effects.
+        base: how many are fitted besides.
+        count: of the rows.
     """
-    lines: list[str] = []
-    if compared or found:
-        lines += _index_rows([*compared, *([(found.criterion, found.indices)] if found else [])])
-    if found is not None:
-        lines += _pair_rows(found)
-    for answer in repeats:
-        lines.append(_repeats_row(answer))
-    if detectability is not None:
-        lines += _detectable_rows(detectability)
-    return tuple(lines)
+    size = len(names)
+    pairs = np.array([(i, j) for i in range(size) for j in range(i, size)])
+    prior = np.diag([1.0] * base + [0.0] * size)
+    most = np.sqrt(separations(gram(prior + readings.information(), base), pairs))
+    possible = most >= _NEVER
+    if not possible.any():
+        raise InputError("no reading within reach shows any of these effects at its tolerance")
+    start = EffectSeparation(prior, base, pairs[possible])
+    rows, best = choose(readings, start, count, exchange=True)
+    sigmas = np.sqrt(best.squares)
 
+    def described(places: Array, values: Array) -> tuple[Pair, ...]:
+        found = [
+            Pair(names[i], "" if i == j else names[j], float(s))
+            for (i, j), s in zip(places.tolist(), values, strict=True)
+        ]
+        return tuple(found)
 
-def _index_rows(compared: Sequence[tuple[str, Observability]]) -> list[str]:
-    head = f"{'':<16}{'readings':>9}{'seen':>9}" + "".join(f"{f'O{k}':>10}" for k in range(1, 6))
-    return [
-        head,
-        *(
-            f"{name:<16}{o.readings:>9}{f'{o.rank}/{o.unknowns}':>9}"
-            + "".join(f"{v:>10.3g}" for v in o.indices.values())
-            for name, o in compared
-        ),
-    ]
-
-
-def _pair_rows(found: Design) -> list[str]:
-    lines = []
-    for pair in found.closest[:5]:
-        against = f"from {pair.other}" if pair.other else "from no effect at all"
-        lines.append(f"{pair.one} {against}: {pair.sigmas:.1f} sigma at tolerance")
-    for pair in found.never:
-        against = f"{pair.one} and {pair.other}" if pair.other else pair.one
-        lines.append(f"{against}: no few readings within reach tell at tolerance")
-    return lines
-
-
-def _repeats_row(answer: Repeats) -> str:
-    unit = Unit("mm", 1e-3) if answer.what == "TCP" else family_of(answer.what).unit
-    wanted, sigma, floor = (v / unit.si for v in (answer.wanted, answer.sigma, answer.floor))
-    if answer.repeats is None:
-        return (
-            f"{answer.what}: sigma {wanted:.3g} {unit.name} is out of reach of repeats: "
-            f"{sigma:.3g} with one visit, {floor:.3g} with any number"
-        )
-    return (
-        f"{answer.what}: sigma {wanted:.3g} {unit.name} takes {answer.repeats} "
-        f"{'visit' if answer.repeats == 1 else 'visits'} to every station (then {sigma:.3g})"
-    )
-
-
-def _detectable_rows(found: Detectability) -> list[str]:
-    """A row a family: the member that takes the largest effect to be found, and to be named."""
-    by_family: dict[str, list[Smallest]] = {}
-    for smallest in found.smallest:
-        if is_elementary(smallest.name):
-            by_family.setdefault(family_of(smallest.name).name, []).append(smallest)
-    lines = [f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit  nearest"]
-    lines += [_family_row(name, members) for name, members in by_family.items()]
-    if found.invisible:
-        lines.append(f"not visible, which is not absent: {', '.join(found.invisible)}")
-    return lines
-
-
-def _family_row(name: str, members: Sequence[Smallest]) -> str:
-    family = family_of(name)
-    si, hardest = family.unit.si, max(members, key=lambda s: s.nameable)
-    named = f"{hardest.nameable / si:.2g}" if np.isfinite(hardest.nameable) else "never"
-    found = max(s.detectable for s in members) / si
-    return (
-        f"{name:<20}{hardest.tolerance / si:>11.2g}{found:>12.2g}{named:>12}  "
-        f"{family.unit.name:<4}  {hardest.nearest} for {hardest.name}"
-    )
-
-
-def is_elementary(name: str) -> bool:
-    """Whether a candidate is a single parameter, no structured member of a family."""
-    return name in MACHINE_PARAMETERS or (is_dial(name) and not name.endswith(".common"))
+    order = np.argsort(sigmas, kind="stable")
+    closest = described(pairs[possible][order], sigmas[order])
+    return rows, closest, described(pairs[~possible], most[~possible])

@@ -9,41 +9,44 @@ import numpy as np
 
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import CLASS_WIDTH
-from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
-from orthoglide.effects import BASE_FAMILIES, family_of
-from orthoglide.fit import Estimate, solve
-from orthoglide.geometry import Array
+from orthoglide.fit import Estimate, build_problem, solve
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.planning.expected import expected, expected_noise
+from orthoglide.planning.linear import expected_noise
+from orthoglide.units import Unit
 
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
-_ALIKE = 1e-3  # sine between signatures that no size of effect would tell apart
+_SAME = 1e-3  # sine between signatures that no size of effect would tell apart
 
 
 @dataclass(frozen=True)
-class Smallest:
+class SmallestEffect:
     """What a protocol makes of one candidate.
 
     Attributes:
         name: of the candidate.
+        effect: name of its effect.
         tolerance: of its parameter, SI.
         unit: of its parameter in files.
         detectable: size that is found with 95 % probability, SI.
-        nameable: size at which no other family fits as well, with 95 % probability, SI; infinite
+        nameable: size at which no other effect fits as well, with 95 % probability, SI; infinite
             where one always does.
-        nearest: candidate of another family that is hardest to tell from it; empty: there is none.
+        nearest: candidate of another effect that is hardest to tell from it; empty: there is none.
+        elementary: whether it is a single parameter, no structured member.
     """
 
     name: str
+    effect: str
     tolerance: float
-    unit: str
+    unit: Unit
     detectable: float
     nameable: float
     nearest: str
+    elementary: bool
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class Detectability:
         threshold: evidence that noise alone exceeds with the probability asked for.
     """
 
-    smallest: tuple[Smallest, ...]
+    smallest: tuple[SmallestEffect, ...]
     invisible: tuple[str, ...]
     threshold: float
 
@@ -65,7 +68,7 @@ def smallest_effects(
     machine: Machine,
     campaign: Campaign,
     *,
-    families: Sequence[str] = (),
+    names: Sequence[str] = (),
     level: float = 0.01,
     noise: float | None = None,
     seed: int = 0,
@@ -76,12 +79,13 @@ def smallest_effects(
     noncentral chi-squared with one degree of freedom and noncentrality ``v^2 |S|^2``,
     ``w = |S|^2 / (1 + |S|^2)``. It is detected above the evidence that the best of the catalogue
     reaches on noise with probability ``level``. It is named where the best fit of every other
-    family is worse by a chi2 of 4.
+    effect is worse by a chi2 of 4.
 
     Args:
         machine: as it is believed to be.
         campaign: stations and setups; readings do not count.
-        families: to report; all where empty. The catalogue competes whole in any case.
+        names: effects or parameters to report; all where empty. The catalogue competes whole in
+            any case.
         level: family-wise probability of a false alarm.
         noise: standard deviation of one reading, metres.
         seed: of the bootstrap on noise.
@@ -91,56 +95,51 @@ def smallest_effects(
     drawn = noise_residuals(seen, np.random.default_rng(seed), DRAWS)
     best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
     threshold = float(np.quantile(best, 1 - level))
-    single = [k for k, c in enumerate(scoring.candidates) if c.size == 1]
-    shown = np.column_stack(
-        [np.zeros((len(seen.residual), 0)), *(seen.of(scoring.candidates[k]) for k in single)]
-    )
+    single = [c for c in scoring.candidates if c.size == 1]
+    columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
+    length = np.linalg.norm(columns, axis=0)
+    cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
+    effect_of = machine.catalogue.effect_of
+    kinds = np.array([effect_of(c.name).name for c in single])
+    cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
     found = []
-    for place, k in enumerate(single):
-        candidate = scoring.candidates[k]
-        if not families or candidate.effect in families or candidate.name in families:
-            found.append(_smallest(machine, seen, scoring, shown, single, place, threshold))
-    wanted = [n for n in seen.invisible if not families or family_of(n).name in families]
-    return Detectability(tuple(found), tuple(wanted), threshold)
+    for k, candidate in enumerate(single):
+        effect = effect_of(candidate.name)
+        if names and not {effect.name, candidate.name} & set(names):
+            continue
+        tolerance = float(np.abs(seen.scaled(candidate)).max())
+        closest = int(np.argmax(cosine[k]))
+        detectable, nameable = _sizes(length[k], float(cosine[k, closest]), threshold)
+        found.append(
+            SmallestEffect(
+                candidate.name,
+                effect.name,
+                tolerance,
+                effect.unit,
+                detectable * tolerance,
+                nameable * tolerance,
+                single[closest].name if cosine[k, closest] > 0 else "",
+                candidate.name in seen.names,
+            )
+        )
+    hidden = [n for n in seen.invisible if not names or effect_of(n).name in names]
+    return Detectability(tuple(found), tuple(hidden), threshold)
 
 
 def _as_expected(machine: Machine, campaign: Campaign, noise: float | None) -> Estimate:
-    """The base model identified from the readings predicted for it."""
-    level = expected_noise(machine, campaign, noise)
-    return solve(expected(machine, campaign, BASE_FAMILIES, level).problem, method="nested")
+    """Zeros and lengths identified from the readings predicted for them."""
+    predicted = campaign.with_readings(machine.readings(campaign))
+    level = expected_noise(machine, predicted, noise)
+    problem = build_problem(machine, [predicted], machine.catalogue.base, level)
+    return solve(problem, method="nested")
 
 
-def _smallest(
-    machine: Machine,
-    seen: Signatures,
-    scoring: Scoring,
-    shown: Array,
-    single: list[int],
-    place: int,
-    threshold: float,
-) -> Smallest:
-    candidate = scoring.candidates[single[place]]
-    own = shown[:, place]
-    length = float(np.linalg.norm(own))
-    tolerance = float(np.abs(seen.scaled(candidate)).max())
-    others = [k for k, c in enumerate(single) if scoring.candidates[c].effect != candidate.effect]
-    sine, nearest = 1.0, ""
-    if others:
-        rest = shown[:, others]
-        cosine = np.abs(rest.T @ own) / (np.linalg.norm(rest, axis=0) * length)
-        closest = int(np.argmax(cosine))
-        sine = float(np.sqrt(max(1 - cosine[closest] ** 2, 0.0)))
-        nearest = scoring.candidates[single[others[closest]]].name
+def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
+    """Sizes that are detected and named, in tolerances."""
     detected = np.sqrt(noncentrality(length**2, threshold)) / length
-    named = np.inf if sine < _ALIKE else separation() / (length * sine)
-    return Smallest(
-        candidate.name,
-        tolerance,
-        family_of(candidate.name).unit.name,
-        float(detected * tolerance),
-        float(max(detected, named) * tolerance),
-        nearest,
-    )
+    sine = np.sqrt(max(1 - cosine**2, 0.0))
+    named = np.inf if sine < _SAME else separation() / (length * sine)
+    return float(detected), float(max(detected, named))
 
 
 def noncentrality(square: float, threshold: float, power: float = POWER) -> float:

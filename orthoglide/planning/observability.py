@@ -17,11 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.fit import Noise
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.planning.expected import expected
+from orthoglide.planning.linear import LinearReadings
 
 _NOTHING = 1e-9  # of the largest singular value: rounding
 
@@ -32,68 +31,59 @@ class Observability:
 
     Attributes:
         readings: how many.
-        unknowns: how many.
-        rank: unknowns that the readings see at all, in combinations.
-        singular: singular values ``(m,)``, largest first, sigmas a tolerance.
-        o1: geometric mean of the singular values, over the root of the readings.
-        o2: inverse condition number.
-        o3: least singular value.
-        o4: noise amplification index.
-        o5: harmonic.
+        singular: singular values ``(m,)``, largest first, sigmas a tolerance; 0 where a
+            combination of the unknowns is not seen at all.
     """
 
     readings: int
-    unknowns: int
-    rank: int
     singular: tuple[float, ...]
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
+
+    @property
+    def unknowns(self) -> int:
+        """How many."""
+        return len(self.singular)
+
+    @property
+    def rank(self) -> int:
+        """Unknowns that the readings see at all, in combinations."""
+        return int(np.count_nonzero(self.singular))
 
     @property
     def indices(self) -> dict[str, float]:
-        """All five by name."""
-        return {f"O{k}": getattr(self, f"o{k}") for k in range(1, 6)}
+        """All five by name; 0 where a combination of unknowns is not seen."""
+        s = np.array(self.singular)
+        if self.rank < self.unknowns:
+            return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
+        o1 = np.exp(np.mean(np.log(s))) / np.sqrt(self.readings)
+        found = (o1, s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s))
+        return {f"O{k}": float(value) for k, value in enumerate(found, start=1)}
 
 
-def indices(jacobian: Array, readings: int) -> Observability:
+def of_jacobian(jacobian: Array, readings: int) -> Observability:
     """Observability indices of a Jacobian.
 
     Args:
         jacobian: ``(rows, m)``.
         readings: how many there are.
     """
-    m = jacobian.shape[1]
-    singular = np.zeros(m)
+    singular = np.zeros(jacobian.shape[1])
     values = np.linalg.svd(jacobian, compute_uv=False)
     singular[: len(values)] = values
     singular[singular < _NOTHING * singular.max(initial=0.0)] = 0.0
-    largest, least = float(singular[0]), float(singular[-1])
-    seen = least > 0
-    return Observability(
-        readings,
-        m,
-        int(np.sum(singular > 0)),
-        tuple(singular.tolist()),
-        float(np.exp(np.mean(np.log(singular))) / np.sqrt(readings)) if seen else 0.0,
-        least / largest if seen else 0.0,
-        least,
-        least**2 / largest if seen else 0.0,
-        float(1 / np.sum(1 / singular)) if seen else 0.0,
-    )
+    return Observability(readings, tuple(singular.tolist()))
 
 
 def observability(
-    machine: Machine, campaign: Campaign, families: Sequence[str], noise: Noise | None = None
+    machine: Machine, campaign: Campaign, free: Sequence[str], noise: float | None = None
 ) -> Observability:
     """Observability indices of a campaign or protocol.
 
     Args:
         machine: tolerances, dial, and where to linearise.
         campaign: with or without readings.
-        families: families, parameters or structured members to identify.
-        noise: of the readings; as the machine's dial has it where absent.
+        free: effects, parameters or structured members to identify.
+        noise: standard deviation of one reading, metres; as the machine's dial has it if absent.
     """
-    return indices(expected(machine, campaign, families, noise).jacobian, len(campaign))
+    names = machine.catalogue.expand(free, [s.name for s in campaign.setups])
+    readings = LinearReadings.of(machine, campaign, names, noise)
+    return of_jacobian(readings.whitened(), len(campaign))

@@ -16,9 +16,7 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.reduction.kinematics import NOMINAL, vectors
 
-COLUMNS: tuple[str, ...] = tuple(
-    f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS
-)
+COLUMNS: tuple[str, ...] = tuple(f"{kind}.{leg}" for kind in ("offset", "length") for leg in LEGS)
 """Names of the six parameters, in the order of every vector of six here."""
 
 G: Array = np.array(
@@ -50,18 +48,17 @@ class LinearSystem:
         """The system of some parameters only.
 
         Args:
-            free: ``"joint_offset"``, ``"leg_length"``, ``"all"``, or names of parameters.
+            free: ``"offsets"``, ``"lengths"``, ``"all"``, or names of columns.
 
         Raises:
             InputError: for a name that is no column.
         """
-        wanted = [free] if isinstance(free, str) else list(free)
-        if wanted == ["all"]:
-            return self
-        kept = [n for n in self.columns if n in wanted or n.split(".")[0] in wanted]
-        unknown = [w for w in wanted if not any(w in (n, n.split(".")[0]) for n in self.columns)]
-        if unknown or not kept:
-            raise InputError(f"no such parameter: {unknown}; there are {', '.join(self.columns)}")
+        kept: list[str] = []
+        for name in [free] if isinstance(free, str) else free:
+            found = [c for c in self.columns if name in (c, f"{c[:-2]}s", "all")]
+            if not found:
+                raise InputError(f"no such parameter: {name}; there are {', '.join(self.columns)}")
+            kept += found
         places = [self.columns.index(name) for name in kept]
         return replace(self, matrix=self.matrix[:, places], columns=tuple(kept))
 
@@ -184,7 +181,7 @@ def system8(
     geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
 ) -> LinearSystem:
     """System (8) of 2006, its right side mended: the offset columns of :func:`system11`, 12 x 3."""
-    return system11(geometry, angles=angles).select("joint_offset")
+    return system11(geometry, angles=angles).select("offsets")
 
 
 def covariance(system: LinearSystem, sigma: float) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from orthoglide.diagnosis.ranking import CLASS_WIDTH, Trial, lack_scale, log_evidence, refit
 from orthoglide.effects import Catalogue
-from orthoglide.effects.wording import cause_short, cause_words
+from orthoglide.effects.wording import cause_words
 from orthoglide.fit import Estimate
 from orthoglide.searching import Effect, Tried
 
@@ -54,11 +54,6 @@ class Explanation:
         if "@" not in self.name:  # of what campaigns have for themselves: the last one's
             values = {self._catalogue.parameter(n).plain: v for n, v in values.items()}
         return cause_words(self._catalogue, self.name, values)
-
-    @property
-    def short(self) -> str:
-        """What is wrong, without size, as a clause."""
-        return cause_short(self._catalogue, self.name)
 
     @property
     def look_at(self) -> str:

@@ -67,7 +67,6 @@ def _draw_strip(axes: Axes, estimate: Estimate, effect: Effect, members: list[in
 
 def draw_correlations(estimate: Estimate) -> Drawing:
     """How far values can only be stated together."""
-    from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgba
 
     matrix, count = estimate.correlation, len(estimate.names)
@@ -77,24 +76,14 @@ def draw_correlations(estimate: Estimate) -> Drawing:
     width, height = margin + 0.1 + cell * count, margin + 0.1 + cell * count
     figure = style.new_figure(width, height)
     axes = style.place_axes(figure, margin, 0.05, cell * count, cell * count)
-    row, column = np.divmod(np.arange(count**2), count)
-    corners = np.array([[0.04, 0.04], [0.96, 0.04], [0.96, 0.96], [0.04, 0.96]])
-    squares = np.stack([column, row], axis=1)[:, None, :] + corners
-    flat = matrix.ravel()
-    colours = [
-        to_rgba(style.FIT if v < 0 else style.DATA, 0.06 + 0.74 * min(abs(v), 1)) for v in flat
-    ]
-    axes.add_collection(PolyCollection(list(squares), facecolors=colours, linewidths=0))
-    if count <= _MOST_CELLS:
-        for i, j, v in zip(row, column, flat, strict=True):
-            text = "1" if i == j else "0" if abs(v) < 5e-3 else signed(v, 2)
-            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center",
-                      fontsize=7.5)  # fmt: skip
-    axes.set_xlim(0, count)
-    axes.set_ylim(count, 0)
-    axes.grid(False)
-    axes.spines["bottom"].set_visible(False)
-    axes.tick_params(length=0)
-    axes.set_xticks(np.arange(count) + 0.5, labels, rotation=90, color=style.INK)
-    axes.set_yticks(np.arange(count) + 0.5, labels, color=style.INK)
+    cells = []
+    for i, j in np.ndindex(count, count):
+        v = float(matrix[i, j])
+        text = "1" if i == j else "0" if abs(v) < 5e-3 else signed(v, 2)
+        colour = to_rgba(style.FIT if v < 0 else style.DATA, 0.06 + 0.74 * min(abs(v), 1))
+        cells.append((j, i, colour, text if count <= _MOST_CELLS else ""))
+    style.draw_cells(axes, cells, labels, labels)
+    axes.invert_yaxis()
+    axes.tick_params(axis="x", labelrotation=90, labelcolor=style.INK)
+    axes.tick_params(axis="y", labelcolor=style.INK)
     return Drawing("correlations", "Correlations of the identified values", style.svg_text(figure))

@@ -1,51 +1,60 @@
 """What a reading is worth: four criteria, each told what would be added and what was.
 
-All see a step as the scalar observation ``d x + e`` of variance ``s2`` (see ``bench``).
+All see a step as the scalar observation ``d x + e`` of variance ``s2`` (see ``linear``).
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.planning.bench import Steps
+from orthoglide.planning.linear import Steps
 
 _WORST = 150  # pairs that a discriminating step looks at: those told apart least
 
 
-class Objective(Protocol):
+class Criterion(ABC):
     """A criterion with what it knows so far; immutable."""
 
-    def gains(self, steps: Steps) -> Array:
-        """How much better each step would make it ``(k,)``."""
-
-    def after(self, steps: Steps, k: int) -> Self:
-        """The criterion once step ``k`` has been taken."""
-
     @property
+    @abstractmethod
     def value(self) -> float:
         """The larger the better."""
 
     @property
     def reached(self) -> bool:
-        """Whether no more is wanted."""
+        """Whether no more is wanted: never, as a rule; the readings asked for are the limit."""
+        return False
+
+    @abstractmethod
+    def gains(self, steps: Steps) -> Array:
+        """How much better each step would make it ``(k,)``."""
+
+    @abstractmethod
+    def after(self, steps: Steps, k: int) -> Self:
+        """The criterion once step ``k`` has been taken."""
 
 
 @dataclass(frozen=True)
-class Determinant:
+class Determinant(Criterion):
     """D-optimality: log det(information), unknowns in tolerances.
 
     Attributes:
         covariance: of the unknowns ``(P, P)``.
-        value: log det so far.
+        gained: log det so far.
     """
 
     covariance: Array
-    value: float = 0.0
-    reached: bool = False
+    gained: float = 0.0
+
+    @property
+    def value(self) -> float:
+        """Log det so far."""
+        return self.gained
 
     def gains(self, steps: Steps) -> Array:
         """``log(1 + d C d' / s2)``: matrix determinant lemma."""
@@ -53,23 +62,21 @@ class Determinant:
 
     def after(self, steps: Steps, k: int) -> Self:
         """Sherman and Morrison."""
-        gained = float(self.gains(steps)[k])
-        return replace(self, covariance=_less(self.covariance, steps, k), value=self.value + gained)
+        gained = self.gained + float(self.gains(steps)[k])
+        return replace(self, covariance=_less(self.covariance, steps, k), gained=gained)
 
 
 @dataclass(frozen=True)
-class Narrow:
+class LeastVariance(Criterion):
     """The variance along one direction, as small as can be.
 
     Attributes:
         covariance: of the unknowns ``(P, P)``.
         direction: ``(P,)``.
-        enough: variance below which no more is wanted.
     """
 
     covariance: Array
     direction: Array
-    enough: float = 0.0
 
     @property
     def variance(self) -> float:
@@ -80,11 +87,6 @@ class Narrow:
     def value(self) -> float:
         """Minus the logarithm of the variance."""
         return -float(np.log(max(self.variance, 1e-300)))
-
-    @property
-    def reached(self) -> bool:
-        """Whether the variance is small enough."""
-        return self.variance <= self.enough
 
     def gains(self, steps: Steps) -> Array:
         """``-log(1 - (d C w)^2 / (s2 + d C d') / (w C w'))``."""
@@ -98,7 +100,7 @@ class Narrow:
 
 
 @dataclass(frozen=True)
-class Separate:
+class RivalSeparation(Criterion):
     """Rival explanations, as far apart as can be once each has been fitted again.
 
     For an ordered pair (a, b), a true and b fitted, every step raises the expected chi2 of b by
@@ -129,6 +131,15 @@ class Separate:
         """Whether the least separated pair is far enough apart."""
         return bool(self.chi2.min() >= self.enough)
 
+    @property
+    def sigmas(self) -> dict[tuple[int, int], float]:
+        """Root of the chi2 of each pair, the smaller of the two ways round."""
+        found: dict[tuple[int, int], float] = {}
+        for (a, b), chi2 in zip(self.pairs.tolist(), self.chi2.tolist(), strict=True):
+            pair = (min(a, b), max(a, b))
+            found[pair] = min(found.get(pair, np.inf), float(np.sqrt(chi2)))
+        return found
+
     def _increments(self, steps: Steps) -> tuple[Array, Array]:
         count = self.covariance.shape[1]
         unknowns, predicted = steps.columns[:, :count], steps.columns[:, count:]
@@ -145,7 +156,7 @@ class Separate:
 
     def after(self, steps: Steps, k: int) -> Self:
         """Kalman's update of every rival."""
-        one = Steps(steps.rows[[k]], steps.columns[[k]], steps.variance[[k]], steps.opening[[k]])
+        one = steps.part([k])
         left, variance = self._increments(one)
         d = one.columns[0, : self.covariance.shape[1]]
         gain = (self.covariance @ d)[self.pairs[:, 1]] / variance[0][:, None]
@@ -159,7 +170,7 @@ class Separate:
 
 
 @dataclass(frozen=True)
-class Discriminate:
+class EffectSeparation(Criterion):
     """Effects at their tolerance, each as far from every other (and from none) as can be.
 
     With the Gram matrix G of the signatures past the base, a pair is
@@ -191,11 +202,6 @@ class Discriminate:
         """Minus a sum that the least separated pairs rule."""
         return -float(np.sum(1 / (1 + self.squares)))
 
-    @property
-    def reached(self) -> bool:
-        """Never: the readings asked for are the limit."""
-        return False
-
     def gains(self, steps: Steps) -> Array:
         """Rise of ``value`` over the pairs that are told apart least."""
         before = self.squares
@@ -225,7 +231,7 @@ def gram(information: Array, base: int) -> Array:
 
 
 def separations(G: Array, pairs: Array) -> Array:
-    """Squared separation of pairs of effects ``(q,)``; see :class:`Discriminate`."""
+    """Squared separation of pairs of effects ``(q,)``; see :class:`EffectSeparation`."""
     i, j = pairs.T
     return _apart(G[i, i], G[j, j], G[i, j], i == j)
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orthoglide.accuracy import workspace
-from orthoglide.effects import is_dial
 from orthoglide.errors import InputError
-from orthoglide.fit import Noise
 from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.planning.bench import Scatter
-from orthoglide.planning.expected import Expected, expected, expected_noise, scatter_of
+from orthoglide.planning.linear import LinearReadings, in_tolerances
 from orthoglide.prediction import Conditions
 
 TCP = "TCP"
@@ -24,6 +21,7 @@ TCP = "TCP"
 
 _MOST = 1000
 _GRID = 4
+_REST = 1e-3  # of a reading's sigma: keeps the limit of many repeats finite
 
 
 @dataclass(frozen=True)
@@ -46,94 +44,66 @@ class Repeats:
     floor: float
 
 
-def once(campaign: Campaign) -> Campaign:
-    """Every station of a campaign visited once."""
-    _, first = np.unique(station_table(campaign), axis=0, return_index=True)
-    return campaign.subset(np.sort(first))
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """What a protocol would tell of one figure, by how often it is repeated.
-
-    Attributes:
-        seen: the protocol, every station once, at the machine as it is believed to be.
-        slope: derivative of the figure ``(k, P)`` by unknowns in tolerances, SI.
-        scatter: of one reading.
-        level: noise of one reading, all counted.
-    """
-
-    seen: Expected
-    slope: Array
-    scatter: Scatter
-    level: Noise
-
-    def sigma(self, repeats: float) -> float:
-        """Standard deviation with so many visits to every station, SI, tolerances as priors.
-
-        Args:
-            repeats: at least 1; infinite for the limit.
-        """
-        typical = self.level.typical
-        # The mean of a station's visits; a tiny rest keeps the limit finite.
-        mean = max(self.scatter.reading**2 / repeats, (1e-3 * typical) ** 2)
-        own = np.sqrt(mean + self.scatter.common**2)
-        visits = np.full(len(self.seen.problem.measured), own)
-        noise = Noise((visits,), typical, self.level.source)
-        covariance = self.seen.with_noise(noise).covariance
-        variances = np.einsum("rp,pq,rq->r", self.slope, covariance, self.slope)
-        return float(np.sqrt(np.mean(variances)))
-
-
-def accuracy_of(
+def sigma_by_repeats(
     machine: Machine,
     campaign: Campaign,
-    families: Sequence[str],
+    free: Sequence[str],
     what: str,
     noise: float | None = None,
-) -> Accuracy:
-    """Prepare a protocol for questions of accuracy.
+) -> Callable[[float], float]:
+    """How sure a protocol makes one figure, by how often it is repeated.
 
     Args:
         machine: tolerances and dial.
         campaign: stations; its own repeats do not count.
-        families: to identify.
+        free: to identify, with their tolerances as priors.
         what: one of their parameters, or ``"TCP"``.
         noise: standard deviation of one reading, metres.
+
+    Returns:
+        From the visits to every station, 1 to infinity, to the standard deviation, SI.
 
     Raises:
         InputError: for a parameter that is not identified.
     """
-    visits = once(campaign)
-    level = expected_noise(machine, visits, noise)
-    seen = expected(machine, visits, families, level)
-    problem = seen.problem
-    if what != TCP and what not in problem.names:
-        known = ", ".join(problem.names)
+    _, first = np.unique(station_table(campaign), axis=0, return_index=True)
+    once = campaign.subset(np.sort(first))
+    names = machine.catalogue.expand(free, [s.name for s in once.setups])
+    if what != TCP and what not in names:
+        known = ", ".join(names)
         raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
-    slope = (
-        _tcp_slope(machine, seen)
-        if what == TCP
-        else np.diag(problem.tolerance)[[problem.names.index(what)]]
-    )
-    return Accuracy(seen, slope, scatter_of(machine, level.typical), level)
+    if what == TCP:
+        slope = _tcp_slope(machine, names)
+    else:
+        slope = np.array([[machine.tolerance(n) if n == what else 0.0 for n in names]])
+    readings = LinearReadings.of(machine, once, names, noise)
+
+    def sigma(repeats: float) -> float:
+        mean = readings.sigma * max(1 / np.sqrt(repeats), _REST)
+        information = replace(readings, sigma=mean).information()
+        covariance = np.linalg.inv(information + np.eye(len(names)))
+        return float(np.sqrt(np.mean(np.einsum("rp,pq,rq->r", slope, covariance, slope))))
+
+    return sigma
 
 
-def _tcp_slope(machine: Machine, seen: Expected) -> Array:
+def _tcp_slope(machine: Machine, names: Sequence[str]) -> Array:
     """Derivative of the TCP over the workspace ``(3 g, P)``, mean removed, by tolerances."""
-    names, weights = seen.problem.elementary(0)
-    kept = [k for k, n in enumerate(names) if not is_dial(n)]
+    of_machine = [not machine.catalogue.effect_of(n).of_dial for n in names]
+    moving = [n for n, moves in zip(names, of_machine, strict=True) if moves]
+    parts, weights = in_tolerances(machine, moving)
     conditions = Conditions.at(workspace(machine.geometry, _GRID))
-    here = {n: v for n, v in machine.values.items() if not is_dial(n)}
-    _, by_name = machine.model.sensitivities(here, conditions, [names[k] for k in kept])
-    slope = by_name[:, :3] @ weights[kept] * seen.problem.tolerance
-    return np.asarray((slope - slope.mean(axis=0)).reshape(-1, slope.shape[-1]))
+    _, by_name = machine.model.sensitivities(machine.values, conditions, parts)
+    moved = by_name[:, :3] @ weights
+    slope = np.zeros((*moved.shape[:2], len(names)))
+    slope[..., of_machine] = moved - moved.mean(axis=0)
+    return np.asarray(slope.reshape(-1, len(names)))
 
 
 def repeats_needed(
     machine: Machine,
     campaign: Campaign,
-    families: Sequence[str],
+    free: Sequence[str],
     what: str,
     wanted: float,
     noise: float | None = None,
@@ -146,7 +116,7 @@ def repeats_needed(
     Args:
         machine: tolerances and dial.
         campaign: stations; its own repeats do not count.
-        families: to identify, with their tolerances as priors.
+        free: to identify, with their tolerances as priors.
         what: one of their parameters, or ``"TCP"``.
         wanted: standard deviation, SI.
         noise: standard deviation of one reading, metres.
@@ -156,8 +126,7 @@ def repeats_needed(
     """
     if not wanted > 0:
         raise InputError(f"the accuracy wanted of {what} must be a positive standard deviation")
-
-    sigma = accuracy_of(machine, campaign, families, what, noise).sigma
+    sigma = sigma_by_repeats(machine, campaign, free, what, noise)
     floor = sigma(np.inf)
     if sigma(_MOST) > wanted:
         return Repeats(what, wanted, None, sigma(1), floor)

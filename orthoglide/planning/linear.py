@@ -1,0 +1,231 @@
+"""Readings linearised in what is asked for: what each, and one more, would tell.
+
+A reading is ``j x + datum + slope * place + rounding + noise``. Within a mounting the last four
+make readings correlated; a further reading, less what the chosen ones of its mounting predict of
+it, is ``d x + e`` with ``e`` independent of all else and of variance ``s2``. So every step is one
+scalar observation, and its gain by any criterion is a formula. A mounting begins with two readings:
+with a free datum, one says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orthoglide.fit import Noise, noise_of
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding, station_table
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
+
+_DATUM = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
+_LEAST = 0.1  # of a reading's sigma: what is left of it besides the rounding that repeats share
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Readings that can be taken next.
+
+    Attributes:
+        rows: of the campaign ``(k, 2)``; the first is -1 where the mounting stands already.
+        columns: ``d`` ``(k, P)``.
+        variance: ``s2`` ``(k,)``, square metres.
+    """
+
+    rows: NDArray[np.int64]
+    columns: Array
+    variance: Array
+
+    @property
+    def opening(self) -> NDArray[np.bool_]:
+        """Whether a dial has to be mounted first ``(k,)``."""
+        return np.asarray(self.rows[:, 0] >= 0)
+
+    def taken(self, k: int) -> list[int]:
+        """Rows of the campaign that step ``k`` reads."""
+        return [int(r) for r in self.rows[k] if r >= 0]
+
+    def part(self, chosen: ArrayLike) -> Steps:
+        """Some of the steps: booleans or indices."""
+        at = np.asarray(chosen)
+        return Steps(self.rows[at], self.columns[at], self.variance[at])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearReadings:
+    """Readings of a campaign or a pool, with their derivatives and what they scatter by.
+
+    Attributes:
+        campaign: without readings.
+        columns: derivative of each reading ``(n, P)`` by whatever is asked for.
+        slope: by the dial's place ``(n,)``.
+        sigma: standard deviation of one visit ``(n,)``, metres.
+        common: of the rounding that all visits to a station share, metres.
+        placement: of the dial's place along the leg, metres.
+    """
+
+    campaign: Campaign
+    columns: Array
+    slope: Array
+    sigma: Array
+    common: float
+    placement: float
+
+    @classmethod
+    def of(
+        cls, machine: Machine, campaign: Campaign, names: Sequence[str], noise: float | None = None
+    ) -> LinearReadings:
+        """Readings by parameters, each in its tolerance.
+
+        Args:
+            machine: as it is believed to be.
+            campaign: readings, if there are any, do not count.
+            names: parameters or structured members.
+            noise: standard deviation of one reading, metres; else of the rows, the machine file,
+                or as published.
+        """
+        setups = tuple(s.name for s in campaign.setups)
+        parts, weights = in_tolerances(machine, names, setups)
+        at = machine.model.linearised(machine.values, campaign, parts)
+        level = expected_noise(machine, campaign, noise)
+        total = np.sqrt(level.sigma[0] ** 2 + level.common**2)
+        return cls.around(machine, campaign, at.jacobian @ weights, at.by_gauge, total)
+
+    @classmethod
+    def around(
+        cls, machine: Machine, campaign: Campaign, columns: Array, slope: Array, total: ArrayLike
+    ) -> LinearReadings:
+        """Readings whose derivatives are known.
+
+        Args:
+            machine: its dial.
+            campaign: without readings.
+            columns: derivatives ``(n, P)``.
+            slope: by the dial's place ``(n,)``.
+            total: standard deviation of one reading, rounding counted, metres; a number or
+                ``(n,)``.
+        """
+        dial = machine.spec.dial
+        sd = np.broadcast_to(np.asarray(total, dtype=float), (len(campaign),))
+        common = common_rounding(float(np.sqrt(np.mean(sd**2))), dial.resolution)
+        sigma = np.sqrt(np.maximum(sd**2 - common**2, (_LEAST * sd) ** 2))
+        return cls(campaign, columns, slope, sigma, common, dial.placement)
+
+    def with_columns(self, columns: Array) -> LinearReadings:
+        """The same readings by other unknowns ``(n, P)``."""
+        return replace(self, columns=columns)
+
+    @cached_property
+    def station(self) -> NDArray[np.intp]:
+        """Station of each row ``(n,)``."""
+        table = station_table(self.campaign)
+        return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+
+    def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:
+        """Covariance ``(a, b)`` of visits to rows of one mounting, parameters and datum given."""
+        i, j = np.asarray(one, dtype=np.int64), np.asarray(other, dtype=np.int64)
+        slopes = np.multiply.outer(self.slope[i], self.slope[j])
+        shared = np.equal.outer(self.station[i], self.station[j]) * self.common**2
+        return np.asarray(self.placement**2 * slopes + shared)
+
+    @cached_property
+    def of_setup(self) -> tuple[NDArray[np.intp], ...]:
+        """Rows of each setup."""
+        setups = range(len(self.campaign.setups))
+        return tuple(np.flatnonzero(self.campaign.setup == k) for k in setups)
+
+    @cached_property
+    def openings(self) -> Steps:
+        """Pairs of readings to begin a mounting with: one at zero or an end, one anywhere else."""
+        pairs = []
+        for rows in self.of_setup:
+            if len(rows) < 2:
+                continue
+            leg = self.campaign.setups[self.campaign.setup[rows[0]]].leg
+            own = self.campaign.command[rows, leg]
+            middle = int(np.argmin(np.abs(own - np.median(own))))
+            anchors = dict.fromkeys([int(np.argmin(own)), middle, int(np.argmax(own))])
+            pairs += [(rows[a], r) for a in anchors for r in rows if r != rows[a]]
+        table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        first, second = table.T
+        single = self.sigma[first] ** 2 + self.sigma[second] ** 2 + 2 * self.common**2
+        apart = self.slope[second] - self.slope[first]
+        return Steps(
+            table,
+            self.columns[second] - self.columns[first],
+            single + (self.placement * apart) ** 2,
+        )
+
+    def continued(self, setup: int, chosen: Sequence[int]) -> Steps:
+        """One more reading, of any station, in a mounting that stands."""
+        rows, done = self.of_setup[setup], np.asarray(chosen)
+        among = self.covariance(done, done) + _DATUM**2 + np.diag(self.sigma[done] ** 2)
+        across = self.covariance(rows, done) + _DATUM**2
+        weights = np.linalg.solve(among, across.T).T
+        single = self.covariance(rows, rows).diagonal() + _DATUM**2 + self.sigma[rows] ** 2
+        return Steps(
+            np.column_stack([np.full(len(rows), -1), rows]).astype(np.int64),
+            self.columns[rows] - weights @ self.columns[done],
+            single - np.sum(weights * across, axis=1),
+        )
+
+    def steps(self, chosen: Sequence[int], room: int) -> Steps:
+        """All steps that ``room`` further readings allow, after those chosen."""
+        standing = dict.fromkeys(int(self.campaign.setup[k]) for k in chosen)
+        parts = []
+        if room >= 2:
+            begun = np.isin(self.campaign.setup[self.openings.rows[:, 0]], list(standing))
+            parts.append(self.openings.part(~begun))
+        for setup in standing:
+            parts.append(
+                self.continued(setup, [k for k in chosen if self.campaign.setup[k] == setup])
+            )
+        return Steps(
+            np.concatenate([p.rows for p in parts]),
+            np.concatenate([p.columns for p in parts]),
+            np.concatenate([p.variance for p in parts]),
+        )
+
+    def whitened(self, chosen: Sequence[int] | None = None) -> Array:
+        """Chosen rows, or all, by the unknowns ``(m, P)``: unit variance, datums projected out."""
+        rows = np.arange(len(self.campaign)) if chosen is None else np.asarray(chosen)
+        blocks = [np.empty((0, self.columns.shape[1]))]
+        for setup in np.unique(self.campaign.setup[rows]):
+            own = rows[self.campaign.setup[rows] == setup]
+            root = np.linalg.cholesky(self.covariance(own, own) + np.diag(self.sigma[own] ** 2))
+            both = np.linalg.solve(root, np.column_stack([np.ones(len(own)), self.columns[own]]))
+            datum = both[:, :1] / np.linalg.norm(both[:, 0])
+            blocks.append(both[:, 1:] - datum @ (datum.T @ both[:, 1:]))
+        return np.concatenate(blocks)
+
+    def information(self, chosen: Sequence[int] | None = None) -> Array:
+        """What chosen rows, or all, say of the unknowns ``(P, P)``."""
+        rows = self.whitened(chosen)
+        return np.asarray(rows.T @ rows)
+
+
+def in_tolerances(
+    machine: Machine, names: Sequence[str], setups: tuple[str, ...] = ()
+) -> tuple[tuple[str, ...], Array]:
+    """Elementary parameters that names stand for, and the matrix ``(E, P)`` from one tolerance of
+    each name to them, SI.
+    """
+    stands_for = [machine.catalogue.elementary(name, setups) for name in names]
+    parts = tuple(dict.fromkeys(p for weights in stands_for for p in weights))
+    matrix = np.zeros((len(parts), len(names)))
+    for k, (name, weights) in enumerate(zip(names, stands_for, strict=True)):
+        for part, weight in weights.items():
+            matrix[parts.index(part), k] = weight * machine.tolerance(name)
+    return parts, matrix
+
+
+def expected_noise(machine: Machine, campaign: Campaign, declared: float | None = None) -> Noise:
+    """Noise to reckon with: declared, of the rows, of the machine file, or as published."""
+    dial = machine.spec.dial
+    if dial.repeatability is None:
+        dial = replace(dial, repeatability=PUBLISHED_REPEATABILITY)
+    return noise_of([campaign], dial, declared)

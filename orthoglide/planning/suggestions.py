@@ -1,0 +1,285 @@
+"""What to measure next: the few readings that separate rivals or pin down a weak direction."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.fit import Estimate, WeakDirection
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, campaign_rows
+from orthoglide.planning.choosing import choose, replayed
+from orthoglide.planning.criteria import LeastVariance, RivalSeparation
+from orthoglide.planning.linear import LinearReadings
+from orthoglide.planning.pool import reading_pool, sheet
+from orthoglide.planning.rivals import (
+    Explanation,
+    Values,
+    explanation,
+    inseparable_groups,
+    inseparable_words,
+)
+
+Rivals = Sequence[tuple[str, "Values | Estimate"]]
+Aim = Literal["separate", "narrow", "none"]
+Pairs = dict[tuple[int, int], float]
+"""Sigmas between two rivals, the smaller number first."""
+
+ENOUGH = 6.0
+"""Sigmas of separation beyond which no further reading is proposed."""
+
+_NEVER = 2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
+_HINTS = 1.0  # sigmas: less is not worth taking readings for
+_DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
+_WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
+_MOST_DIRECTIONS = 2
+_MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A few readings to take, and why.
+
+    Attributes:
+        reason: what they are for and what is to be expected of them, in words.
+        aim: ``separate`` rivals, ``narrow`` a weak direction, or ``none`` where nothing helps.
+        gain: for rivals the sigmas between the two least separated; for a direction how many times
+            narrower it gets.
+        pool: the readings to choose from.
+        chosen: those chosen, with repetitions; none where nothing helps.
+    """
+
+    reason: str
+    aim: Aim
+    gain: float
+    pool: Campaign
+    chosen: tuple[int, ...] = ()
+
+    @property
+    def campaign(self) -> Campaign | None:
+        """The readings without their values; ``None`` where nothing helps."""
+        return sheet(self.pool, self.chosen) if self.chosen else None
+
+    @property
+    def rows(self) -> tuple[dict[str, str], ...]:
+        """The rows as campaign files have them, moves included, the reading left out."""
+        if self.campaign is None:
+            return ()
+        table = campaign_rows(self.campaign)
+        return tuple({k: v for k, v in row.items() if k != "reading_mm"} for row in table)
+
+
+def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
+    """One measuring sheet for all suggestions of a run; ``None`` where nothing helps.
+
+    A visit that serves two purposes stands once.
+    """
+    visits: Counter[int] = Counter()
+    for suggestion in suggestions:
+        visits |= Counter(suggestion.chosen)
+    return sheet(suggestions[0].pool, tuple(visits.elements())) if visits else None
+
+
+def next_measurements(
+    fit: Estimate | Signatures,
+    rivals: Rivals = (),
+    machine: Machine | None = None,
+    *,
+    count: int = 12,
+    directions: Sequence[WeakDirection] | None = None,
+    pool: Campaign | None = None,
+) -> tuple[Suggestion, ...]:
+    """The few readings that would tell most, out of those that the machine can reach.
+
+    Everything is linear around the fits, but for the readings that the rivals predict. Base
+    parameters, the rivals' own and the new datums and places are fitted again on old and new
+    readings together: what is counted is what no fit could explain away.
+
+    Args:
+        fit: of the readings at hand.
+        rivals: explanations between which these cannot decide: names with all parameters of the
+            machine as it is now, SI, or with their fits.
+        machine: where the readings will be taken; the fit's where absent.
+        count: readings to propose, at most, for each purpose.
+        directions: to pin down; the fit's weakest two where absent, none where empty.
+        pool: readings to choose from; all of :func:`reading_pool` where absent.
+
+    Raises:
+        InputError: for fewer than two readings.
+    """
+    estimate = fit.estimate if isinstance(fit, Signatures) else fit
+    machine = machine or estimate.problem.machine
+    weak = estimate.weak[:_MOST_DIRECTIONS] if directions is None else directions
+    scale = max(estimate.sigma_scale, 1.0)
+    several = [explanation(name, found, estimate, scale) for name, found in rivals]
+    own = explanation("", estimate, estimate, scale)
+    names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
+    choice = pool or reading_pool(machine.geometry, load=_usual_load(estimate))
+    at = machine.model.linearised(own.values, choice, names)
+    total = estimate.problem.noise.typical * scale
+    readings = LinearReadings.around(machine, choice, at.jacobian, at.by_gauge, total)
+    found: list[Suggestion] = []
+    if len(several) > 1:
+        predicted = [machine.model.readings(e.values, choice) for e in several]
+        both = readings.with_columns(np.column_stack([at.jacobian, *predicted]))
+        found += _to_separate(machine, both, names, several, count)
+    for direction in weak:
+        found.append(_to_narrow(readings, names, own, estimate, direction, count))
+    return tuple(found)
+
+
+def _usual_load(estimate: Estimate) -> float:
+    if not estimate.problem.campaigns:
+        return 0.0
+    load = estimate.problem.campaigns[-1].load
+    known = load[np.isfinite(load)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _to_separate(
+    machine: Machine,
+    readings: LinearReadings,
+    names: tuple[str, ...],
+    several: Sequence[Explanation],
+    count: int,
+) -> list[Suggestion]:
+    """Readings between rivals, and the groups of rivals that none tells apart.
+
+    Args:
+        machine: for its workspace.
+        readings: by elementary parameters, then as each rival predicts them.
+        names: of the elementary parameters.
+        several: the rivals.
+        count: readings at most.
+    """
+    spread = np.stack([e.spread(names) for e in several])
+    most = _by_everything(readings, spread)
+    never = {pair: sigmas for pair, sigmas in most.items() if sigmas < _NEVER}
+    rows, end, weak = _for_pairs(readings, spread, [p for p in most if p not in never], count)
+    pool, level = readings.campaign, float(readings.sigma.max())
+    found = []
+    for group, sigmas in inseparable_groups({**never, **weak}):
+        rivals = [several[k] for k in group]
+        text = inseparable_words(machine, rivals, sigmas, len(pool), level)
+        found.append(Suggestion(text, "none", sigmas, pool))
+    if end is None:
+        return found
+    least = sorted(end.sigmas.items(), key=lambda item: item[1])
+    text = "; ".join(
+        f"{several[a].name} from {several[b].name} by {s:.1f} sigma" for (a, b), s in least[:3]
+    )
+    more = f" (and {len(least) - 3} further pairs by more)" if len(least) > 3 else ""
+    reason = f"{_size(pool, rows)} expected to separate {text}{more}"
+    gain = least[0][1]
+    if gain < _DECIDES:
+        reason += ": too little to decide, but the most that so few readings can do"
+    return [Suggestion(reason, "separate", gain, pool, rows), *found]
+
+
+def _by_everything(readings: LinearReadings, spread: Array) -> Pairs:
+    """Sigmas between rivals after every reading of the pool, the smaller of the two ways round."""
+    W, size = readings.information(), spread.shape[1]
+    found: Pairs = {}
+    for b in range(len(spread)):
+        # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
+        absorbing = spread[b] @ np.linalg.inv(np.eye(size) + W[:size, :size] @ spread[b])
+        left = W[size:, size:] - W[size:, :size] @ absorbing @ W[:size, size:]
+        for a in range(len(spread)):
+            if a != b:
+                chi2 = left[a, a] + left[b, b] - left[a, b] - left[b, a]
+                pair = (min(a, b), max(a, b))
+                found[pair] = min(found.get(pair, np.inf), float(np.sqrt(max(chi2, 0.0))))
+    return found
+
+
+def _for_pairs(
+    readings: LinearReadings, spread: Array, pairs: Sequence[tuple[int, int]], count: int
+) -> tuple[tuple[int, ...], RivalSeparation | None, Pairs]:
+    """Readings for the pairs that so few of them can separate; the others with what they reach."""
+    weak: Pairs = {}
+    pairs = list(pairs)
+    while pairs:
+        start = _separation(spread, pairs)
+        rows, end = choose(readings, start, count, mounting=_MOUNTING)
+        low = [pair for pair, sigmas in end.sigmas.items() if sigmas < _HINTS]
+        # A pair may have come off badly for the sake of others: it counts alone.
+        alone = {pair: _alone(readings, spread, pair, count) for pair in low}
+        out = {pair: sigmas for pair, sigmas in alone.items() if sigmas < _HINTS}
+        if not out:
+            return (*_twice(readings, start, rows, end, count), weak)
+        weak |= out
+        pairs = [pair for pair in pairs if pair not in out]
+    return (), None, weak
+
+
+def _separation(spread: Array, pairs: Sequence[tuple[int, int]]) -> RivalSeparation:
+    both = np.array([*pairs, *((b, a) for a, b in pairs)])
+    nothing = np.zeros((len(both), spread.shape[1]))
+    return RivalSeparation(spread, both, nothing, np.zeros(len(both)), ENOUGH**2)
+
+
+def _alone(readings: LinearReadings, spread: Array, pair: tuple[int, int], count: int) -> float:
+    """Sigmas between two rivals by the best readings for them alone."""
+    size = spread.shape[1]
+    here = readings.with_columns(readings.columns[:, [*range(size), *(size + k for k in pair)]])
+    start = _separation(spread[list(pair)], [(0, 1)])
+    return choose(here, start, count, mounting=_MOUNTING)[1].sigmas[0, 1]
+
+
+def _twice(
+    readings: LinearReadings,
+    start: RivalSeparation,
+    rows: tuple[int, ...],
+    end: RivalSeparation,
+    count: int,
+) -> tuple[tuple[int, ...], RivalSeparation]:
+    """Every station visited again where there is room: a single visit may be misread."""
+    alone = [k for k in rows if rows.count(k) == 1]
+    if len(rows) + len(alone) > count or not alone:
+        return rows, end
+    more = (*rows, *alone)
+    return more, replayed(readings, start, more)
+
+
+def _to_narrow(
+    readings: LinearReadings,
+    names: tuple[str, ...],
+    own: Explanation,
+    estimate: Estimate,
+    direction: WeakDirection,
+    count: int,
+) -> Suggestion:
+    """Readings for one weak direction of the fit, in its own unknowns, each in its tolerance."""
+    shares = direction.parameters
+    d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
+    most = max(shares, key=lambda n: abs(shares[n]))
+    unit = estimate.problem.machine.catalogue.effect_of(most).unit
+    tolerance = estimate.problem.tolerance
+    here = readings.with_columns(readings.columns @ (own.weights_of(names) * tolerance))
+    start = LeastVariance(own.covariance / tolerance / tolerance[:, None], d * tolerance)
+    rows, end = choose(here, start, count, mounting=_MOUNTING)
+    before, after = (np.sqrt(o.variance) / unit.si for o in (start, end))
+    along = " ".join(f"{share:+.2f} {name}" for name, share in shares.items())
+    gain = float(before / after)
+    if not rows or after > _WORTH * before:
+        reason = (
+            f"no {count} readings of a dial on a leg narrow {along} noticeably: sigma stays at "
+            f"{before:.2g} {unit.name}, which is knowledge of the tolerances"
+        )
+        return Suggestion(reason, "none", gain, here.campaign)
+    reason = (
+        f"{_size(here.campaign, rows)} expected to narrow {' and '.join(shares)}: sigma along "
+        f"{along} from {before:.2g} to {after:.2g} {unit.name}"
+    )
+    return Suggestion(reason, "narrow", gain, here.campaign, rows)
+
+
+def _size(pool: Campaign, rows: Sequence[int]) -> str:
+    setups = len(np.unique(pool.setup[list(rows)]))
+    return f"{len(rows)} readings in {setups} {'setup' if setups == 1 else 'setups'} are"

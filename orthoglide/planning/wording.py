@@ -1,0 +1,78 @@
+"""Designs, comparisons and answers as rows of text for the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.planning.designs import Design
+from orthoglide.planning.detectable import Detectability, SmallestEffect
+from orthoglide.planning.observability import Observability
+from orthoglide.planning.repeats import TCP, Repeats
+from orthoglide.units import MM
+
+
+def index_rows(compared: Sequence[tuple[str, Observability]]) -> list[str]:
+    """A table of observability indices: campaigns or protocols by name."""
+    head = f"{'':<16}{'readings':>9}{'seen':>9}" + "".join(f"{f'O{k}':>10}" for k in range(1, 6))
+    return [
+        head,
+        *(
+            f"{name:<16}{o.readings:>9}{f'{o.rank}/{o.unknowns}':>9}"
+            + "".join(f"{v:>10.3g}" for v in o.indices.values())
+            for name, o in compared
+        ),
+    ]
+
+
+def pair_rows(found: Design) -> list[str]:
+    """What a discriminating design tells apart least, and what it never does."""
+    lines = []
+    for pair in found.closest[:5]:
+        against = f"from {pair.other}" if pair.other else "from no effect at all"
+        lines.append(f"{pair.one} {against}: {pair.sigmas:.1f} sigma at tolerance")
+    for pair in found.never:
+        against = f"{pair.one} and {pair.other}" if pair.other else pair.one
+        lines.append(f"{against}: no few readings within reach tell at tolerance")
+    return lines
+
+
+def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
+    """An answer to "how often"."""
+    unit = MM if answer.what == TCP else catalogue.effect_of(answer.what).unit
+    wanted, sigma, floor = (v / unit.si for v in (answer.wanted, answer.sigma, answer.floor))
+    if answer.repeats is None:
+        return (
+            f"{answer.what}: sigma {wanted:.3g} {unit.name} is out of reach of repeats: "
+            f"{sigma:.3g} with one visit, {floor:.3g} with any number"
+        )
+    return (
+        f"{answer.what}: sigma {wanted:.3g} {unit.name} takes {answer.repeats} "
+        f"{'visit' if answer.repeats == 1 else 'visits'} to every station (then {sigma:.3g})"
+    )
+
+
+def detectable_rows(found: Detectability) -> list[str]:
+    """A row an effect: the parameter that takes the largest size to be found, and to be named."""
+    by_effect: dict[str, list[SmallestEffect]] = {}
+    for smallest in found.smallest:
+        if smallest.elementary:
+            by_effect.setdefault(smallest.effect, []).append(smallest)
+    lines = [f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit  nearest"]
+    lines += [_effect_row(name, members) for name, members in by_effect.items()]
+    if found.invisible:
+        lines.append(f"not visible, which is not absent: {', '.join(found.invisible)}")
+    return lines
+
+
+def _effect_row(name: str, members: Sequence[SmallestEffect]) -> str:
+    hardest = max(members, key=lambda s: s.nameable)
+    si = hardest.unit.si
+    named = f"{hardest.nameable / si:.2g}" if np.isfinite(hardest.nameable) else "never"
+    found = max(s.detectable for s in members) / si
+    return (
+        f"{name:<20}{hardest.tolerance / si:>11.2g}{found:>12.2g}{named:>12}  "
+        f"{hardest.unit.name:<4}  {hardest.nearest} for {hardest.name}"
+    )

@@ -1,0 +1,32 @@
+r"""The nominal mechanism as URDF, its loop closures beside it (``python -m orthoglide.urdf``).
+
+URDF holds a tree and no loops. The tree is cut at one pivot of each parallelogram and at the
+platform, which every leg carries for itself; ``closures`` says what has to coincide again::
+
+    base -slide-> carriage -theta-> fork -bar1-> bar1 -knuckle-> knuckle -platform-> platform = tcp
+                                     \ -bar2-> bar2 = bar2_tip      \= knuckle_tip
+
+Every link of a leg has its axes along the leg's (a, b, c) where all joint positions are zero, and
+that is the closed machine at mechanical zero, p = 0. The kinematics are the paper's (Pashkevich et
+al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not measured.
+"""
+
+from orthoglide.urdf.tree import (
+    CLOSURES_FILE,
+    URDF_FILE,
+    Closure,
+    closures,
+    closures_text,
+    to_urdf,
+    write,
+)
+
+__all__ = [
+    "CLOSURES_FILE",
+    "URDF_FILE",
+    "Closure",
+    "closures",
+    "closures_text",
+    "to_urdf",
+    "write",
+]

@@ -1,0 +1,183 @@
+"""What the links look like and weigh: boxes and cylinders, plausible and not measured."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.geometry import LEGS, Array, Geometry, base_from_leg
+
+Vector = tuple[float, float, float]
+
+_ZERO: Vector = (0.0, 0.0, 0.0)
+# Turns that lay a cylinder, which URDF draws along z, along x, y or z.
+_LAY: tuple[Vector, Vector, Vector] = ((0.0, math.pi / 2, 0.0), (math.pi / 2, 0.0, 0.0), _ZERO)
+_RAIL = 0.95  # of d: how far beside the carriage's path, toward b, its rail lies
+
+# Colour (red, green, blue) and density in kg/m^3.
+MATERIALS: dict[str, tuple[Vector, float]] = {
+    "aluminium": ((0.80, 0.82, 0.85), 2700.0),
+    "steel": ((0.45, 0.47, 0.50), 7850.0),
+    "frame": ((0.25, 0.28, 0.33), 7200.0),
+    "table": ((0.62, 0.62, 0.58), 7200.0),
+    "tool": ((0.90, 0.70, 0.15), 7850.0),
+    "carriage_x": ((0.78, 0.27, 0.23), 2700.0),
+    "carriage_y": ((0.27, 0.58, 0.32), 2700.0),
+    "carriage_z": ((0.22, 0.40, 0.72), 2700.0),
+}
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A box or cylinder with its edges along the axes of its link.
+
+    Attributes:
+        size: extent along the link's axes, metres; a cylinder's is its length and its diameters.
+        centre: in the link, metres.
+        material: key of ``MATERIALS``.
+        along: axis of a cylinder, 0, 1 or 2; ``None`` for a box.
+    """
+
+    size: Vector
+    centre: Vector
+    material: str
+    along: int | None = None
+
+    def in_base(self, leg: int) -> Solid:
+        """The same solid, given in a leg's axes, in the base's."""
+        turn = base_from_leg(leg)
+        along = None if self.along is None else (self.along + leg) % 3
+        return Solid(vector(turn @ self.size), vector(turn @ self.centre), self.material, along)
+
+    def mass(self) -> float:
+        """Mass, kg."""
+        fill = 1.0 if self.along is None else math.pi / 4
+        return fill * math.prod(self.size) * MATERIALS[self.material][1]
+
+    def inertia(self) -> Array:
+        """Inertia ``(3, 3)`` about its own centre, kg m^2."""
+        squares = np.square(self.size) / 12
+        if self.along is not None:
+            squares[np.arange(3) != self.along] *= 0.75  # a disc's second moment is D^2 / 16
+        return self.mass() * np.diag(squares.sum() - squares)
+
+
+def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
+    """Solids of a leg's moving links, in the links; cross-sections are fractions of d and r."""
+    L, d, r = geometry.L, geometry.d, geometry.r
+    n, colour = LEGS[leg], f"carriage_{LEGS[leg]}"
+    rail = _RAIL * d
+    bar = (
+        Solid((L, 0.16 * d, 0.16 * d), (-L / 2, 0.0, 0.0), "aluminium", along=0),
+        Solid((0.24 * d, 0.36 * d, 0.24 * d), _ZERO, "steel", along=1),
+        Solid((0.24 * d, 0.36 * d, 0.24 * d), (-L, 0.0, 0.0), "steel", along=1),
+    )
+    link_size = (0.22 * d, 0.22 * d, 0.9 * d)
+    platform = [
+        Solid((0.28 * d, 0.28 * d, 0.36 * d), _ZERO, "steel", along=2),
+        Solid((0.75 * r, 0.5 * r, 0.5 * r), (-0.375 * r, 0.0, 0.0), "aluminium"),
+    ]
+    if leg == 0:  # what the three legs share is drawn and weighed once
+        platform += [
+            Solid((0.9 * r, 0.9 * r, 0.9 * r), (-r, 0.0, 0.0), "aluminium"),
+            Solid((0.7 * r, 0.7 * r, 0.8 * r), (-r, 0.0, -0.85 * r), "frame", along=2),
+            Solid((0.25 * r, 0.25 * r, r), (-r, 0.0, -1.75 * r), "tool", along=2),
+        ]
+    return {
+        f"{n}_carriage": (
+            Solid((d, 0.3 * d, 0.7 * d), (0.35 * d, rail - 0.25 * d, 0.0), colour),
+            Solid((0.4 * d, rail - 0.3 * d, 0.5 * d), (0.4 * d, 0.45 * rail, 0.0), colour),
+            Solid((0.5 * d, 0.3 * d, 0.36 * d), (0.25 * d, 0.0, 0.0), colour),
+        ),
+        f"{n}_fork": (Solid(link_size, _ZERO, "steel", along=2),),
+        f"{n}_bar1": bar,
+        f"{n}_bar2": bar,
+        f"{n}_knuckle": (Solid(link_size, (0.0, 0.0, -d / 2), "steel", along=2),),
+        f"{n}_platform": tuple(platform),
+    }
+
+
+def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
+    """Rails, drives and a frame that joins them at a corner, on a table under the tool."""
+    L, d, r = geometry.L, geometry.d, geometry.r
+    low, high = geometry.stroke
+    rail, beam = _RAIL * d, 0.4 * d
+    near, far = L + r + low - 0.4 * d, L + r + high + 1.1 * d
+    corner = far + beam / 2
+    middle, length = (near + far) / 2, far - near
+    reach = corner - rail + beam
+    solids = []
+    for leg in range(3):
+        one_leg = (
+            Solid((length, 0.2 * d, 0.4 * d), (middle, rail, 0.0), "steel"),
+            Solid((length, 0.3 * d, 0.7 * d), (middle, rail + 0.25 * d, 0.0), "frame"),
+            Solid((0.8 * d, 0.5 * d, 0.5 * d), (corner + 0.6 * d, rail, 0.0), "frame", along=0),
+            Solid((beam, reach, beam), (corner, (corner + rail) / 2, 0.0), "frame"),
+            Solid((beam, beam, corner), (corner, corner, corner / 2), "frame"),
+        )
+        solids += [solid.in_base(leg) for solid in one_leg]
+    floor, wide = low - 4 * r, corner + beam / 2 - 1.5 * low
+    centre = (corner + beam / 2 + 1.5 * low) / 2
+    solids += [
+        Solid((beam, beam, -floor), (corner, corner, floor / 2), "frame"),
+        Solid((wide, wide, 0.25 * d), (centre, centre, floor - 0.125 * d), "table"),
+    ]
+    return tuple(solids)
+
+
+def vector(values: Iterable[float]) -> Vector:
+    """Three numbers."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def number(value: float) -> str:
+    """Shortest text of a number that is right to its last bit or two."""
+    short = f"{value + 0.0:.15g}"  # + 0.0 turns -0 into 0
+    return short if math.isclose(float(short), value, rel_tol=4e-16) else repr(float(value))
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Texts of numbers, as URDF lists them."""
+    return " ".join(number(value) for value in values)
+
+
+def _micrometres(values: Iterable[float]) -> str:
+    """Lengths of a drawing: whole micrometres do."""
+    return numbers(round(float(value), 6) for value in values)
+
+
+def add_inertial(link: ET.Element, solids: tuple[Solid, ...]) -> None:
+    """Mass, centre and inertia of the solids together, about their common centre."""
+    masses = np.array([solid.mass() for solid in solids])
+    centres = np.array([solid.centre for solid in solids])
+    centre = masses @ centres / masses.sum()
+    inertia = np.zeros((3, 3))
+    for solid, mass, arm in zip(solids, masses, centres - centre, strict=True):
+        inertia += solid.inertia() + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    element = ET.SubElement(link, "inertial")
+    ET.SubElement(element, "origin", xyz=_micrometres(centre), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=f"{masses.sum():.6g}")
+    entries = {
+        f"i{LEGS[j]}{LEGS[k]}": f"{inertia[j, k] + 0.0:.6g}" for j in range(3) for k in range(j, 3)
+    }
+    ET.SubElement(element, "inertia", entries)
+
+
+def add_visual(link: ET.Element, solid: Solid) -> None:
+    """Draw a solid."""
+    visual = ET.SubElement(link, "visual")
+    turn = _ZERO if solid.along is None else _LAY[solid.along]
+    ET.SubElement(visual, "origin", xyz=_micrometres(solid.centre), rpy=numbers(turn))
+    shape = ET.SubElement(visual, "geometry")
+    if solid.along is None:
+        ET.SubElement(shape, "box", size=_micrometres(solid.size))
+    else:
+        length, diameter = solid.size[solid.along], solid.size[solid.along - 1]
+        sizes = {"radius": _micrometres([diameter / 2]), "length": _micrometres([length])}
+        ET.SubElement(shape, "cylinder", sizes)
+    ET.SubElement(visual, "material", name=solid.material)
