@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.effects import Catalogue, Effect
+from orthoglide.effects import CATALOGUE, Catalogue, Effect
 from orthoglide.errors import ClosureError, FileError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
@@ -70,13 +70,17 @@ class Machine:
         return cls()
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Machine:
+    def load(cls, path: str | os.PathLike[str], effects: Iterable[Effect] = ()) -> Machine:
         """A machine from its file (``machine.toml``).
+
+        Args:
+            path: the file.
+            effects: of one's own, which the file may name.
 
         Raises:
             FileError: naming file, line and remedy.
         """
-        spec = read_machine_file(path)
+        spec = read_machine_file(path, CATALOGUE.with_effects(effects))
         for name in (*spec.parameters, *(spec.posterior.names if spec.posterior else ())):
             if spec.catalogue.parameter(name).member:  # which a file spells out
                 effect = spec.catalogue.effect_of(name)

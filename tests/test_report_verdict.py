@@ -165,7 +165,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         assert f"{effect.name} passed three tests" in text
         for rival in effect.indistinguishable_from:
             assert rival in text
-        assert CATALOGUE[effect.trial.candidate.family].look_at[1:] in text
+        assert CATALOGUE[effect.trial.candidate.effect].look_at[1:] in text
     for value in (verdict.map.error.mean(), verdict.map.uncertainty.max()):
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))
     for blunder in verdict.blunders:

@@ -209,9 +209,9 @@ class Result:
     @property
     def unexcited(self) -> tuple[str, ...]:
         """Effects whose conditions the campaigns do not vary at all."""
-        from orthoglide.diagnosis.candidates import excited_families
+        from orthoglide.fit.excited import excited_effects
 
-        excited = {*excited_families(self.after.problem), *self.catalogue.base}
+        excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
         return tuple(name for name in self.catalogue if name not in excited)
 
     @cached_property
@@ -296,7 +296,7 @@ class Result:
 def last_values(estimate: Estimate) -> dict[str, float]:
     """Parameters of the last campaign's machine, dials included, SI."""
     problem = estimate.problem
-    return problem.values(len(problem.campaigns) - 1, estimate.x)
+    return problem.values(problem.last, estimate.x)
 
 
 def by_lack_of_fit(estimate: Estimate) -> Detection:
