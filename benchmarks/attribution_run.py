@@ -143,7 +143,7 @@ def _metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Reco
         space = seen.of(candidate)
         space = np.linalg.qr(np.hstack([space - basis @ (basis.T @ space)]))[0]
         apart[candidate.name] = float(np.linalg.norm(left - space @ (space.T @ left)))
-        family[candidate.name] = candidate.family
+        family[candidate.name] = candidate.effect
     same = [name for name, distance in apart.items() if distance <= SAME]
     rest = {name: distance for name, distance in apart.items() if distance > SAME}
     nearest = min(rest, key=rest.__getitem__, default="")
@@ -211,7 +211,7 @@ def _said(verdict: Verdict) -> Record:
     effects = [
         {
             "name": e.name,
-            "family": e.trial.candidate.family,
+            "family": e.trial.candidate.effect,
             "members": [[e.name, list(e.parameters), e.probability]]
             + [[r.trial.candidate.name, list(r.trial.candidate.parameters), r.weight]
                for r in e.rivals],

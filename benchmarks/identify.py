@@ -121,7 +121,7 @@ def by_scipy(problem: Problem, nuisance: Nuisances) -> Array:
 def ways(problem: Problem) -> dict[str, Callable[[], Array]]:
     """Every way of solving a problem once."""
     first = linearise(problem, problem.start)
-    nuisance = nuisances(problem, first.by_gauge)
+    nuisance = nuisances(problem, first.slopes)
     scale = 1 / np.sqrt(np.diag(normal(problem, first, nuisance).information))
     warm = Nlp(problem, nuisance, scale)
     joints = warm.start_joints(problem, first.x)

@@ -7,7 +7,7 @@ that translation; it is what a calibration improves.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ GRID = 5
 """Commands along each axis of the map of the workspace."""
 
 _DRAWS = 400
-_STEPS = 4  # of Gauss-Newton, on a problem that is nearly linear
+_STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
 def workspace(geometry: Geometry, count: int = GRID) -> Array:
@@ -143,3 +143,48 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
     distance = np.linalg.norm(place, axis=1)
     found = (shape.mean(), shape.std(), distance.mean(), distance.std())
     return ExpectedError(*map(float, found))
+
+
+def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
+    """Settings of a controller that takes little: the zeros that leave the least shape error.
+
+    What the controller cannot take shifts the zeros that are best: they are fitted, by least
+    squares over the workspace, to the machine with all its parameters.
+
+    Args:
+        machine: calibrated.
+        also: what else the controller takes, as identified: ``"bar_length"``, ``"scale"`` ...
+
+    Returns:
+        Parameters that the commands allow for, SI.
+    """
+    held, of = {"zero", *also}, machine.catalogue.effect_of
+    zeros = [p for e in machine.catalogue.values() if e.controller == "zero" for p in e.motions]
+    identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
+    settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
+    wanted = machine.with_only({}).forward(workspace(machine.geometry))
+    for _ in range(_STEPS):
+        commands = machine.with_only(settings).inverse(wanted)
+        left = without_place(machine.forward(commands) - wanted)
+        slopes = without_place(tcp_slopes(machine, zeros, Conditions.at(commands)))
+        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1), rcond=None)[0]
+        settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
+    return settings
+
+
+def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
+    """Parameters that the commands allow for, SI, by what the controller is given.
+
+    Args:
+        machine: calibrated.
+
+    Returns:
+        ``now``: nothing; ``zeros``: the best zeros alone; ``zeros_and_lengths``: bar lengths
+        besides; ``compensated``: everything. :func:`expected_error` says what each leaves.
+    """
+    return {
+        "now": {},
+        "zeros": best_zeros(machine),
+        "zeros_and_lengths": best_zeros(machine, ["bar_length"]),
+        "compensated": machine.values,
+    }

@@ -13,8 +13,16 @@ from orthoglide.diagnosis.ranking import Round, budget, look
 from orthoglide.diagnosis.significance import Detection
 from orthoglide.effects import Effect as Declared
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, identify, noise_of, solve
-from orthoglide.fit.problem import build_problem
+from orthoglide.fit import (
+    Estimate,
+    Frame,
+    Source,
+    account_for_changes,
+    assemble,
+    identify,
+    solve,
+    sorted_out,
+)
 from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine
@@ -68,7 +76,7 @@ class Verdict(Result):
 
 
 def close_loop(
-    campaigns: Given | Sequence[Given],
+    campaigns: Source | Sequence[Source],
     machine: Machine | None = None,
     *,
     own: Sequence[str] = (),
@@ -78,11 +86,13 @@ def close_loop(
     effects: Sequence[Declared] = (),
     seed: int = 0,
     progress: Progress | None = None,
+    frame: Frame = "rigid",
 ) -> Verdict:
     """Identify, ask what is left, trace it to a cause, add it, and judge.
 
     Args:
-        campaigns: one or several; paths are read as by ``read_campaign``.
+        campaigns: one or several, of dial readings (paths are read as by ``read_campaign``) or TCP
+            points that are readings like the others.
         machine: dimensions, tolerances, dial; nominal where absent.
         own: effects or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
@@ -91,15 +101,19 @@ def close_loop(
         effects: of one's own, weighed beside those of the machine's catalogue.
         seed: of every random draw; the same seed gives the same answer.
         progress: called with each step; any callable will do.
+        frame: how the instrument of TCP points may stand to the machine.
 
     Raises:
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
     machine = (machine or Machine.nominal()).with_effects(effects)
-    several = as_campaigns(campaigns, machine.spec)
+    several, points = sorted_out(campaigns, machine)
     held = None if holdout is None else as_campaigns(holdout, machine.spec)[0]
-    request = Request("close-loop", several, machine, tuple(own), noise, seed, held, tcp)
+    request = Request(
+        "close-loop", several, machine, tuple(own), noise, seed, held, tcp, points=points,
+        frame=frame,
+    )  # fmt: skip
     return run(request, progress)
 
 
@@ -118,10 +132,14 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     if not request.searches:
         return _identified(request, progress)
     progress(Step("identifying", "joint offsets and leg lengths"))
-    machine, campaigns = request.machine, request.campaigns
-    level = noise_of(campaigns, machine.spec.dial, request.noise)
-    problem = build_problem(machine, campaigns, machine.catalogue.base, level, own=request.own)
-    before = solve(problem)
+    machine = request.machine
+    carried = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
+    problem = assemble(
+        [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),
+        own=request.own, noise=request.noise, frame=request.frame,
+    )  # fmt: skip
+    before = account_for_changes(solve(problem))
+    problem = before.problem
     from orthoglide.diagnosis.blunders import examine, without
     from orthoglide.diagnosis.changes import separated
 
@@ -141,29 +159,34 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     search = Search(problem, progress, np.random.default_rng([request.seed, 1]))
     search.changed = [c.parameter for c in causes]
     verdict = _search(request, search, before)
-    changed = tuple(c.measured(verdict.after) for c in changes)
+    since = tuple(c.now(verdict.after) for c in before.changes)
+    changed = (*since, *(c.measured(verdict.after) for c in changes))
     progress(Step("judging"))
     return judge(replace(verdict, blunders=blunders, changed=changed, faulty=faulty))
 
 
 def _identified(request: Request, progress: Progress) -> Verdict:
     """A closed loop in which no effect may be added."""
-    count = sum(map(len, request.campaigns))
+    count = sum(map(len, request.campaigns)) + sum(map(len, request.points))
     progress(Step("identifying", f"from {count} readings"))
     estimate = identify(
-        request.campaigns,
+        [*request.campaigns, *request.points],
         request.machine,
         request.free,
         own=request.own,
         priors=request.priors,
         noise=request.noise,
         method="reduction" if request.reduced else "auto",
+        frame=request.frame,
     )
     progress(Step("testing"))
     left = _left(estimate, request.seed)
     found = by_lack_of_fit(estimate) if left is None else left.detection
     stopped = "no cause was to be added"
-    return Verdict(request, _word((), found), estimate, estimate, (), (), left, stopped)
+    return Verdict(
+        request, _word((), found), estimate, estimate, (), (), left, stopped,
+        changed=estimate.changes,
+    )  # fmt: skip
 
 
 def judge(verdict: Verdict) -> Verdict:

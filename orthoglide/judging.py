@@ -8,14 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.effects import BASE_FAMILIES, is_dial
-from orthoglide.fit import solve
-from orthoglide.fit.least_squares import (
-    Linearised,
-    nuisances,
-)
+from orthoglide.fit import build_problem, solve
+from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
 from orthoglide.fit.noise import noise_of
-from orthoglide.fit.problem import Problem, build_problem
-from orthoglide.fit.scores import leverage_basis
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
@@ -65,24 +60,13 @@ def _left_out(
         at, nuisance = estimate.at, estimate.nuisance
     else:
         problem = replace(problem, unknowns=(), held=(held,))
-        at = linearise_fixed(problem)
-        nuisance = nuisances(problem, at.by_gauge)
+        at = linearise(problem, np.zeros(0))
+        nuisance = nuisances(problem, at.slopes)
     rest = problem.measured - at.value
-    residual = rest - nuisance.columns @ nuisance.solve(rest)
-    share = np.sum(leverage_basis(problem, nuisance, at) ** 2, axis=1)
+    residual = rest - nuisance.fitted(rest)
+    share = np.sum(fitted_basis(problem, nuisance, at)[: len(rest)] ** 2, axis=1)
     scored = share < 1 - 1e-6
     return float(np.sqrt(np.mean((residual[scored] / (1 - share[scored])) ** 2)))
-
-
-def linearise_fixed(problem: Problem) -> Linearised:
-    """Predicted readings of a problem in which nothing is free."""
-    parts = [
-        problem.machine.model.linearised(problem.held[k], c, ())
-        for k, c in enumerate(problem.campaigns)
-    ]
-    value = np.concatenate([p.value for p in parts])
-    slope = np.concatenate([p.by_gauge for p in parts])
-    return Linearised(np.zeros(0), value, np.zeros((len(value), 0)), slope)
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,12 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.effects import Catalogue, Effect
+from orthoglide.effects import CATALOGUE, Catalogue, Effect
 from orthoglide.errors import ClosureError, FileError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
@@ -69,13 +70,17 @@ class Machine:
         return cls()
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Machine:
+    def load(cls, path: str | os.PathLike[str], effects: Iterable[Effect] = ()) -> Machine:
         """A machine from its file (``machine.toml``).
+
+        Args:
+            path: the file.
+            effects: of one's own, which the file may name.
 
         Raises:
             FileError: naming file, line and remedy.
         """
-        spec = read_machine_file(path)
+        spec = read_machine_file(path, CATALOGUE.with_effects(effects))
         for name in (*spec.parameters, *(spec.posterior.names if spec.posterior else ())):
             if spec.catalogue.parameter(name).member:  # which a file spells out
                 effect = spec.catalogue.effect_of(name)
@@ -171,6 +176,10 @@ class Machine:
                 raise InputError(f"the covariance names {name!r}, which is no single parameter")
         return self._with({}, values, posterior.sigmas, posterior.about(values))
 
+    def with_provenance(self, provenance: Mapping[str, Any]) -> Machine:
+        """The same machine, with where its parameters come from."""
+        return self._like(replace(self.spec, provenance=dict(provenance)))
+
     def _with(
         self,
         entries: dict[str, ParameterValue],
@@ -188,8 +197,12 @@ class Machine:
                     weight * float(value), abs(weight) * float(sigma), unit
                 )
         made = replace(self.spec, parameters=entries, posterior=posterior, warnings=())
-        machine = Machine(replace(made, file="", sha256=""))
-        if "model" in self.__dict__:  # the tree is the same: share what is costly to build
+        return self._like(replace(made, file="", sha256=""))
+
+    def _like(self, spec: MachineFile) -> Machine:
+        """A machine of the same tree, which shares what is costly to build."""
+        machine = Machine(spec)
+        if "model" in self.__dict__:
             machine.__dict__["model"] = self.__dict__["model"]
         return machine
 

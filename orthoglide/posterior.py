@@ -8,17 +8,16 @@ tell; that is known to the full tolerances, whatever the share.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.accuracy import tcp_slopes
-from orthoglide.diagnosis.candidates import excited_families
 from orthoglide.effects import Effect
-from orthoglide.fit import Estimate, Problem
+from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
+from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise
-from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Posterior
 
@@ -145,7 +144,7 @@ def _inverse(matrix: Array) -> tuple[Array, float]:
 
 def _machine_parameters(problem: Problem) -> tuple[tuple[str, ...], Array]:
     """The machine's parameters that the last campaign sets, and their weights by unknown."""
-    names, matrix = problem.elementary(len(problem.campaigns) - 1)
+    names, matrix = problem.elementary(problem.last)
     known = problem.machine.catalogue.motions
     kept = [k for k, name in enumerate(names) if name in known]
     return tuple(names[k] for k in kept), matrix[kept]
@@ -165,16 +164,13 @@ def _translations(slopes: Array) -> Array:
 
 def _with_everything(problem: Problem) -> Problem:
     """All other parameters of the catalogue freed, seen or not, that could move readings or TCP."""
-    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
-    catalogue = problem.machine.catalogue
-    excited = excited_families(problem)
+    excited = {effect.name for effect in excited_effects(problem)}
 
     def counts(effect: Effect) -> bool:
         if "pitch" in effect.needs and problem.machine.spec.screw_pitch is None:
             return False
-        return effect.of_dial or effect.at_rest or effect.name in excited
+        at_hand = effect.at_rest or (effect.of_dial and bool(problem.campaigns))
+        return at_hand or effect.name in excited
 
-    families = [effect.name for effect in catalogue.values() if counts(effect)]
-    everything = build_unknowns(problem.machine, problem.campaigns, families, problem.own)
-    others = tuple(u for u in everything if not any(p in taken for parts in u.parts for p in parts))
-    return replace(problem, unknowns=(*problem.unknowns, *others))
+    effects = [effect.name for effect in problem.machine.catalogue.effects if counts(effect)]
+    return with_free(problem, elementary_beyond(problem, effects), release=False)

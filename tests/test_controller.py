@@ -6,6 +6,7 @@ import json
 import re
 import runpy
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,14 +17,17 @@ import pytest
 from click.testing import CliRunner
 
 from orthoglide import Campaign, Machine, UnreachableError, identify
+from orthoglide.accuracy import workspace
 from orthoglide.cli.compensate import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.control import (
     HELD_BY_URDF,
+    RULE,
     calibrated_urdf,
     commands_text,
     compensate,
     controller_numbers,
+    export_files,
     read_path,
     tcp_sigma,
 )
@@ -299,6 +303,95 @@ def test_the_sign_rule_is_worked_out_in_words() -> None:
     more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
     assert more.left_over == ("axis_tilt.y.z",)
     assert "axis_tilt.y.z" in more.text()
+
+
+@pytest.mark.parametrize("sign", [(1, 1, 1), (-1, 1, -1), (-1, -1, -1)])
+def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]) -> None:
+    """What each check says is read on the independent machine, zeros entered right and wrong."""
+    offsets = np.array([1.2e-3, -0.6e-3, 0.9e-3])
+    errors = {**dict(zip((f"joint_offset.{k}" for k in LEGS), offsets, strict=True)),
+              "axis_tilt.y.z": 1e-3}  # fmt: skip
+    old = np.array([0.5, -0.02, 0.1])
+    counting = Controller(zero=tuple(old), sign=sign)  # type: ignore[arg-type]
+    numbers = controller_numbers(machine(errors, controller=counting))
+    exported, rig = numbers.as_dict(), Rig(errors=errors)
+    new = np.array([exported["drives"][k]["new_zero_mm"] for k in LEGS]) * 1e-3
+    assert new == pytest.approx(old - np.array(sign) * offsets, abs=1e-9)
+    for drive, check in exported["checks"].items():
+        entered = {"expected_mm": new, "expected_if_wrong_mm": new.copy()}
+        k = LEGS.index(drive)
+        entered["expected_if_wrong_mm"][k] = 2 * old[k] - new[k]  # the other side of the old zero
+        travel = {"zero": 0.0, "max": 0.06, "min": -0.1}[check["posture"]]
+        wanted = [Geometry().zero, Geometry().command_on_axis(LEGS.index(check["leg"]), travel)]
+        for key, zero in entered.items():
+            shown = zero + np.array(sign) * (np.array(wanted) - L)
+            if key == "expected_mm":  # the right zeros are those that the check speaks of
+                assert shown[0] * 1e3 == pytest.approx(check["shown_at_zero_mm"], abs=1e-6)
+                assert shown[1] * 1e3 == pytest.approx(check["shown_at_posture_mm"], abs=1e-6)
+            lines = rig.pose(counting.to_rho(shown, Geometry()), np.ones((2, 3))).lines
+            leg, gauge = [LEGS.index(check["leg"])] * 2, np.full(2, check["gauge_mm"] * 1e-3)
+            first, then = rig.readings(
+                lines, leg, [check["direction"]] * 2, gauge, [0, 0], ["s"] * 2, np.zeros(2)
+            )
+            assert (then - first) * 1e3 == pytest.approx(check[key], abs=1e-5)
+        assert abs(check["expected_mm"] - check["expected_if_wrong_mm"]) > 0.2
+    assert list(exported["checks"]) == ["x", "y", "z"]
+    assert "moved the wrong way it would read" in numbers.text()
+    assert exported["rule"] == RULE
+
+
+def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
+    values = {"joint_offset.x": 1e-3, "axis_offset.z.x": 4e-4, "encoder_scale.y": 3e-4}
+    whole, rig = machine(values), Rig(errors=values)
+    numbers = controller_numbers(whole, zeros_only=True)
+    wanted = workspace(Geometry())
+    goal, middle = Rig().pose(wanted, np.zeros_like(wanted)).p, np.zeros_like(wanted)
+
+    def shape(offsets: Array) -> float:
+        apart = rig.pose(wanted - offsets, middle).p - goal
+        return float(np.sqrt(np.mean(np.sum((apart - apart.mean(axis=0)) ** 2, axis=1))))
+
+    best = np.array([d.offset for d in numbers.drives])
+    identified = np.array([1e-3, 0.0, 0.0])
+    assert shape(best) < 0.9 * shape(identified)
+    for axis in range(3):
+        for by in (-2e-5, 2e-5):
+            assert shape(best + by * np.eye(3)[axis]) > shape(best)
+    assert numbers.zeros_only == pytest.approx(-best)
+    assert [d.scale for d in numbers.drives] == [0, 0, 0]
+    assert set(numbers.left_over) == {"axis_offset.z.x", "encoder_scale.y"}
+    both = controller_numbers(whole)
+    assert both.zeros_only == pytest.approx(-best)
+    assert both.drives[0].offset == pytest.approx(1e-3)
+    expected = both.expected
+    assert expected["compensated"].shape < 1e-9 < expected["zeros"].shape < expected["now"].shape
+
+
+@pytest.mark.parametrize("kept", [
+    {"verdict": "partial"}, {"verdict": "unexplained"},
+    {"verdict": "explained", "cautions": ["do not act on it"]},
+])  # fmt: skip
+def test_numbers_not_to_be_acted_on_are_withheld(kept: dict[str, object], tmp_path: Path) -> None:
+    plain = machine({"joint_offset.x": 1e-3})
+    doubtful = plain.with_provenance(kept)
+    asked: tuple[Callable[..., object], ...] = (
+        controller_numbers, export_files, lambda m, **o: compensate(m, circle(3), **o),
+    )  # fmt: skip
+    for ask in asked:
+        with pytest.raises(InputError, match=r"withheld: .*--force, force=True"):
+            ask(doubtful)
+        assert ask(doubtful, force=True)
+        assert ask(plain.with_provenance({"verdict": "ambiguous"}))
+    doubtful.save(tmp_path / "m.toml")
+    path = write_path(tmp_path / "path.csv", circle(3))
+    common = ("--machine", str(tmp_path / "m.toml"), "--out")
+    for command, out in (("export", "a"), ("compensate", "b.csv")):
+        first = (command, str(path)) if command == "compensate" else (command,)
+        code, text = invoke(*first, *common, str(tmp_path / out))
+        assert code == 2
+        assert "withheld" in text
+        assert not (tmp_path / out).exists()
+        assert invoke(*first, *common, str(tmp_path / out), "--force")[0] == 0
 
 
 def test_bar_lengths_are_those_of_the_legs() -> None:

@@ -29,12 +29,11 @@ from orthoglide.fit import Estimate, WeakDirection, identify
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol
-from orthoglide.report import report_files
+from orthoglide.report import follows, report_files
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures.draw import draw
 from orthoglide.report.figures.style import PALETTE
 from orthoglide.report.phrases import listed, weak_sentences
-from orthoglide.report.rows import controller_rows
 from orthoglide.report.wording import headline
 from orthoglide.request import Request
 
@@ -196,26 +195,26 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     real = machine.with_parameters(offsets)
     sheet = protocol("standard")
     campaign = sheet.with_readings(real.readings(sheet))
-    rows = controller_rows(identify(campaign, machine, ["joint_offset"], priors=False).machine)
-    said = ("example_command", "zero_is", "add", "example_true", "example_shown")
-    told = [[float(getattr(row, name).replace("−", "-")) for row in rows] for name in said]
-    command, zeros, add, true, shown = np.array(told) * 1e-3
+    result = identified(machine=machine, campaigns=[campaign], free=("joint_offset",), priors=False)
+    data = follows.controller(result)
+    said = [[float(r[name].replace("−", "-")) for r in data["rows"]] for name in ("zero", "add")]
+    command, add = np.array(said) * 1e-3
     geometry = machine.geometry
-    # Commanding what the worked line says brings the real TCP to the origin.
+    # Commanding the new zero brings the real TCP to the origin.
     np.testing.assert_allclose(real.forward(controller.to_rho(command, geometry)), 0.0, atol=2e-6)
     # Believing the old zero leaves each carriage its offset away, as the line says.
-    np.testing.assert_allclose(
-        controller.to_rho(shown, geometry) + np.array(list(offsets.values())), true, atol=1e-6
-    )
-    # A controller whose display was raised by `add` means what it shows.
+    shown = controller.from_rho(geometry.zero, geometry)
+    line = f"shown {shown[0] * 1e3:.4f}, carriage x stands 0.7000 mm too far out"
+    assert line in data["worked"]
+    # A controller to whose commands `add` was added means what it shows.
     wanted = np.array([0.3, 0.31, 0.32])
     display = controller.from_rho(wanted, geometry)
     np.testing.assert_allclose(
-        real.forward(controller.to_rho(display - add, geometry)),
+        real.forward(controller.to_rho(display + add, geometry)),
         machine.forward(wanted),
         atol=2e-6,
     )
-    np.testing.assert_allclose(zeros, command, atol=1e-12)
+    np.testing.assert_allclose(shown + add, command, atol=1e-12)
 
 
 def test_no_offsets_no_numbers_for_the_controller() -> None:

@@ -165,7 +165,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         assert f"{effect.name} passed three tests" in text
         for rival in effect.indistinguishable_from:
             assert rival in text
-        assert CATALOGUE[effect.trial.candidate.family].look_at[1:] in text
+        assert CATALOGUE[effect.trial.candidate.effect].look_at[1:] in text
     for value in (verdict.map.error.mean(), verdict.map.uncertainty.max()):
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))
     for blunder in verdict.blunders:
@@ -245,8 +245,8 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     page = files_of("partial")["report.html"]
     section = words(page[page.index('id="controller"') : page.index('id="judged"')])
     assert "No numbers are given to enter" in section
-    assert "add to the display" not in section
-    assert "add to the display" in words(files_of("ambiguous")["report.html"])
+    assert "add to every command" not in section
+    assert "add to every command" in words(files_of("ambiguous")["report.html"])
 
 
 def test_a_machine_with_nothing_wrong() -> None:

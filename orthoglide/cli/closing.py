@@ -29,7 +29,7 @@ def judge_options(command: Any) -> Any:
 
 
 @click.command("close-loop")
-@click.argument("campaigns", nargs=-1, required=True, type=PATH)
+@click.argument("campaigns", nargs=-1, type=PATH)
 @out_option()
 @judge_options
 @fit_options
@@ -44,7 +44,7 @@ def close_loop(
 
 
 @click.command()
-@click.argument("campaigns", nargs=-1, required=True, type=PATH)
+@click.argument("campaigns", nargs=-1, type=PATH)
 @out_option(required=False, help="Folder for the results; nothing is written where absent.")
 @judge_options
 @fit_options

@@ -20,6 +20,11 @@ _MACHINE = click.option(
 )
 
 
+_FORCE = click.option(
+    "--force", is_flag=True, help="Even where the verdict says not to act on the numbers."
+)
+
+
 @click.command()
 @click.argument("path", type=PATH, metavar="PATH.csv")
 @_MACHINE
@@ -28,7 +33,10 @@ _MACHINE = click.option(
               help="Weight at the TCP.")  # fmt: skip
 @click.option("--warming", type=float, default=0.0, metavar="K", show_default=True,
               help="Kelvin above the calibration's first reading.")  # fmt: skip
-def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming: float) -> None:
+@_FORCE
+def compensate(
+    path: Path, machine_path: Path, out: Path, load_N: float, warming: float, force: bool
+) -> None:
     """Turn a path of TCP points into joint commands that reach them on the real machine.
 
     PATH.csv has the columns p_x_mm, p_y_mm, p_z_mm; its rows are gone through in their order, as
@@ -40,7 +48,7 @@ def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
     points, machine = control.read_path(path), load_machine(machine_path)
     try:
-        found = control.compensate(machine, points.p, load=load_N, warming=warming)
+        found = control.compensate(machine, points.p, load=load_N, warming=warming, force=force)
     except UnreachableError as error:
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
@@ -52,8 +60,10 @@ def compensate(path: Path, machine_path: Path, out: Path, load_N: float, warming
 
 @click.command()
 @_MACHINE
+@click.option("--zeros-only", is_flag=True, help="For a controller that takes nothing but zeros.")
+@_FORCE
 @out_option()
-def export(machine_path: Path, out: Path) -> None:
+def export(machine_path: Path, out: Path, zeros_only: bool, force: bool) -> None:
     """Write what other programs take of a calibrated machine.
 
     The controller's numbers with the sign rule written out (controller.txt and .json), and the
@@ -63,7 +73,7 @@ def export(machine_path: Path, out: Path) -> None:
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
-    write_results(out, export_files(load_machine(machine_path)))
+    write_results(out, export_files(load_machine(machine_path), zeros_only=zeros_only, force=force))
     click.echo(f"written: {click.format_filename(out)}")
 
 

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.from_tcp import FRAMES, run_fit_tcp
 from orthoglide.cli.options import PATH, Names, fit_options, out_option, run_options
 from orthoglide.cli.running import execute, read_request
 
 if TYPE_CHECKING:
-    from orthoglide.fit.from_tcp import Frame
     from orthoglide.request import Request
 
 
@@ -29,14 +27,6 @@ if TYPE_CHECKING:
 @click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
 @fit_options
 @click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
-@click.option("--fit-tcp", type=PATH, metavar="FILE", help="Identify from TCP points instead.")
-@click.option(
-    "--frame",
-    type=click.Choice(FRAMES),
-    default=FRAMES[0],
-    show_default=True,
-    help="How the instrument of --fit-tcp may stand to the machine.",
-)
 @run_options
 def identify(
     campaigns: tuple[Path, ...],
@@ -44,30 +34,11 @@ def identify(
     free: tuple[str, ...],
     no_priors: bool,
     reduced: bool,
-    fit_tcp: Path | None,
-    frame: Frame,
     quiet: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Identify joint offsets and leg lengths (or more) from campaigns of dial readings."""
-    if fit_tcp is not None:
-        if campaigns or options["own"] or reduced:
-            raise click.UsageError("--fit-tcp takes no campaigns, no --own and no --reduced")
-        run_fit_tcp(
-            fit_tcp,
-            out,
-            free,
-            options["machine_path"],
-            frame=frame,
-            priors=not no_priors,
-            noise_mm=options["noise_mm"],
-            quiet=quiet,
-            as_json=as_json,
-        )
-        return
-    if not campaigns:
-        raise click.UsageError("name at least one campaign, or TCP points with --fit-tcp")
 
     def read() -> Request:
         from dataclasses import replace

@@ -67,7 +67,7 @@ def run_options(command: Command) -> Command:
 
 
 def fit_options(command: Command) -> Command:
-    """What every fit of campaigns takes: ``--own``, ``--machine``, ``--noise``."""
+    """What every fit takes: ``--own``, ``--machine``, ``--fit-tcp``, ``--noise`` and their like."""
     options = (
         click.option(
             "--own",
@@ -77,6 +77,26 @@ def fit_options(command: Command) -> Command:
             help="What each campaign has for itself while the rest is shared.",
         ),
         machine_option,
+        click.option(
+            "--effects-file",
+            type=PATH,
+            metavar="FILE.py",
+            help="Python file with effects of your own, weighed beside the catalogue.",
+        ),
+        click.option(
+            "--fit-tcp",
+            type=PATH,
+            multiple=True,
+            metavar="FILE",
+            help="TCP points that are readings like the others; may be given several times.",
+        ),
+        click.option(
+            "--frame",
+            type=click.Choice(("rigid", "translation", "none")),
+            default="rigid",
+            show_default=True,
+            help="How the instrument of --fit-tcp may stand to the machine.",
+        ),
         click.option(
             "--noise",
             "noise_mm",
@@ -106,11 +126,13 @@ def noise_metres(noise_mm: float | None) -> float | None:
     return noise_mm * 1e-3
 
 
-def load_machine(path: Path | None) -> Machine:
-    """The machine of ``--machine``."""
+def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine:
+    """The machine of ``--machine``, with the effects of ``--effects-file``."""
+    from orthoglide.effects.loading import load_effects
     from orthoglide.machine import Machine
 
-    machine = Machine.nominal() if path is None else Machine.load(path)
+    effects = () if effects_file is None else load_effects(effects_file)
+    machine = Machine.nominal() if path is None else Machine.load(path, effects)
     for warning in machine.warnings:
         click.echo(f"warning: {warning}", err=True)
-    return machine
+    return machine.with_effects(effects)

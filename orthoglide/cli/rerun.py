@@ -36,8 +36,11 @@ SCHEMAS = (1, 2)
     metavar="FOLDER",
     help="Where the files lie that were read; else beside the result, or above it, or here.",
 )
+@click.option("--effects-file", type=PATH, metavar="FILE.py", help="As the run was given.")
 @click.option("--quiet", is_flag=True, help="No progress; only what differs is said.")
-def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> None:
+def rerun(
+    result: Path, out: Path | None, inputs: Path | None, effects_file: Path | None, quiet: bool
+) -> None:
     """Do a run again from the rows kept in its result, and compare the numbers.
 
     Tells which of the files that were read have changed since. Exit code 0 where the numbers are
@@ -51,10 +54,12 @@ def rerun(result: Path, out: Path | None, inputs: Path | None, quiet: bool) -> N
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.closing import run
+        from orthoglide.effects.loading import load_effects
         from orthoglide.report import report_files, result_text
         from orthoglide.request import request_of
 
-        found = run(request_of(old, str(result)), step)
+        effects = () if effects_file is None else load_effects(effects_file)
+        found = run(request_of(old, str(result), effects), step)
         files = report_files(found, step) if out is not None else {}
         new = json.loads(files.get("result.json") or result_text(found))
         numbers = _numbers(new, old["schema"])

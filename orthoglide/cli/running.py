@@ -15,6 +15,7 @@ from orthoglide.errors import InputError
 from orthoglide.progress import Step
 
 if TYPE_CHECKING:
+    from orthoglide.fit import Frame
     from orthoglide.request import Command, Request
 
 
@@ -28,6 +29,9 @@ def read_request(
     seed: int = 0,
     holdout: Path | None = None,
     tcp: Path | None = None,
+    fit_tcp: Sequence[Path] = (),
+    frame: Frame = "rigid",
+    effects_file: Path | None = None,
 ) -> Request:
     """Read what the options of a command name.
 
@@ -40,11 +44,17 @@ def read_request(
     noise = noise_metres(noise_mm)
     if seed < 0 and command != "identify":
         raise InputError(f"--seed must be 0 or more, not {seed}")
-    machine = load_machine(machine_path)
+    if not campaigns and not fit_tcp:
+        raise InputError("name at least one campaign, or TCP points with --fit-tcp")
+    machine = load_machine(machine_path, effects_file)
+    fitted = tuple(read_tcp(path, machine.spec) for path in fit_tcp)
     several = tuple(read_campaign(path, machine.spec) for path in campaigns)
     held = None if holdout is None else read_campaign(holdout, machine.spec)
     points = None if tcp is None else read_tcp(tcp, machine.spec)
-    return Request(command, several, machine, own, noise, seed, held, points)
+    return Request(
+        command, several, machine, own, noise, seed, held, points, points=fitted, frame=frame,
+        effects_file=effects_file.name if effects_file else "",
+    )  # fmt: skip
 
 
 def execute(

@@ -2,6 +2,8 @@
 files that a controller or another program takes of a calibrated machine.
 """
 
+from orthoglide.control.acting import withheld
+from orthoglide.control.checking import ZeroCheck
 from orthoglide.control.compensation import (
     NOT_COVERED,
     Compensation,
@@ -9,16 +11,18 @@ from orthoglide.control.compensation import (
     tcp_sigma,
 )
 from orthoglide.control.files import PathPoints, commands_text, export_files, read_path
-from orthoglide.control.numbers import ControllerNumbers, DriveNumbers, controller_numbers
+from orthoglide.control.numbers import RULE, ControllerNumbers, DriveNumbers, controller_numbers
 from orthoglide.control.urdf import HELD_BY_URDF, calibrated_urdf
 
 __all__ = [
     "HELD_BY_URDF",
     "NOT_COVERED",
+    "RULE",
     "Compensation",
     "ControllerNumbers",
     "DriveNumbers",
     "PathPoints",
+    "ZeroCheck",
     "calibrated_urdf",
     "commands_text",
     "compensate",
@@ -26,4 +30,5 @@ __all__ = [
     "export_files",
     "read_path",
     "tcp_sigma",
+    "withheld",
 ]

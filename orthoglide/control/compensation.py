@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.accuracy import tcp_slopes
+from orthoglide.control.acting import refuse_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
@@ -101,6 +102,7 @@ class Compensation:
             f"worst point, after one translation of everything (one standard deviation, {how})",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
+            "the commands count as the controller does now: enter no new zero besides",
             "not covered: " + "; ".join(NOT_COVERED),
         ]
         return "\n".join(lines)
@@ -115,6 +117,7 @@ def compensate(
     warming: ArrayLike = 0.0,
     load: ArrayLike = 0.0,
     resolution: float = RESOLUTION,
+    force: bool = False,
 ) -> Compensation:
     """Commands that bring the TCP to the wanted points, given all the machine's effects.
 
@@ -129,11 +132,14 @@ def compensate(
         warming: kelvin above the calibration's first reading, a number or ``(n,)``.
         load: newtons at the TCP along base -z, a number or ``(n,)``.
         resolution: of the commands, metres.
+        force: compensate whatever the verdict that is kept with the machine says.
 
     Raises:
-        InputError: for points that are not numbers, or an approach that cannot be settled.
+        InputError: where that verdict says not to act on the machine's numbers, for points that
+            are not numbers, or an approach that cannot be settled.
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
+    refuse_withheld(machine, force)
     goal = np.asarray(points, dtype=float)
     if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
         raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")

@@ -70,11 +70,13 @@ def commands_text(found: Compensation) -> str:
     return stream.getvalue()
 
 
-def export_files(machine: Machine) -> dict[str, str]:
+def export_files(
+    machine: Machine, *, zeros_only: bool = False, force: bool = False
+) -> dict[str, str]:
     """What other programs take of a machine, by file name: numbers for the controller, as text
-    and as JSON, the calibrated URDF and its loop closures.
+    and as JSON, the calibrated URDF and its loop closures; options as for ``controller_numbers``.
     """
-    numbers = controller_numbers(machine)
+    numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
     return {
         "controller.txt": numbers.text(),
         "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",

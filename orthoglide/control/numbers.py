@@ -1,14 +1,26 @@
-"""The numbers a controller takes of a calibrated machine, with the sign rules written out."""
+"""The numbers a controller takes of a calibrated machine, with the sign rule written out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
+import numpy as np
+
+from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
+from orthoglide.control.acting import refuse_withheld
+from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 
-_LEFT_OVER = frozenset({"joint_offset", "encoder_scale", "backlash", "leg_length"})
+RULE = (
+    "new zero = old zero - sign x joint_offset: what the controller shows, counted as now, when "
+    "the carriage is at mechanical zero; for it stands at the commanded joint coordinate plus its "
+    "joint offset. Enter the new zero once, or add new zero - old zero to every command; never "
+    "both."
+)
+"""The sign of a zero, wherever one is given."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,34 @@ class DriveNumbers:
         lag = -approach * self.backlash / 2
         return self.zero + self.sign * (travel - self.offset - lag) * self.scale_factor
 
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; lengths in millimetres."""
+        return {
+            "sign": self.sign,
+            "joint_offset_mm": _mm(self.offset),
+            "old_zero_mm": _mm(self.zero),
+            "new_zero_mm": _mm(self.new_zero),
+            "add_to_command_mm": _mm(self.correction),
+            "scale_factor": round(self.scale_factor, 9),
+            "backlash_mm": _mm(self.backlash),
+            "new_zero_one_sided_mm": _mm(self.one_sided_zero),
+            "bar_length_mm": _mm(self.bar_length),
+        }
+
+    def worked(self) -> str:
+        """The sign rule for this drive, number by number."""
+        way = "away from" if self.sign > 0 else "toward"
+        side = "out" if self.offset >= 0 else "in"
+        return (
+            f"joint_offset.{self.leg} = {_mm(self.offset):+.4f} mm: sent to mechanical zero, shown "
+            f"{_mm(self.zero):.4f}, carriage {self.leg} stands {abs(_mm(self.offset)):.4f} mm too "
+            f"far {side}. The controller counts {way} the origin (sign {self.sign:+d}), so the "
+            f"carriage is at mechanical zero where it shows {_mm(self.zero):.4f} - "
+            f"({self.sign:+d}) x ({_mm(self.offset):+.4f}) = {_mm(self.new_zero):.4f} mm: enter "
+            f"that as the zero, or add {_mm(self.correction):+.4f} mm to every command of drive "
+            f"{self.leg}."
+        )
+
 
 @dataclass(frozen=True)
 class ControllerNumbers:
@@ -75,69 +115,105 @@ class ControllerNumbers:
         name: of the machine.
         drives: x, y, z.
         left_over: parameters of the machine that no such number can hold.
+        zeros_only: zeros for a controller that takes nothing else, metres.
+        checks: readings that prove the sign of each new zero.
+        expected: errors of the TCP, see :func:`~orthoglide.accuracy.tool_settings`.
     """
 
     name: str
     drives: tuple[DriveNumbers, DriveNumbers, DriveNumbers]
     left_over: tuple[str, ...]
+    zeros_only: tuple[float, ...]
+    checks: tuple[ZeroCheck, ...]
+    expected: dict[str, ExpectedError]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""
         return {
             "machine": self.name,
-            "drives": {d.leg: _entry(d) for d in self.drives},
+            "rule": RULE,
+            "drives": {d.leg: d.as_dict() for d in self.drives},
+            "zeros_only_mm": dict(zip(LEGS, map(_mm, self.zeros_only), strict=True)),
+            "checks": {c.drive: c.as_dict() for c in self.checks},
+            "expected": {name: error.as_dict() for name, error in self.expected.items()},
             "not_held": list(self.left_over),
         }
 
     def text(self) -> str:
-        """For people: the rules in words, one worked line, and a table."""
-        first = self.drives[0]
+        """For people: the rule in words, one worked line, a table, and the checks."""
+        shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
         return _TEXT.format(
             name=self.name,
-            worked=_worked(first),
-            table="\n".join(_line(d) for d in self.drives),
+            rule=fill(RULE, 100),
+            worked=self.drives[0].worked(),
+            table="\n".join(map(_line, self.drives)),
+            checks="\n".join(f"- {check}" for check in self.checks) or _NONE,
+            alone=", ".join(
+                f"{leg} {_mm(v):.4f}" for leg, v in zip(LEGS, self.zeros_only, strict=True)
+            ),
+            **shape,
             rest=_rest(self.left_over),
         )
 
 
-def controller_numbers(machine: Machine) -> ControllerNumbers:
+def controller_numbers(
+    machine: Machine, *, zeros_only: bool = False, force: bool = False
+) -> ControllerNumbers:
     """The corrections that a controller takes of a calibrated machine.
 
     Args:
         machine: calibrated; its ``[controller]`` says how the controller counts.
+        zeros_only: for a controller that takes zeros and nothing else: those that leave the least
+            shape error over the workspace, see :func:`~orthoglide.accuracy.best_zeros`.
+        force: give them whatever the verdict that is kept with the machine says.
+
+    Raises:
+        InputError: where the verdict says not to act on the machine's numbers.
     """
-    value, controller, geometry = machine.values, machine.spec.controller, machine.geometry
+    refuse_withheld(machine, force)
+    settings = tool_settings(machine)
+    alone = _by_kind(machine, settings["zeros"])["zero"]
+    held = _by_kind(machine, machine.values)
+    if zeros_only:
+        held = {"zero": alone}
+    controller, length = machine.spec.controller, machine.geometry.L
+    none = np.zeros(3)
     drives = [
         DriveNumbers(
             leg,
             controller.sign[k],
             controller.zero[k],
-            value.get(f"joint_offset.{leg}", 0.0),
-            value.get(f"encoder_scale.{leg}", 0.0),
-            value.get(f"backlash.{leg}", 0.0),
-            geometry.L + value.get(f"leg_length.{leg}", 0.0),
+            float(held.get("zero", none)[k]),
+            float(held.get("scale", none)[k]),
+            float(held.get("backlash", none)[k]),
+            length + float(held.get("bar_length", none)[k]),
         )
         for k, leg in enumerate(LEGS)
     ]
-    rest = (n for n, v in value.items() if v and n.partition(".")[0] not in _LEFT_OVER)
-    return ControllerNumbers(machine.spec.name, (drives[0], drives[1], drives[2]), tuple(rest))
+    of = machine.catalogue.effect_of
+    return ControllerNumbers(
+        machine.spec.name,
+        (drives[0], drives[1], drives[2]),
+        tuple(n for n, v in machine.values.items() if v and of(n).controller not in held),
+        tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
+        check_zeros(machine, held.get("zero", none)),
+        {name: expected_error(machine, given) for name, given in settings.items()},
+    )
+
+
+def _by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
+    """What a controller takes of these parameters: by kind of number, for x, y, z ``(3,)``, SI."""
+    found: dict[str, np.ndarray] = {}
+    for name, value in values.items():
+        kind = machine.catalogue.effect_of(name).controller
+        if kind:
+            leg = LEGS.index(machine.catalogue.parameter(name).leg)
+            found.setdefault(kind, np.zeros(3))[leg] += value
+    return found
 
 
 def _mm(metres: float) -> float:
     return round(metres * 1e3, 6) + 0.0
-
-
-def _entry(d: DriveNumbers) -> dict[str, Any]:
-    return {
-        "sign": d.sign,
-        "old_zero_mm": _mm(d.zero),
-        "new_zero_mm": _mm(d.new_zero),
-        "add_to_command_mm": _mm(d.correction),
-        "scale_factor": round(d.scale_factor, 9),
-        "backlash_mm": _mm(d.backlash),
-        "new_zero_one_sided_mm": _mm(d.one_sided_zero),
-        "bar_length_mm": _mm(d.bar_length),
-    }
 
 
 def _line(d: DriveNumbers) -> str:
@@ -145,19 +221,6 @@ def _line(d: DriveNumbers) -> str:
         f"  {d.leg}   {_mm(d.new_zero):+12.4f} {_mm(d.correction):+12.4f} "
         f"{d.scale_factor:13.7f} {_mm(d.backlash):10.4f} {_mm(d.one_sided_zero):+14.4f} "
         f"{_mm(d.bar_length):12.4f}"
-    )
-
-
-def _worked(d: DriveNumbers) -> str:
-    way = "away from" if d.sign > 0 else "toward"
-    side = "out" if d.offset >= 0 else "in"
-    return (
-        f"joint_offset.{d.leg} = {_mm(d.offset):+.4f} mm: told to be at mechanical zero, shown "
-        f"{_mm(d.zero):.4f}, carriage {d.leg} stands {abs(_mm(d.offset)):.4f} mm too far {side}. "
-        f"The controller counts {way} the origin (sign {d.sign:+d}), so the carriage is at "
-        f"mechanical zero where it shows {_mm(d.zero):.4f} - ({d.sign:+d}) x "
-        f"({_mm(d.offset):+.4f}) = {_mm(d.new_zero):.4f} mm: enter that as the zero, or add "
-        f"{_mm(d.correction):+.4f} mm to every command of drive {d.leg}."
     )
 
 
@@ -170,12 +233,11 @@ def _rest(names: tuple[str, ...]) -> str:
     )
 
 
+_NONE = "- no zero moves by what a dial shows."
 _TEXT = """Numbers for the controller: {name}
 All lengths in mm, in the controller's own counting.
 
-The rule. A positive joint_offset means that the carriage stands farther from the origin than told.
-To put it right the command must be less along rho by that much:
-new zero = old zero - sign x joint_offset.
+{rule}
 Worked: {worked}
 
 Scale factor: multiply commanded distances from mechanical zero (or the counts per millimetre) by
@@ -188,6 +250,14 @@ Bar length: L of that leg, where the controller computes the kinematics.
 
 drive    new zero  add to cmd.  scale factor   backlash one-sided zero   bar length
 {table}
+
+Check of the signs. Enter the three new zeros and nothing else; the numbers in brackets are what the
+controller shows for x, y, z.
+{checks}
+
+Zeros only. For a controller that takes nothing but zeros these are best: {alone}.
+Mean error of the TCP over the workspace to expect, after one translation of everything: {now} now,
+{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`.
 
 {rest}
 """

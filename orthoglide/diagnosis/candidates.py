@@ -1,16 +1,15 @@
-"""The candidates: every effect that these readings could show, alone, structured, as a family."""
+"""The candidates: every effect that these readings could show, alone, structured, or whole."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.effects import BASE_FAMILIES, CATALOGUE, family_of, structured
-from orthoglide.fit import Problem
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.geometry import Array
-from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -18,14 +17,14 @@ class Candidate:
     """A cause that may be added to the model.
 
     Attributes:
-        name: ``axis_tilt.y.z``, ``axis_tilt.cyclic``, or a family such as ``screw_error.x``.
-        family: of the catalogue.
-        parameters: what is freed if it is added, as ``build_problem`` takes it.
+        name: ``axis_tilt.y.z``, ``axis_tilt.cyclic``, an effect's own, or ``screw_error.x``.
+        effect: name of its effect.
+        parameters: what is freed if it is added, as ``with_free`` takes it.
         weights: of the elementary unknowns, one mapping for each of ``parameters``.
     """
 
     name: str
-    family: str
+    effect: str
     parameters: tuple[str, ...]
     weights: tuple[Mapping[str, float], ...]
 
@@ -34,7 +33,7 @@ class Candidate:
         """Number of parameters."""
         return len(self.parameters)
 
-    def columns(self, names: tuple[str, ...]) -> Array:
+    def columns(self, names: Sequence[str]) -> Array:
         """Matrix ``(E, size)`` from the candidate's parameters to elementary unknowns."""
         place = {name: k for k, name in enumerate(names)}
         matrix = np.zeros((len(names), self.size))
@@ -44,100 +43,80 @@ class Candidate:
         return matrix
 
 
-def excited_families(problem: Problem) -> tuple[str, ...]:
-    """Families beyond the base whose conditions the campaigns vary at all."""
-    campaigns = problem.campaigns
-    conditions = {
-        "screw_error": problem.machine.spec.screw_pitch is not None,
-        "backlash": _varies(campaigns, "approach"),
-        "drive_compliance": any(c.load.any() for c in campaigns),
-        "thermal_growth": _varies(campaigns, "temperature"),
-        "thermal_drift": _varies(campaigns, "time") and not _varies(campaigns, "temperature"),
-        "gauge_drift": _varies(campaigns, "time"),
-    }
-    return tuple(
-        name for name in CATALOGUE if name not in BASE_FAMILIES and conditions.get(name, True)
-    )
-
-
-def _varies(campaigns: tuple[Campaign, ...], what: str) -> bool:
-    for campaign in campaigns:
-        values = getattr(campaign, what)
-        known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
-        if len(known) and np.ptp(known, axis=0).max() > 0:
-            return True
-    return False
-
-
-def candidates(names: tuple[str, ...], families: tuple[str, ...]) -> tuple[Candidate, ...]:
-    """All candidates made of elementary unknowns: single, structured, and families whole.
+def candidates(
+    names: Sequence[Parameter], effects: Sequence[Effect], catalogue: Catalogue
+) -> tuple[Candidate, ...]:
+    """All candidates made of elementary unknowns: single, structured, and effects whole.
 
     Args:
-        names: elementary unknowns at hand, campaign suffixes included.
-        families: to be considered.
+        names: elementary unknowns at hand, campaigns included.
+        effects: to be considered.
+        catalogue: that they belong to.
     """
     found: dict[str, Candidate] = {}
-    for family in families:
-        own = [n for n in names if family_of(n).name == family]
-        members = _of_dials(family, own) if CATALOGUE[family].group == "dial" else _of(family, own)
-        found.update({m.name: m for m in (*members, *_blocks(family, own))})
+    for effect in effects:
+        mine = [n for n in names if n.effect == effect.name]
+        single = (
+            _of_dials(effect, mine, catalogue) if effect.of_dial else _of(effect, mine, catalogue)
+        )
+        for candidate in (*single, *_whole(effect, mine)):
+            # The same parameters under two names would be one cause twice.
+            found.setdefault(_content(candidate), candidate)
     return tuple(found.values())
 
 
-def _of_dials(family: str, names: list[str]) -> list[Candidate]:
+def _content(candidate: Candidate) -> str:
+    return repr(sorted(sorted((str(n), w) for n, w in c.items()) for c in candidate.weights))
+
+
+def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:
     """Candidates of dials: each campaign has its own."""
-    members = [Candidate(n, family, (n,), ({n: 1.0},)) for n in names]
-    for stem in dict.fromkeys(n.partition("@")[2] for n in names):
-        suffix = f"@{stem}" if stem else ""
-        here = tuple(n for n in names if n.partition("@")[2] == stem)
-        members += _structured(family, here, suffix)
+    members = [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
+    for campaign in dict.fromkeys(n.campaign for n in names):
+        here = [n.plain for n in names if n.campaign == campaign]
+        setups = tuple(n.setup for n in here)
+        for member, weights in catalogue.structured(effect.name, setups).items():
+            full = {n.at(campaign): w for n, w in weights.items()}
+            members.append(_one(effect, member.at(campaign), full))
     return members
 
 
-def _of(family: str, names: list[str]) -> list[Candidate]:
+def _of(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:
     """Candidates of the machine: what campaigns have for themselves makes one cause together."""
-    parts: dict[str, list[str]] = {}
+    parts: dict[Parameter, list[Parameter]] = {}
     for name in names:
-        parts.setdefault(name.partition("@")[0], []).append(name)
+        parts.setdefault(name.plain, []).append(name)
     members = [
-        Candidate(plain, family, tuple(full), tuple({n: 1.0} for n in full))
+        Candidate(plain, effect.name, tuple(full), tuple({n: 1.0} for n in full))
         for plain, full in parts.items()
     ]
-    shared = tuple(plain for plain, full in parts.items() if full == [plain])
-    separate = {tuple(n.partition("@")[2] for n in full) for full in parts.values()}
+    shared = {plain for plain, full in parts.items() if full == [plain]}
+    patterns = catalogue.structured(effect.name)
+    separate = {tuple(n.campaign for n in full) for full in parts.values()}
     if shared or len(separate) != 1:
-        return members + _structured(family, shared, "")
-    (stems,) = separate
-    for pattern in _structured(family, tuple(parts), ""):
-        (weights,) = pattern.weights
-        copies = tuple({f"{n}@{stem}": w for n, w in weights.items()} for stem in stems)
-        parameters = tuple(f"{pattern.name}@{stem}" for stem in stems)
-        members.append(Candidate(pattern.name, family, parameters, copies))
+        return members + [_one(effect, m, w) for m, w in patterns.items() if set(w) <= shared]
+    (campaigns,) = separate
+    for member, weights in patterns.items():
+        if set(weights) <= set(parts):
+            copies = tuple({str(n.at(c)): w for n, w in weights.items()} for c in campaigns)
+            freed = tuple(member.at(c) for c in campaigns)
+            members.append(Candidate(member, effect.name, freed, copies))
     return members
 
 
-def _structured(family: str, here: tuple[str, ...], suffix: str) -> list[Candidate]:
-    plain = [n.partition("@")[0] for n in here]
-    setups = tuple(n.partition(".")[2] for n in plain) if CATALOGUE[family].group == "dial" else ()
-    members = []
-    for name, weights in structured(family, setups).items():
-        if set(weights) <= set(plain):
-            full = {f"{n}{suffix}": w for n, w in weights.items()}
-            members.append(Candidate(f"{name}{suffix}", family, (f"{name}{suffix}",), (full,)))
-    return members
+def _one(effect: Effect, member: Parameter, weights: Mapping[Parameter, float]) -> Candidate:
+    return Candidate(member, effect.name, (member,), ({str(n): w for n, w in weights.items()},))
 
 
-def _blocks(family: str, own: list[str]) -> list[Candidate]:
-    """A family whole; and where a leg has two parameters of one cause, those of each leg."""
-    if CATALOGUE[family].group == "dial" or len(own) < 2:
+def _whole(effect: Effect, names: list[Parameter]) -> list[Candidate]:
+    """An effect whole; and where a leg has several parameters of one cause, those of each leg."""
+    if effect.of_dial or len(names) < 2:
         return []
-    blocks = {family: own}
-    if family == "screw_error":
-        blocks |= {
-            f"{family}.{leg}": [n for n in own if n.split(".")[1] == leg]
-            for leg in dict.fromkeys(n.split(".")[1] for n in own)
-        }
+    blocks = {effect.name: names}
+    if effect.paired:
+        for name in names:
+            blocks.setdefault(f"{effect.name}.{name.leg}", []).append(name)
     return [
-        Candidate(name, family, tuple(members), tuple({m: 1.0} for m in members))
+        Candidate(name, effect.name, tuple(members), tuple({m: 1.0} for m in members))
         for name, members in blocks.items()
     ]

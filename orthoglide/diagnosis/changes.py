@@ -9,8 +9,7 @@ faults of the data, on the same station means and in the same form of evidence.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,100 +18,11 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.effects import family_of, is_dial
-from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.problem import build_unknowns
+from orthoglide.fit import Change, Problem, build_unknowns
 from orthoglide.geometry import Array
-from orthoglide.numerals import compact
-from orthoglide.units import Unit
 
 _SIGNIFICANT = 3.0  # sigmas
 _CLASS_WIDTH = 4.0  # fall of chi2 within which two changes cannot be told apart (Wilks)
-
-
-@dataclass(frozen=True)
-class Change:
-    """A parameter of the machine that is not the same in all campaigns.
-
-    Attributes:
-        parameter: the most probable one.
-        members: all parameters whose change these readings cannot tell from its, itself first.
-        since: name of the first campaign after the change.
-        between: files, or names, of the last campaign before and the first after the change.
-        evidence: log Bayes factor in its favour, the number of its like discounted.
-        before: value before the change, SI.
-        after: value after the change, SI.
-        sigma: standard deviation of the difference, SI.
-        sigma_after: standard deviation of the value after the change, SI.
-    """
-
-    parameter: str
-    members: tuple[str, ...]
-    since: str
-    between: tuple[str, str]
-    evidence: float
-    before: float = float("nan")
-    after: float = float("nan")
-    sigma: float = float("nan")
-    sigma_after: float = float("nan")
-
-    @property
-    def unit(self) -> Unit:
-        """Unit of the parameter in files."""
-        return family_of(self.parameter).unit
-
-    @property
-    def message(self) -> str:
-        """One sentence: between which files, what, from what to what."""
-        si, name = self.unit.si, self.unit.name
-        before, after, sigma = (compact(v / si) for v in (self.before, self.after, self.sigma))
-        others = f" (or {', '.join(self.members[1:])})" if len(self.members) > 1 else ""
-        return (
-            f"between {_file(self.between[0])} and {_file(self.between[1])} "
-            f"{self.parameter}{others} changed from {before} to {after} {name} (± {sigma})"
-        )
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """What is separate from ``since`` on, as ``build_problem`` takes it."""
-        return tuple(f"{name}@{self.since}" for name in self.members)
-
-    @property
-    def is_cause(self) -> bool:
-        """Whether the parameter still has an error after the change that these readings show."""
-        return abs(self.after) > _SIGNIFICANT * self.sigma_after
-
-    def measured(self, estimate: Estimate) -> Change:
-        """With the values of a fit in which the parameter, or a member instead, is separate."""
-        for name in self.members:
-            pair = _either_side(estimate.problem, name, self.since)
-            if pair is None:
-                continue
-            (before, after), spread = estimate.x[pair], estimate.covariance[np.ix_(pair, pair)]
-            sigma = np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1])
-            others = tuple(n for n in self.members if n != name)
-            return replace(
-                self,
-                parameter=name,
-                members=(name, *others),
-                before=float(before),
-                after=float(after),
-                sigma=float(sigma),
-                sigma_after=float(np.sqrt(spread[1, 1])),
-            )
-        return self
-
-
-def _file(path: str) -> str:
-    return path.rpartition("/")[2]
-
-
-def _either_side(problem: Problem, name: str, since: str) -> list[int] | None:
-    """Places of the unknowns before and after a change."""
-    places = [k for k, n in enumerate(problem.names) if n.partition("@")[0] == name]
-    for one, other in pairwise(places):
-        if problem.names[other] == f"{name}@{since}":
-            return [one, other]
-    return None
 
 
 def likeliest_change(means: StationMeans) -> Change | None:
@@ -146,7 +56,8 @@ def likeliest_change(means: StationMeans) -> Change | None:
     members = tuple(dict.fromkeys((plain, *names)))
     first = [c.name for c in problem.campaigns].index(since)
     before, after = (c.file or c.name for c in problem.campaigns[first - 1 : first + 1])
-    return Change(plain, members, since, (before, after), float(evidence[near].max()))
+    unit = problem.machine.catalogue.effect_of(plain).unit
+    return Change(plain, members, since, (before, after), float(evidence[near].max()), unit)
 
 
 def _squared_tolerances(scoring: Scoring, residual: Array) -> Array:
@@ -196,7 +107,7 @@ def separated(problem: Problem, changes: Sequence[Change]) -> Problem:
     unknowns = {u.name: u for u in problem.unknowns}
     for change in changes:
         unknowns = {n: u for n, u in unknowns.items() if n.partition("@")[0] != change.parameter}
-        free = build_unknowns(problem.machine, problem.campaigns, [change.parameter], own)
+        free = build_unknowns(problem.machine, problem.factors, [change.parameter], own)
         unknowns |= {u.name: u for u in free}
     held = tuple(
         {n: v for n, v in values.items() if not any(n in u.parts[k] for u in unknowns.values())}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.faults import setup_names
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.scores import leverage_basis
+from orthoglide.fit.least_squares import fitted_basis
 from orthoglide.geometry import LEGS, Array
 
 ALPHA = 0.005
@@ -70,24 +70,34 @@ class _Rest:
         return self.estimate.problem
 
     @property
+    def count(self) -> int:
+        """Number of dial readings: only these are looked at."""
+        return sum(map(len, self.problem.campaigns))
+
+    @property
     def weight(self) -> Array:
         """1 / sigma of each reading ``(n,)``."""
-        return self.estimate.nuisance.weight
+        return self.estimate.nuisance.weight[: self.count]
 
     @property
     def setup(self) -> NDArray[np.int64]:
         """Setup of each reading ``(n,)``."""
-        return self.problem.setup_of_row
+        return self.problem.setup_of_row[: self.count]
+
+    @property
+    def station(self) -> NDArray[np.int64]:
+        """Station of each reading ``(n,)``."""
+        return self.problem.station[: self.count]
 
     @cached_property
     def basis(self) -> Array:
         """Orthonormal columns of everything fitted, rows of readings ``(n, q)``."""
-        return leverage_basis(self.problem, self.estimate.nuisance, self.estimate.at)
+        return fitted_basis(self.problem, self.estimate.nuisance, self.estimate.at)[: self.count]
 
     @cached_property
     def residual(self) -> Array:
         """Whitened ``(n,)``."""
-        return self.estimate.residuals * self.weight
+        return self.estimate.residuals[: self.count] * self.weight
 
     @cached_property
     def leg(self) -> NDArray[np.int64]:
@@ -133,7 +143,7 @@ class _Rest:
         """
         past, scale = self.past(columns)
         kept = np.linalg.norm(past, axis=0) > 1e-3 * scale
-        station = self.problem.station
+        station = self.station
         total = float(self.residual @ self.residual)
         degrees = len(station) - float(np.sum(self.basis**2))
         if not by_reading:
@@ -167,7 +177,7 @@ def _where(rest: _Rest) -> str:
 
 def _single_station(rest: _Rest) -> str:
     """A single station that stands out: a slip at one posture, or an end of the travel."""
-    station = rest.problem.station
+    station = rest.station
     columns = np.eye(int(station.max()) + 1)[station]
     past, scale = rest.past(columns)
     size = np.linalg.norm(past, axis=0)

@@ -17,11 +17,9 @@ from orthoglide.diagnosis.significance import (
     name_p_value,
     station_degrees,
 )
-from orthoglide.effects import CATALOGUE, family_of
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.fit import Estimate, Problem, solve
+from orthoglide.fit import Estimate, Problem, solve, with_free
 from orthoglide.fit.least_squares import normal
-from orthoglide.fit.problem import build_unknowns
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 from orthoglide.progress import Progress, Step
@@ -52,7 +50,7 @@ class Trial:
     @property
     def chi2(self) -> float:
         """Of the fit, priors included."""
-        return self.estimate.scores.chi2
+        return self.estimate.scores.cost
 
     @property
     def plausible(self) -> bool:
@@ -70,21 +68,6 @@ def log_evidence(estimate: Estimate) -> float:
     return float(-here.cost / 2 - np.linalg.slogdet(info)[1] / 2)
 
 
-def extend(problem: Problem, names: Sequence[str]) -> Problem:
-    """The same problem with more freed: parameters, structured members, campaign suffixes kept."""
-    unknowns = list(problem.unknowns)
-    for name in names:
-        plain, _, stem = name.partition("@")
-        for unknown in build_unknowns(problem.machine, problem.campaigns, [plain], problem.own):
-            if unknown.name == name or not stem:
-                unknowns.append(unknown)
-    held = tuple(
-        {n: v for n, v in values.items() if not any(n in u.parts[k] for u in unknowns)}
-        for k, values in enumerate(problem.held)
-    )
-    return replace(problem, unknowns=tuple(unknowns), held=held)
-
-
 def refit(base: Problem, added: Sequence[str], like: Estimate | None = None) -> Estimate:
     """Identify a problem with effects added, starting from a fit at hand.
 
@@ -93,7 +76,7 @@ def refit(base: Problem, added: Sequence[str], like: Estimate | None = None) -> 
         added: parameters to free besides.
         like: a fit to start from; unknowns of the same name keep their value.
     """
-    problem = extend(base, added)
+    problem = with_free(base, added)
     start = None
     if like is not None:
         known = like.values
@@ -192,7 +175,7 @@ def attempt(
 
 def _order(trial: Trial) -> tuple[float, int, str]:
     # Equal but for rounding: the order of the catalogue decides, so that answers are repeatable.
-    place = list(CATALOGUE).index(family_of(trial.candidate.name).name)
+    place = list(trial.estimate.problem.machine.catalogue).index(trial.candidate.effect)
     return (-round(trial.evidence, 2), place, trial.candidate.name)
 
 
@@ -251,24 +234,28 @@ def rivals(
     shift = chosen.evidence - evidences[own]
     logs = {name: float(evidences[k] + shift) for k, name in enumerate(names)}
     logs |= {names[k]: trial.evidence for k, trial in trials.items()}
-    for trial in _under_other_bars(base, others, chosen, limit, progress):
+    others_bars = _under_other_bars(base, others, chosen, limit, progress)
+    for trial in others_bars:
         name = trial.candidate.name
         if name != in_question.name and name not in found:
             found[name] = trial
             logs[name] = max(logs.get(name, -np.inf), trial.evidence)
-    weights = _weights(logs, scale)
+    effects = {c.name: c.effect for c in (*scoring.candidates, *(t.candidate for t in others_bars))}
+    weights = _weights(logs, effects, scale)
     members = [Rival(t, weights[n]) for n, t in found.items()]
     ordered = sorted(members, key=lambda r: (-r.weight, _order(r.trial)))
     return weights[in_question.name], tuple(ordered)
 
 
-def _weights(logs: Mapping[str, float], scale: float) -> dict[str, float]:
+def _weights(
+    logs: Mapping[str, float], effects: Mapping[str, str], scale: float
+) -> dict[str, float]:
     """Probabilities of candidates from their log evidences.
 
     Families are equally likely; within one, its candidates are. Where a fit still lacks something,
     what it lacks makes the readings worse witnesses.
     """
-    families = [family_of(name).name for name in logs]
+    families = [effects[name] for name in logs]
     shares = np.array([1.0 / families.count(f) for f in families])
     values = np.array(list(logs.values()))
     weights = np.exp((values - values.max()) / scale**2) * shares

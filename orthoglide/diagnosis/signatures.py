@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.candidates import Candidate, candidates, excited_families
+from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.least_squares import linearise
-from orthoglide.fit.problem import build_unknowns
+from orthoglide.fit import Estimate, elementary_beyond, with_free
+from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.least_squares import fitted_basis, linearise
 from orthoglide.geometry import Array
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
@@ -91,42 +91,26 @@ class Signatures:
         return self.estimate.problem.station
 
 
-def extended_problem(problem: Problem, families: tuple[str, ...]) -> Problem:
-    """The same readings with all parameters of families freed besides those that are."""
-    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
-    free: list[str] = []
-    for family in families:
-        names = build_unknowns(problem.machine, problem.campaigns, [family])
-        free.extend(
-            u.name.partition("@")[0]
-            for u in names
-            if not any(p in taken for parts in u.parts for p in parts)
-        )
-    if not free:
-        raise InputError("nothing is left in the catalogue to be tried")
-    plain = tuple(dict.fromkeys(free))
-    extra = build_unknowns(problem.machine, problem.campaigns, plain, problem.own)
-    return replace(
-        problem,
-        unknowns=(*problem.unknowns, *extra),
-        held=tuple({} for _ in problem.campaigns),
-    )
-
-
 def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
     """Linearise all effects of the catalogue at a fit.
 
     Args:
-        estimate: the fit, whose unknowns, datums and placements are projected out.
+        estimate: the fit, whose unknowns and nuisances are projected out.
         keep: elementary unknowns to keep whether they are visible or not.
+
+    Raises:
+        InputError: where everything that the readings could show is free already.
     """
     problem, nuisance = estimate.problem, estimate.nuisance
-    families = excited_families(problem)
-    wide = extended_problem(problem, families)
+    effects = excited_effects(problem)
+    beyond = elementary_beyond(problem, [e.name for e in effects])
+    if not beyond:
+        raise InputError("nothing is left in the catalogue to be tried")
+    wide = with_free(problem, beyond, release=False)
     own = len(problem.unknowns)
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
-    at = linearise(replace(wide, held=problem.held), x)
-    fitted = _fitted_basis(estimate)
+    at = linearise(wide, x)
+    fitted = fitted_basis(problem, nuisance, estimate.at)
     rows, n = len(fitted), len(problem.measured)
     weight = nuisance.weight
 
@@ -136,8 +120,12 @@ def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
         return np.asarray(padded - fitted @ (fitted.T @ padded))
 
     columns = augmented(at.jacobian[:, own:])
-    # The fit is stationary but for rounding: what it leaves is already free of what it freed.
-    residual = augmented(problem.measured - at.value + at.jacobian[:, :own] @ estimate.x)
+    # What the fit leaves of the readings and of what was known before, past what it freed.
+    _, target = problem.prior_rows
+    left = np.zeros(rows)
+    left[:n] = (problem.measured - at.value + at.jacobian[:, :own] @ estimate.x) * weight
+    left[n : n + len(target)] = target
+    residual = left - fitted @ (fitted.T @ left)
     tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])
     names = tuple(u.name for u in wide.unknowns[own:])
     seen = np.linalg.norm(columns, axis=0) * tolerance > _VISIBLE
@@ -152,19 +140,7 @@ def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
         residual,
         fitted,
         weight,
-        candidates(visible, families),
+        candidates(visible, effects, problem.machine.catalogue),
         tuple(n for n, s in zip(names, seen, strict=True) if not s),
         dict(zip(wide.names, at.jacobian.T, strict=True)),
     )
-
-
-def _fitted_basis(estimate: Estimate) -> Array:
-    """Orthonormal columns of unknowns, datums and placements with their priors ``(m, q)``."""
-    problem, nuisance = estimate.problem, estimate.nuisance
-    weight = nuisance.weight[:, None]
-    top = np.hstack([estimate.at.jacobian * weight, nuisance.columns * weight])
-    prior = np.concatenate([1 / problem.prior_sd, np.sqrt(nuisance.precision)])
-    full = np.vstack([top, np.diag(prior)])
-    scale = np.linalg.norm(full, axis=0)
-    left, singular, _ = np.linalg.svd(full / np.where(scale > 0, scale, 1), full_matrices=False)
-    return np.asarray(left[:, singular > 1e-10 * singular[0]])

@@ -28,8 +28,6 @@ DRAWS = 1999
 BACKGROUND = 0.02
 """Share of its tolerance that every other effect has on a machine with nothing wrong."""
 
-_TIMELY = frozenset({"gauge_drift", "thermal_drift", "thermal_growth"})
-
 
 @dataclass(frozen=True)
 class Detection:
@@ -101,7 +99,7 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
     nuisance = signatures.estimate.nuisance
-    placed = (nuisance.precision > 0) & (np.arange(nuisance.count) < 2 * problem.setup_count)
+    placed = nuisance.placement
     if placed.any():
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
@@ -166,7 +164,8 @@ def name_p_value(
         draws: how many.
     """
     candidate = scoring.candidates[chosen]
-    by_reading = candidate.family in _TIMELY
+    effect = signatures.estimate.problem.machine.catalogue[candidate.effect]
+    by_reading = bool(effect.needs & {"time", "temperature"})
     groups = np.arange(signatures.count) if by_reading else signatures.groups
     left = float(signatures.residual @ signatures.residual)
     size = left - (0.0 if by_reading else within_groups(signatures))
@@ -202,10 +201,8 @@ def station_degrees(signatures: Signatures) -> float:
     """Degrees of freedom of the station means: stations less datums less what the unknowns take."""
     estimate = signatures.estimate
     here = normal(estimate.problem, estimate.at, estimate.nuisance)
-    data = here.jacobian.T @ here.jacobian
-    taken = float(np.trace(np.linalg.lstsq(here.information, data, rcond=1e-12)[0]))
     stations = int(signatures.groups.max()) + 1
-    return stations - estimate.problem.setup_count - taken
+    return stations - estimate.nuisance.free - here.determined
 
 
 def _p_value(draws: Array, seen: float) -> float:

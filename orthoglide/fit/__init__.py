@@ -1,24 +1,38 @@
-"""Identification: from dial readings to parameters, with their uncertainty and cross-check."""
+"""Identification: from readings to parameters, with their uncertainty and cross-check."""
 
+from orthoglide.fit.change import Change
 from orthoglide.fit.crosscheck import CrossCheck
+from orthoglide.fit.earlier import account_for_changes
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.factors import Frame
+from orthoglide.fit.identifying import Source, assemble, identify, sorted_out
 from orthoglide.fit.noise import Noise, noise_of
-from orthoglide.fit.problem import Problem, Unknown, build_problem
+from orthoglide.fit.problem import Problem, Unknown
 from orthoglide.fit.scores import Scores
-from orthoglide.fit.solving import Method, identify, solve
+from orthoglide.fit.solving import Method, solve
+from orthoglide.fit.unknowns import build_problem, build_unknowns, elementary_beyond, with_free
 from orthoglide.fit.weakness import WeakDirection
 
 __all__ = [
+    "Change",
     "CrossCheck",
     "Estimate",
+    "Frame",
     "Method",
     "Noise",
     "Problem",
     "Scores",
+    "Source",
     "Unknown",
     "WeakDirection",
+    "account_for_changes",
+    "assemble",
     "build_problem",
+    "build_unknowns",
+    "elementary_beyond",
     "identify",
     "noise_of",
     "solve",
+    "sorted_out",
+    "with_free",
 ]

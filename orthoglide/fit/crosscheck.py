@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide import reduction
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import CrossCheckError
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 
 AGREEMENT = 1e-9
 """Metres: two derivations of one model that disagree by more have an error."""
 
-_SIX = tuple(f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS)
+_SIX = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
             difference=difference,
         )
     linear = reduction_fit(problem, nuisance, linear=True, start=start, held=held)
-    fitted = value + nuisance.columns @ nuisance.solve(problem.measured - value)
+    fitted = value + nuisance.fitted(problem.measured - value)
     apart = fitted - linear.readings
     size = float(np.linalg.norm(apart * nuisance.weight)) / float(np.linalg.norm(nuisance.weight))
     return CrossCheck(

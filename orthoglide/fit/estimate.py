@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orthoglide.effects import family_of, is_dial
 from orthoglide.fit.crosscheck import CrossCheck
 from orthoglide.fit.least_squares import Linearised, Nuisances
 from orthoglide.fit.problem import Problem
@@ -19,6 +18,8 @@ from orthoglide.frames import data_frame, html_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+from orthoglide.notes import Note
+from orthoglide.units import Unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,6 +44,7 @@ class Estimate:
         warnings: what a user should know, in sentences.
         at: linearisation at the fit.
         nuisance: datums and placements of the fit.
+        changes: what is not what an earlier calibration found.
     """
 
     problem: Problem
@@ -56,14 +58,19 @@ class Estimate:
     method: str
     iterations: int
     optimality: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Note, ...]
     at: Linearised = field(repr=False)
     nuisance: Nuisances = field(repr=False)
+    changes: tuple[Any, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of what was identified."""
         return self.problem.names
+
+    def unit(self, name: str) -> Unit:
+        """Unit of a parameter in files."""
+        return self.problem.machine.catalogue.effect_of(name).unit
 
     @property
     def values(self) -> dict[str, float]:
@@ -105,7 +112,7 @@ class Estimate:
     def predicted(self) -> Array:
         """Fitted readings ``(n,)`` of all campaigns, datums and placements included, metres."""
         rest = self.problem.measured - self.at.value
-        return np.asarray(self.at.value + self.nuisance.columns @ self.nuisance.solve(rest))
+        return self.at.value + self.nuisance.fitted(rest)
 
     @property
     def residuals(self) -> Array:
@@ -118,19 +125,18 @@ class Estimate:
         from orthoglide.fit.least_squares import predict
 
         value = predict(self.problem, np.zeros(len(self.x)))
-        return np.asarray(
-            value + self.nuisance.columns @ self.nuisance.solve(self.problem.measured - value)
-        )
+        return value + self.nuisance.fitted(self.problem.measured - value)
 
     @property
     def machine(self) -> Machine:
         """The calibrated machine: the last campaign's where values are own to each."""
-        return self.machine_of(len(self.problem.campaigns) - 1)
+        return self.machine_of(self.problem.last)
 
     def machine_of(self, campaign: int) -> Machine:
         """The calibrated machine as one campaign saw it; dials are left out."""
         names, matrix = self.problem.elementary(campaign)
-        kept = [k for k, name in enumerate(names) if not is_dial(name)]
+        catalogue = self.problem.machine.catalogue
+        kept = [k for k, n in enumerate(names) if not catalogue.effect_of(n).of_dial]
         found = Posterior(self.names, self.x, self.covariance)
         found = found.mapped([names[k] for k in kept], matrix[kept])
         start = self.problem.machine
@@ -150,7 +156,7 @@ class Estimate:
     @property
     def _columns(self) -> dict[str, list[Any]]:
         """What was identified as files show it, a row a parameter."""
-        units = [family_of(name).unit for name in self.names]
+        units = [self.unit(name) for name in self.names]
         si = np.array([unit.si for unit in units])
         half = self.coverage_factor * np.sqrt(np.diag(self.covariance))
         return {
@@ -180,13 +186,13 @@ def fit_report(estimate: Estimate) -> str:
     """A table for people: value +- sigma, share of the tolerance, correlations, checks."""
     lines = []
     for name, value in estimate.values.items():
-        unit, sigma = family_of(name).unit, estimate.sigmas[name]
+        unit, sigma = estimate.unit(name), estimate.sigmas[name]
         text = f"{name:<24} {value / unit.si:+.4g} +- {sigma / unit.si:.2g} {unit.name}"
         lines.append(text + ("   (on its bound)" if name in estimate.on_bound else ""))
     s = estimate.scores
     lines.append(
         f"residual rms {s.rms * 1e3:.4f} mm, deviations {s.deviation_rms * 1e3:.3f} mm, "
-        f"chi2 {s.chi2:.1f} on {s.dof} degrees of freedom"
+        f"chi2 {s.chi2:.1f} on {s.dof:.0f} degrees of freedom"
     )
     lines.extend(str(weak) for weak in estimate.weak)
     lines.extend(estimate.warnings)
@@ -197,6 +203,6 @@ def as_mapping(estimate: Estimate) -> Mapping[str, tuple[float, float, str]]:
     """Identified values as files show them: value, sigma and unit by name."""
     shown = {}
     for name, value in estimate.values.items():
-        unit = family_of(name).unit
+        unit = estimate.unit(name)
         shown[name] = (value / unit.si, estimate.sigmas[name] / unit.si, unit.name)
     return shown

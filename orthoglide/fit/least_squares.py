@@ -1,9 +1,8 @@
 """The weighted least-squares problem around one point: nuisances, priors, covariance.
 
-Minimised is ``|(y - f(x) - U z) / sigma|^2 + |x / prior|^2 + sum(precision z^2)``, where ``U``
-holds a column of ones a setup (its datum, free), a column a setup for where the dial stands along
-the leg (known to its placement) and, where readings scatter less than they are rounded, one a
-station for the rounding its visits share. The nuisances z are linear and are projected out.
+Minimised is ``|(y - f(x) - U z) / sigma|^2 + |W x - t|^2 + sum(precision z^2)``, where ``U`` holds
+the nuisances of all factors (see `fit.factors`), and ``W``, ``t`` what is known before. The
+nuisances z are linear and are projected out.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
@@ -18,55 +18,55 @@ from orthoglide.geometry import Array
 
 @dataclass(frozen=True)
 class Linearised:
-    """Predicted readings around one point.
+    """Predicted rows around one point.
 
     Attributes:
         x: unknowns ``(P,)``, SI.
-        value: readings ``(n,)``, datums apart, metres.
+        value: rows ``(n,)``, nuisances apart, metres.
         jacobian: ``(n, P)``.
-        by_gauge: by the dial's place along the leg ``(n,)``.
+        slopes: for each factor, what its nuisances need to know of the pose.
     """
 
     x: Array
     value: Array
     jacobian: Array
-    by_gauge: Array
+    slopes: tuple[Array, ...]
 
 
 def linearise(problem: Problem, x: Array) -> Linearised:
-    """Predicted readings of all campaigns and their derivatives, by the general mechanism."""
-    values, jacobians, slopes = [], [], []
-    model = problem.machine.model
-    for k, campaign in enumerate(problem.campaigns):
+    """Predicted rows of all factors and their derivatives, by the general mechanism."""
+    found = []
+    for k, factor in enumerate(problem.factors):
         names, matrix = problem.elementary(k)
-        readings = model.linearised(problem.values(k, x), campaign, names)
-        values.append(readings.value)
-        jacobians.append(readings.jacobian @ matrix)
-        slopes.append(readings.by_gauge)
-    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), np.concatenate(slopes))
+        linear = factor.linearise(problem.machine.model, problem.values(k, x), names)
+        found.append((linear.value, linear.jacobian @ matrix, linear.slopes))
+    values, jacobians, slopes = zip(*found, strict=True)
+    return Linearised(x, np.concatenate(values), np.concatenate(jacobians), slopes)
 
 
 def predict(problem: Problem, x: Array) -> Array:
-    """Predicted readings ``(n,)`` of all campaigns, datums apart, by the general mechanism."""
+    """Predicted rows ``(n,)`` of all factors, nuisances apart, by the general mechanism."""
     model = problem.machine.model
     return np.concatenate(
-        [model.readings(problem.values(k, x), c) for k, c in enumerate(problem.campaigns)]
+        [f.predict(model, problem.values(k, x)) for k, f in enumerate(problem.factors)]
     )
 
 
 @dataclass(frozen=True)
 class Nuisances:
-    """Columns that the readings contain besides the model.
+    """Columns that the rows contain besides the model.
 
     Attributes:
-        columns: ``(n, k)``: datums, then placements (metres a metre), then common roundings.
-        precision: about zero ``(k,)``: 0 for a datum, 1 / placement^2, 1 / rounding^2.
+        columns: ``(n, k)``, factor by factor.
+        precision: about zero ``(k,)``: 0 where nothing is known of one.
+        placement: which of them are where a dial stands ``(k,)``.
         basis: orthonormal columns of the whitened, prior-augmented columns ``(n + k, k)``.
         weight: 1 / sigma ``(n,)``.
     """
 
     columns: Array
     precision: Array
+    placement: NDArray[np.bool_]
     basis: Array
     weight: Array
 
@@ -74,6 +74,11 @@ class Nuisances:
     def count(self) -> int:
         """Number of columns."""
         return self.columns.shape[1]
+
+    @property
+    def free(self) -> int:
+        """How many of them nothing is known of."""
+        return int(np.sum(self.precision == 0))
 
     def project(self, rows: Array) -> Array:
         """Whitened rows ``(n, ...)`` without what the nuisances explain, ``(n + k, ...)``."""
@@ -89,32 +94,32 @@ class Nuisances:
         target = np.concatenate([rest * self.weight, np.zeros(self.count)])
         return np.asarray(np.linalg.lstsq(augmented, target, rcond=1e-12)[0])
 
+    def fitted(self, rest: Array) -> Array:
+        """What the nuisances take of what the model leaves ``(n,)``, metres."""
+        return np.asarray(self.columns @ self.solve(rest))
 
-def nuisances(problem: Problem, by_gauge: Array) -> Nuisances:
-    """Datums and placements of all setups.
+
+def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
+    """Nuisances of all factors.
 
     Args:
-        problem: gives setups, noise and the placement's standard deviation.
-        by_gauge: derivative of each reading by the dial's place ``(n,)``; frozen for a fit.
+        problem: gives the factors and the noise.
+        slopes: of a linearisation; frozen for a fit.
     """
-    n, setups = len(problem.measured), problem.setup_count
-    datum = np.zeros((n, setups))
-    datum[np.arange(n), problem.setup_of_row] = 1.0
-    placement = problem.placement
-    columns, precision = datum, np.zeros(setups)
-    if placement > 0:
-        columns = np.hstack([datum, datum * by_gauge[:, None]])
-        precision = np.concatenate([precision, np.full(setups, placement**-2)])
-    if problem.noise.common > 0:
-        station = problem.station
-        columns = np.hstack([columns, np.eye(int(station.max()) + 1)[station]])
-        rounded = np.full(int(station.max()) + 1, problem.noise.common**-2)
-        precision = np.concatenate([precision, rounded])
+    blocks = [f.nuisances(s) for f, s in zip(problem.factors, slopes, strict=True)]
+    widths = np.cumsum([0, *(b.columns.shape[1] for b in blocks)])
+    columns = np.zeros((len(problem.measured), int(widths[-1])))
+    for block, rows, first, end in zip(
+        blocks, problem.factor_rows, widths[:-1], widths[1:], strict=True
+    ):
+        columns[rows, first:end] = block.columns
+    precision = np.concatenate([b.sd for b in blocks]) ** -2.0
     weight = 1 / problem.sigma
     augmented = np.vstack([columns * weight[:, None], np.diag(np.sqrt(precision))])
     scale = np.linalg.norm(augmented, axis=0)
-    basis, _ = np.linalg.qr(augmented / scale)
-    return Nuisances(columns, precision, basis, weight)
+    basis, _ = np.linalg.qr(augmented / np.where(scale > 0, scale, 1.0))
+    placement = np.concatenate([b.placement for b in blocks])
+    return Nuisances(columns, precision, placement, basis, weight)
 
 
 @dataclass(frozen=True)
@@ -124,36 +129,73 @@ class Normal:
     Attributes:
         residual: ``(n + k,)``, dimensionless.
         jacobian: ``(n + k, P)``, a unit of SI.
-        prior: 1 / prior standard deviation ``(P,)``; 0 where there is none.
+        prior: rows of what is known before ``(q, P)``.
+        target: what these should give ``(q,)``.
         x: ``(P,)``.
     """
 
     residual: Array
     jacobian: Array
     prior: Array
+    target: Array
     x: Array
 
     @property
+    def chi2(self) -> float:
+        """Of the data and its nuisances."""
+        return float(self.residual @ self.residual)
+
+    def prior_chi2(self, x: Array) -> float:
+        """Of what is known before, at the unknowns ``x`` ``(P,)``."""
+        return float(np.sum((self.prior @ x - self.target) ** 2))
+
+    @property
     def cost(self) -> float:
-        """chi2: data, nuisances and priors."""
-        return float(self.residual @ self.residual + np.sum((self.prior * self.x) ** 2))
+        """What is minimised: data, nuisances and priors."""
+        return self.chi2 + self.prior_chi2(self.x)
 
     @property
     def gradient(self) -> Array:
         """Half the gradient of the cost by the unknowns ``(P,)``."""
-        return np.asarray(-self.jacobian.T @ self.residual + self.prior**2 * self.x)
+        known = self.prior.T @ (self.prior @ self.x - self.target)
+        return np.asarray(known - self.jacobian.T @ self.residual)
 
     @property
     def information(self) -> Array:
         """Gauss-Newton normal matrix, priors included ``(P, P)``."""
-        return np.asarray(self.jacobian.T @ self.jacobian + np.diag(self.prior**2))
+        return np.asarray(self.jacobian.T @ self.jacobian + self.prior.T @ self.prior)
+
+    @property
+    def determined(self) -> float:
+        """How many of the unknowns the data determine: the trace of the hat matrix."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        full = self.information / scale / scale[:, None]
+        data = self.jacobian.T @ self.jacobian / scale / scale[:, None]
+        return float(np.trace(np.linalg.lstsq(full, data, rcond=1e-14)[0]))
 
 
 def normal(problem: Problem, at: Linearised, nuisance: Nuisances) -> Normal:
     """The projected problem at a linearisation."""
     residual = nuisance.project(problem.measured - at.value)
     jacobian = nuisance.project(at.jacobian)
-    return Normal(residual, jacobian, 1 / problem.prior_sd, at.x)
+    return Normal(residual, jacobian, *problem.prior_rows, at.x)
+
+
+def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array:
+    """Orthonormal columns of everything fitted, with its priors ``(n + q + k, P + k)`` or fewer.
+
+    The first ``n`` rows are those of the readings: their squares sum to the leverage.
+    """
+    weight = nuisance.weight[:, None]
+    matrix, _ = problem.prior_rows
+    count = at.jacobian.shape[1]
+    known = np.zeros((len(matrix) + nuisance.count, count + nuisance.count))
+    known[: len(matrix), :count] = matrix
+    known[len(matrix) :, count:] = np.diag(np.sqrt(nuisance.precision))
+    full = np.vstack([np.hstack([at.jacobian, nuisance.columns]) * weight, known])
+    scale = np.linalg.norm(full, axis=0)
+    left, singular, _ = np.linalg.svd(full / np.where(scale > 0, scale, 1), full_matrices=False)
+    return np.asarray(left[:, singular > 1e-10 * singular.max(initial=0.0)])
 
 
 def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
@@ -163,12 +205,12 @@ def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
 
     Args:
         jacobian: whitened, projected ``(m, P)``.
-        prior: 1 / prior standard deviation ``(P,)``.
+        prior: rows of what is known before ``(q, P)``.
 
     Returns:
         Covariance ``(P, P)`` (of the determined part) and undetermined directions ``(u, P)``, SI.
     """
-    augmented = np.vstack([jacobian, np.diag(prior)])
+    augmented = np.vstack([jacobian, prior, np.zeros((jacobian.shape[1],) * 2)])
     scale = np.linalg.norm(augmented, axis=0)
     blind = scale <= 0
     scale = np.where(blind, 1.0, scale)

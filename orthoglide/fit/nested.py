@@ -25,6 +25,7 @@ from orthoglide.geometry import Array
 
 _MOST_STEPS = 60
 _SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown
+_ROUNDING = 1e-5  # steps that no longer shrink are rounding of the closures
 _SLOW = 0.1  # Gauss-Newton that shrinks its steps less than this wants second derivatives
 
 
@@ -64,7 +65,7 @@ def solve_nested(problem: Problem, nuisance: Nuisances, start: Linearised) -> Ne
         if size > _SETTLED and size > _SLOW * previous:
             step[free] = _newton_step(problem, nuisance, here, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
-        if size <= _SETTLED:
+        if size <= _SETTLED or previous / 2 <= size <= _ROUNDING:
             return NestedResult(at.x, iteration, at)
         at, previous = linearise(problem, _search(problem, nuisance, here, step)), size
     raise SolverError(
@@ -108,7 +109,7 @@ def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) ->
         except ClosureError:
             factor /= 2
             continue
-        cost = float(residual @ residual + np.sum((here.prior * x) ** 2))
+        cost = float(residual @ residual) + here.prior_chi2(x)
         if cost <= here.cost * (1 + 1e-12):
             return x
         factor /= 2

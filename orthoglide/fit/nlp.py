@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import SolverError
+from orthoglide.fit.factors import DialReadings, TcpReadings
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
-from orthoglide.mechanism.functions import LINES, closure_functions
-from orthoglide.prediction.conditions import Conditions
+from orthoglide.mechanism.functions import LINES, TCP, closure_functions
+from orthoglide.prediction import Conditions, Model
 from orthoglide.prediction.dial import mountings
 
 _OPTIONS: dict[str, Any] = {
@@ -62,7 +63,7 @@ class NlpResult:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Distinct postures of one campaign and where its rows find theirs."""
+    """Distinct postures of one factor and where its rows (or points) find theirs."""
 
     conditions: Conditions
     place: NDArray[np.intp]
@@ -81,7 +82,7 @@ class Nlp:
         self._scale = scale
         self._unit = float(np.median(problem.sigma))  # of readings, datums and closures
         self._turn = self._unit / problem.machine.geometry.L  # of angles
-        self._layouts = [_layout(problem, k) for k in range(len(problem.campaigns))]
+        self._layouts = [_layout(problem, k) for k in range(len(problem.factors))]
         self._functions = closure_functions(
             problem.machine.model.mechanism.tree, problem.machine.model.mechanism.tree.free
         )
@@ -96,7 +97,8 @@ class Nlp:
         columns[known] = nuisance.precision[known] ** -0.5
         fitted = predicted + ca.DM(nuisance.columns * columns) @ z
         left = (measured - fitted) * nuisance.weight
-        prior = x * (self._scale / problem.prior_sd)
+        matrix, target = problem.prior_rows
+        prior = ca.DM(matrix * self._scale) @ x - ca.DM(target)
         placed = z * (columns * np.sqrt(nuisance.precision))
         cost = (ca.sumsqr(left) + ca.sumsqr(prior) + ca.sumsqr(placed)) / 2
         programme = {
@@ -111,12 +113,13 @@ class Nlp:
         self._upper = np.concatenate([problem.bound / scale, free])
 
     def _model(self, problem: Problem, x: Any, joints: Any) -> tuple[Any, Any]:
-        """Closures of all postures, and predicted readings of all rows, as MX."""
+        """Closures of all postures, and predicted rows of all factors, as MX."""
         model = problem.machine.model
-        closures, readings, first = [], [], 0
-        for k, (campaign, layout) in enumerate(zip(problem.campaigns, self._layouts, strict=True)):
+        closures, rows, first = [], [], 0
+        for k, (factor, layout) in enumerate(zip(problem.factors, self._layouts, strict=True)):
             count = len(layout.conditions)
-            theta, dials = _parameters(problem, k, x)
+            values = _values(problem, k, x)
+            theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
             moves = model.displacement.map(count)(
                 ca.repmat(theta, 1, count), ca.DM(model.seen(layout.conditions).T)
             )
@@ -124,15 +127,13 @@ class Nlp:
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]
             closures.append(self._functions.residual.map(count)(own, given))
-            lines = self._functions.outputs.map(count)(own, given)[LINES, :]
-            touched = 12 * campaign.leg[:, None] + np.arange(12)
-            flat = (36 * layout.place[:, None] + touched).ravel()
-            ends = ca.reshape(ca.vec(lines)[flat.tolist()], 12, len(campaign))
-            mounting = ca.DM(mountings(campaign, model.geometry.r).T)
-            shown = model.reading.map(len(campaign))(ends, mounting, dials)
-            readings.append(shown.T)
+            outputs = self._functions.outputs.map(count)(own, given)
+            if isinstance(factor, DialReadings):
+                rows.append(_dials(model, factor, outputs, layout.place, values))
+            else:
+                rows.append(_coordinates(factor, outputs, layout.place))
             first += count
-        return ca.horzcat(*closures), ca.vertcat(*readings)
+        return ca.horzcat(*closures), ca.vertcat(*rows)
 
     def solve(self, measured: Array, x: Array, joints: Array | None = None) -> NlpResult:
         """Fit the readings.
@@ -186,26 +187,40 @@ class Nlp:
         return np.concatenate(found)
 
 
-def _layout(problem: Problem, campaign: int) -> _Layout:
-    names, _ = problem.elementary(campaign)
-    model = problem.machine.model
-    conditions, place = model.merged(
-        Conditions.of(problem.campaigns[campaign]), [*names, *problem.held[campaign]]
+def _layout(problem: Problem, factor: int) -> _Layout:
+    names, _ = problem.elementary(factor)
+    conditions, place = problem.machine.model.merged(
+        problem.factors[factor].conditions(), [*names, *problem.held[factor]]
     )
     return _Layout(conditions, place)
 
 
-def _parameters(problem: Problem, campaign: int, x: Any) -> tuple[Any, Any]:
-    """All machine parameters ``(P, 1)``, and the dials' own of every row ``(D, n)``, as MX."""
-    names, matrix = problem.elementary(campaign)
-    values = {name: ca.MX(value) for name, value in problem.held[campaign].items()}
+def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
+    """All parameters of a factor's machine and dials, as MX."""
+    names, matrix = problem.elementary(factor)
+    values = {name: ca.MX(value) for name, value in problem.held[factor].items()}
     free = ca.DM(matrix) @ x
     for k, name in enumerate(names):
         values[name] = values.get(name, 0) + free[k]
-    catalogue, setups = problem.machine.catalogue, problem.campaigns[campaign].setups
-    theta = [values.get(name, ca.MX(0)) for name in catalogue.parameters]
+    return values
+
+
+def _dials(model: Model, factor: DialReadings, outputs: Any, place: Any, values: Any) -> Any:
+    """Readings ``(n, 1)`` of dials, as MX."""
+    campaign, effects = factor.campaign, model.catalogue.of_dials
+    touched = 12 * campaign.leg[:, None] + np.arange(12)
+    flat = (36 * place[:, None] + touched).ravel()
+    ends = ca.reshape(ca.vec(outputs[LINES, :])[flat.tolist()], 12, len(campaign))
+    mounting = ca.DM(mountings(campaign, model.geometry.r).T)
     by_setup = []
-    for setup in setups:
-        own = [n for effect in catalogue.of_dials for n in effect.parameters((setup.name,))]
+    for setup in campaign.setups:
+        own = [n for effect in effects for n in effect.parameters((setup.name,))]
         by_setup.append(ca.vertcat(*[values.get(name, ca.MX(0)) for name in own]))
-    return ca.vertcat(*theta), ca.horzcat(*by_setup)[:, problem.campaigns[campaign].setup.tolist()]
+    dials = ca.horzcat(*by_setup)[:, campaign.setup.tolist()]
+    return model.reading.map(len(campaign))(ends, mounting, dials).T
+
+
+def _coordinates(factor: TcpReadings, outputs: Any, place: Any) -> Any:
+    """Measured coordinates ``(n, 1)`` of TCP points, as MX."""
+    flat = 3 * place[factor.point] + factor.setup
+    return ca.vec(outputs[TCP, :])[flat.tolist()]

@@ -114,8 +114,8 @@ def _filled(
         np.where(np.isfinite(c.sigma), c.sigma, typical) if rows_count else np.full(len(c), typical)
         for c in campaigns
     )
-    given = np.concatenate([c.sigma for c in campaigns])
-    if rows_count and np.isfinite(given).all():
+    given = np.concatenate([np.zeros(0), *(c.sigma for c in campaigns)])
+    if rows_count and len(given) and np.isfinite(given).all():
         return Noise(sigmas, float(np.sqrt(np.mean(given**2))), "declared")
     return Noise(sigmas, typical, source)
 

@@ -1,14 +1,12 @@
-"""``identify``: from readings to parameters, solved, verified and cross-checked."""
+"""Solving a problem: by programme, nested closures or the reduction; verified and cross-checked."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from orthoglide.effects import BASE_FAMILIES
 from orthoglide.errors import InputError, SolverError, UnidentifiableError
 from orthoglide.fit.crosscheck import cross_check, reduction_fit
 from orthoglide.fit.estimate import Estimate
@@ -21,14 +19,11 @@ from orthoglide.fit.least_squares import (
     nuisances,
 )
 from orthoglide.fit.nested import solve_nested
-from orthoglide.fit.noise import noise_of
-from orthoglide.fit.problem import Problem, build_problem
-from orthoglide.fit.scores import Scores, score
+from orthoglide.fit.notes import notes
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.scores import LACK_OF_FIT, Scores, score
 from orthoglide.fit.weakness import sparse_basis, weak_directions
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, Given, as_campaigns
-from orthoglide.prediction import Conditions
 
 Method = Literal["auto", "nlp", "nested", "reduction"]
 
@@ -36,84 +31,6 @@ NLP_POSTURES = 200
 """Up to this many distinct postures the programme carries the closures as constraints."""
 
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
-_LACK = 0.01  # probability below which what is left counts as lack of fit
-_EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
-
-
-def identify(
-    campaigns: Given | Sequence[Given],
-    machine: Machine | None = None,
-    free: Sequence[str] = BASE_FAMILIES,
-    *,
-    own: Sequence[str] = (),
-    priors: bool = True,
-    noise: float | None = None,
-    bounds: Mapping[str, float] | None = None,
-    weighting: Literal["readings", "deviations"] = "readings",
-    method: Method = "auto",
-) -> Estimate:
-    """Identify parameters of the general mechanism from dial readings.
-
-    Args:
-        campaigns: one or several; paths are read as by ``read_campaign``.
-        machine: dimensions, tolerances and what is known already; nominal where absent.
-        free: families, parameters or structured members to identify.
-        own: which of them each campaign has for itself; the rest is shared.
-        priors: whether the machine's tolerances act as priors about zero.
-        noise: standard deviation of one reading, metres; see ``noise_of`` where absent.
-        bounds: by parameter or family, SI: values stay within plus and minus.
-        weighting: ``"readings"`` weighs every reading by its noise, with a free datum a setup;
-            ``"deviations"`` is the papers' ordinary least squares on differences from each
-            setup's first posture, which takes that posture's reading and the dials' places for
-            exact.
-        method: ``"nlp"``, ``"nested"``, ``"reduction"`` (the analytic PSS model); ``"auto"`` takes
-            the programme up to ``NLP_POSTURES`` postures, and nests the closure beyond.
-
-    Raises:
-        InputError: where what is asked makes no sense.
-        UnidentifiableError: where the readings cannot determine it, naming what.
-        SolverError: where no solver reaches an answer that passes our own checks.
-        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
-    """
-    machine = machine or Machine.nominal()
-    several = as_campaigns(campaigns, machine.spec)
-    level = noise_of(several, machine.spec.dial, noise)
-    problem = build_problem(machine, several, free, level, own=own, priors=priors, bounds=bounds)
-    _check_own(problem)
-    if weighting == "deviations":
-        problem = _anchored(problem)
-    return solve(problem, method=method)
-
-
-def _check_own(problem: Problem) -> None:
-    for name in problem.own:
-        plain = name.partition("@")[0]
-        free = (u.partition("@")[0] for u in problem.names)
-        if not any(n == plain or n.startswith(f"{plain}.") for n in free):
-            raise InputError(f"{name} is own to each campaign but not free: free it too")
-
-
-def _averaged(campaign: Campaign) -> Campaign:
-    """One row a setup and posture, as the papers average their repeats."""
-    table = np.column_stack([campaign.setup, campaign.command])
-    _, first, station = np.unique(table, axis=0, return_index=True, return_inverse=True)
-    station = station.reshape(-1)
-    mean = np.bincount(station, campaign.reading) / np.bincount(station)
-    kept = np.sort(first)
-    return campaign.subset(kept).with_readings(mean[station[kept]])
-
-
-def _anchored(problem: Problem) -> Problem:
-    """Averaged readings, equal weights, each setup's first posture and the dials' places exact."""
-    campaigns = tuple(_averaged(c) for c in problem.campaigns)
-    sigmas = []
-    for campaign in campaigns:
-        sigma = np.full(len(campaign), problem.noise.typical)
-        _, first = np.unique(campaign.setup, return_index=True)
-        sigma[first] *= _EXACT
-        sigmas.append(sigma)
-    noise = replace(problem.noise, sigma=tuple(sigmas), common=0.0)
-    return replace(problem, campaigns=campaigns, noise=noise, placement=0.0)
 
 
 def solve(problem: Problem, *, method: Method = "auto", start: Array | None = None) -> Estimate:
@@ -123,10 +40,10 @@ def solve(problem: Problem, *, method: Method = "auto", start: Array | None = No
     begin = problem.start if start is None else start
     first = linearise(problem, begin)
     # Slopes at a first Gauss-Newton step: nearer to the fitted machine than the nominal one.
-    nuisance = nuisances(problem, first.by_gauge)
+    nuisance = nuisances(problem, first.slopes)
     _determined(problem, first, nuisance)
     near = linearise(problem, _one_step(problem, first, nuisance))
-    nuisance = nuisances(problem, near.by_gauge)
+    nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
     return _estimate(problem, nuisance, at, first, used, iterations, optimality)
@@ -134,7 +51,8 @@ def solve(problem: Problem, *, method: Method = "auto", start: Array | None = No
 
 def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array:
     here = normal(problem, first, nuisance)
-    spread, _ = covariance(here.jacobian, np.maximum(here.prior, 1 / problem.tolerance))
+    known = np.vstack([here.prior, np.diag(1 / problem.tolerance)])
+    spread, _ = covariance(here.jacobian, known)
     step = spread @ -here.gradient
     return np.asarray(np.clip(first.x + step, -problem.bound, problem.bound))
 
@@ -207,12 +125,12 @@ def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
 def _elastic(problem: Problem) -> bool:
     """Whether stiffness moves any of the postures."""
     model = problem.machine.model
-    return any(model.is_elastic(Conditions.of(c)) for c in problem.campaigns)
+    return any(model.is_elastic(factor.conditions()) for factor in problem.factors)
 
 
 def posture_count(problem: Problem) -> int:
-    """Distinct commands of all campaigns: at least as many postures has the programme."""
-    return sum(len(np.unique(c.command, axis=0)) for c in problem.campaigns)
+    """Distinct commands of all factors: at least as many postures has the programme."""
+    return sum(len(np.unique(f.conditions().command, axis=0)) for f in problem.factors)
 
 
 def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, first: Linearised) -> float:
@@ -251,54 +169,25 @@ def _estimate(
     optimality: float,
 ) -> Estimate:
     here = normal(problem, at, nuisance)
-    _, unseen = covariance(here.jacobian, here.prior)
-    rank = len(problem.unknowns) - len(unseen)
-    scores = score(problem, nuisance, at, here.cost, rank)
+    scores = score(problem, nuisance, at)
     scale = 1.0
-    if scores.dof > 0 and scores.lack_of_fit_p < _LACK:
+    if scores.dof > 0 and scores.lack_of_fit_p < LACK_OF_FIT:
         scale = float(np.sqrt(scores.chi2 / scores.dof))
     # What is left makes the readings worse witnesses, not the tolerances wider.
     spread, _ = covariance(here.jacobian / scale, here.prior)
     check = cross_check(problem, nuisance, at.x, at.value)
-    weak = weak_directions(problem.names, here.jacobian, spread, scale=scale)
+    weak = weak_directions(problem, here.jacobian, spread, scale=scale)
     estimate = Estimate(
         problem, at.x, spread, scale, scores, _nominal_scores(problem, nuisance, first),
         weak, check, method, iterations, optimality, (), at, nuisance,
     )  # fmt: skip
-    return replace(estimate, warnings=_warnings(estimate))
+    return replace(estimate, warnings=notes(estimate))
 
 
 def _nominal_scores(problem: Problem, nuisance: Nuisances, first: Linearised) -> Scores:
-    zero = linearise(problem, np.zeros(len(problem.unknowns))) if first.x.any() else first
-    residual = nuisance.project(problem.measured - zero.value)
-    nothing = Linearised(zero.x, zero.value, np.zeros((len(zero.value), 0)), zero.by_gauge)
-    fixed = replace(problem, unknowns=())
-    return score(fixed, nuisance, nothing, float(residual @ residual), 0)
-
-
-def _warnings(estimate: Estimate) -> tuple[str, ...]:
-    problem, scores = estimate.problem, estimate.scores
-    found = [w for c in problem.campaigns for w in c.warnings]
-    if estimate.sigma_scale > 1:
-        found.append(
-            f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
-            f"{problem.noise.typical * 1e3:.3f} mm (chi2 {scores.chi2:.0f} on {scores.dof} degrees "
-            f"of freedom): the model lacks something, and all sigmas take the readings for "
-            f"{estimate.sigma_scale:.1f} times as noisy"
-        )
-    found.extend(
-        f"{name} ended on its bound: it is not identified; check the readings and the units"
-        for name in estimate.on_bound
-    )
-    found.extend(
-        f"{name} is {abs(value) / tolerance:.1f} times its tolerance"
-        for (name, value), tolerance in zip(estimate.values.items(), problem.tolerance, strict=True)
-        if abs(value) > 4 * tolerance
-    )
-    check = estimate.check
-    if check is not None and not check.second_order:
-        found.append(
-            f"the linear system (11) fits readings that differ by {check.linear * 1e3:.3g} mm, "
-            f"more than second-order terms explain: treat the result with care"
-        )
-    return tuple(found)
+    """Of the machine without what is identified."""
+    count = len(problem.unknowns)
+    zero = linearise(problem, np.zeros(count)) if first.x.any() else first
+    fixed = replace(problem, unknowns=(), earlier=None)
+    nothing = replace(zero, x=np.zeros(0), jacobian=np.zeros((len(zero.value), 0)))
+    return score(fixed, nuisance, nothing)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.effects import family_of
+from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
 # An unknown whose sigma is ten times what it would be alone hides behind others.
@@ -49,12 +49,12 @@ class WeakDirection:
 
 
 def weak_directions(
-    names: tuple[str, ...], jacobian: Array, covariance: Array, *, scale: float = 1.0
+    problem: Problem, jacobian: Array, covariance: Array, *, scale: float = 1.0
 ) -> tuple[WeakDirection, ...]:
     """Find the weak directions.
 
     Args:
-        names: of the unknowns.
+        problem: whose unknowns these are.
         jacobian: whitened and projected ``(m, P)``, SI, priors apart.
         covariance: of the unknowns as reported ``(P, P)``, SI, scaled.
         scale: of the reported sigmas.
@@ -62,6 +62,7 @@ def weak_directions(
     Returns:
         Weakest first; empty where every unknown is seen well.
     """
+    names = problem.names
     norm = np.linalg.norm(jacobian, axis=0)
     seen = np.where(norm > 0, norm, 1.0)
     # Rows of zeros let fewer readings than unknowns span all directions.
@@ -79,7 +80,7 @@ def weak_directions(
         seen_along = float(np.linalg.norm(jacobian @ direction))
         sigma = scale / seen_along if seen_along > 1e-9 * norm.max() else float("inf")
         with_priors = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
-        found.append(_named(names, direction, sigma, with_priors))
+        found.append(_named(problem, direction, sigma, with_priors))
     return tuple(sorted(found, key=lambda d: -d.sigma))
 
 
@@ -98,11 +99,10 @@ def sparse_basis(basis: Array) -> Array:
     return np.asarray(rows / np.linalg.norm(rows, axis=1)[:, None])
 
 
-def _named(
-    names: tuple[str, ...], direction: Array, sigma: float, with_priors: float
-) -> WeakDirection:
+def _named(problem: Problem, direction: Array, sigma: float, with_priors: float) -> WeakDirection:
     largest = int(np.argmax(np.abs(direction)))
-    unit = family_of(names[largest]).unit
+    names = problem.names
+    unit = problem.machine.catalogue.effect_of(names[largest]).unit
     shares = {
         name: float(direction[k])
         for k, name in enumerate(names)

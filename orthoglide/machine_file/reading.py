@@ -9,7 +9,7 @@ from decimal import Decimal
 from typing import Any
 
 from orthoglide import files, units
-from orthoglide.effects import CATALOGUE, UNITS, structured
+from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file.document import Document, Parser, advice
@@ -111,11 +111,14 @@ _TOP: dict[str, Parser] = {"schema": _schema, "name": _text}
 _FREE = ("tolerance", "parameters", "provenance")
 
 
-def read_machine_file(path: str | os.PathLike[str]) -> MachineFile:
+def read_machine_file(
+    path: str | os.PathLike[str], catalogue: Catalogue = CATALOGUE
+) -> MachineFile:
     """Reads a machine file.
 
     Args:
         path: the file (TOML, UTF-8).
+        catalogue: the effects that it may name.
 
     Returns:
         Its content in SI, with its digest, and the covariance kept in the ``.npz`` beside it.
@@ -124,7 +127,7 @@ def read_machine_file(path: str | os.PathLike[str]) -> MachineFile:
         FileError: naming the line and what would be right, or a covariance of another file.
     """
     content = files.read_bytes(path)
-    machine = parse_machine_file(files.decode(content, path), str(path))
+    machine = parse_machine_file(files.decode(content, path), str(path), catalogue)
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
     warnings: tuple[str, ...] = ()
@@ -137,7 +140,7 @@ def read_machine_file(path: str | os.PathLike[str]) -> MachineFile:
     return replace(machine, sha256=digest, posterior=posterior, warnings=warnings)
 
 
-def parse_machine_file(text: str, file: str = "") -> MachineFile:
+def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOGUE) -> MachineFile:
     """A machine file from its text; ``file`` is its name for errors, as in `read_machine_file`."""
     document = Document(text, file)
     document.known((*_TOP, *_KEYS, *_FREE))
@@ -150,10 +153,13 @@ def parse_machine_file(text: str, file: str = "") -> MachineFile:
         dial=Dial(**sections["dial_mm"]),
         screw_pitch=sections["drive"].get("screw_pitch_mm"),
         controller=Controller(**{key.removesuffix("_mm"): v for key, v in controller.items()}),
-        tolerance=_tolerance(document),
+        tolerance=_tolerance(document, catalogue),
         stiffness=Stiffness(stiffness.get("torsion_Nmm_per_rad"), stiffness.get("bar_N_per_mm")),
-        parameters={name: _parameter(document, name) for name in document.table("parameters")},
+        parameters={
+            name: _parameter(document, name, catalogue) for name in document.table("parameters")
+        },
         provenance=_plain(document.table("provenance")),
+        catalogue=catalogue,
         file=file,
     )
 
@@ -178,28 +184,29 @@ def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
         )
 
 
-def _tolerance(document: Document) -> dict[str, float]:
-    document.known(UNITS, "tolerance")
+def _tolerance(document: Document, catalogue: Catalogue) -> dict[str, float]:
+    document.known(catalogue, "tolerance")
     return {
-        family: document.value(_quantity(UNITS[family].si, 0, 1e6), "tolerance", family)
-        for family in document.table("tolerance")
+        name: document.value(_quantity(catalogue[name].unit.si, 0, 1e6), "tolerance", name)
+        for name in document.table("tolerance")
     }
 
 
-def _parameter(document: Document, name: str) -> ParameterValue:
+def _parameter(document: Document, name: str, catalogue: Catalogue) -> ParameterValue:
     path = ("parameters", name)
-    family = name.partition(".")[0]
-    allowed = [known for known, entry in CATALOGUE.items() if entry.group != "dial"]
-    if family not in allowed:
-        document.fail(f"there is no parameter {name!r}: {advice(family, allowed)}", *path)
-    if name not in CATALOGUE[family].parameters() and name not in structured(family):
-        document.fail(f"{name!r} names no parameter of {family}: correct what follows it", *path)
+    effect = name.partition(".")[0]
+    allowed = [known for known, entry in catalogue.items() if not entry.of_dial]
+    if effect not in allowed:
+        document.fail(f"there is no parameter {name!r}: {advice(effect, allowed)}", *path)
+    if name not in catalogue[effect].motions and name not in catalogue.structured(effect):
+        document.fail(f"{name!r} names no parameter of {effect}: correct what follows it", *path)
     keys = ("value", "sigma", "unit")
     document.known(keys, *path)
     unit = document.section({"unit": _text}, keys, *path)["unit"]
-    if unit != UNITS[family].name:
-        document.fail(f"{name!r} is in {UNITS[family].name}, not {unit}: convert it", *path, "unit")
-    factor = UNITS[family].si
+    known = catalogue[effect].unit
+    if unit != known.name:
+        document.fail(f"{name!r} is in {known.name}, not {unit}: convert it", *path, "unit")
+    factor = known.si
     value = document.value(_quantity(factor, -1e9, 1e9), *path, "value")
     sigma = document.value(_quantity(factor, 0, 1e9, open_end=False), *path, "sigma")
     return ParameterValue(value, sigma, unit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -56,6 +57,11 @@ class TcpPoints:
 
     def __len__(self) -> int:
         return len(self.p)
+
+    @property
+    def name(self) -> str:
+        """Of the file, without its folder and ending."""
+        return Path(self.file).stem or "points"
 
     def __repr__(self) -> str:
         return f"<TcpPoints: {len(self)} points{f' of {self.file}' if self.file else ''}>"

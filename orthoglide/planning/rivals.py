@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.accuracy import workspace
-from orthoglide.diagnosis.ranking import extend
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, Problem
+from orthoglide.fit import Estimate, Problem, with_free
 from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, normal
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -104,7 +103,7 @@ def _problem(name: str, values: Values, like: Problem) -> Problem:
     others = [n for n, v in values.items() if v and n not in covered]
     added = [name, *others] if own else others
     held: tuple[dict[str, float], ...] = tuple({} for _ in like.held)
-    return extend(replace(like, unknowns=kept, held=held), added)
+    return with_free(replace(like, unknowns=kept, held=held), added)
 
 
 def _value(parts: Mapping[str, float], values: Values) -> float:

@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.control import RULE, withheld
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, plain
+from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence, weak_sentences
-from orthoglide.report.rows import controller_rows, millimetres, parameter_rows
+from orthoglide.report.rows import millimetres, parameter_rows
 
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
@@ -27,14 +28,30 @@ Figures = Mapping[str, Drawing]
 
 def controller(result: Result) -> Data:
     """Numbers for the controller; withheld where the verdict says not to act on them."""
-    spec = result.machine.spec
-    off = result.offsets_alone
+    spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
+    effects, known = result.catalogue, spec.parameters.items()
+    zeros = {n: e.sigma * 1e3 for n, e in known if effects.effect_of(n).controller == "zero"}
+    sigmas = {effects.parameter(n).leg: sigma for n, sigma in zeros.items()}
+    rows = [
+        {
+            "axis": d.leg,
+            "offset": signed(d.offset * 1e3, 3),
+            "sigma": f"{(s := sigmas.get(d.leg, 0.0)):.{decimals_for(s, 3)}f}",
+            "zero": plain(d.new_zero * 1e3, 3),
+            "add": signed(d.correction * 1e3, 3),
+            "alone": plain(alone * 1e3, 3),
+        }
+        for d, alone in zip(numbers.drives, numbers.zeros_only, strict=True)
+    ]
     return {
-        "rows": controller_rows(result.machine),
-        "withheld": bool(result.cautions),
+        "rows": rows if zeros else [],
+        "withheld": sentence(why) if why else "",
+        "rule": RULE,
+        "worked": numbers.drives[0].worked(),
+        "checks": [sentence(str(check)) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        "length": plain(spec.geometry.L * 1e3, 3),
-        "effect": compact(off * 1e3, 2) if off else "",
+        "left_over": listed(numbers.left_over),
+        "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
     }
 
 

@@ -96,7 +96,11 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
 def _subtitle(result: Result) -> str:
     problem = result.first.problem
     inputs = result.request.inputs
-    files = listed(i["file"] for i in inputs if "role" not in i)
-    judges = [f"{i['file']} {_JUDGES[i['role']]}" for i in inputs if "role" in i]
-    count = sum(map(len, problem.campaigns))
-    return "; ".join([f"{files}: {count} readings in {problem.setup_count} setups", *judges])
+    files = listed(i["file"] for i in inputs if i.get("role", "fit_tcp") == "fit_tcp")
+    judges = [f"{i['file']} {_JUDGES[i['role']]}" for i in inputs if i.get("role") in _JUDGES]
+    count, read = sum(map(len, problem.campaigns)), []
+    if count:
+        read.append(f"{count} readings in {problem.setup_count} setups")
+    if problem.points:
+        read.append(f"{sum(len(p.points) for p in problem.points)} TCP points")
+    return "; ".join([f"{files}: {listed(read)}", *judges])

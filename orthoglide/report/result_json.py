@@ -84,6 +84,7 @@ def _mapping(result: Result) -> dict[str, Any]:
             "pattern": list(result.pattern),
         },
         "workspace": _workspace(result),
+        "tool": {name: error.as_dict() for name, error in result.numbers.expected.items()},
         "invisible": list(result.invisible),
         "method": {
             "name": after.method,

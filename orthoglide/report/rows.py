@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, decimals_for, plain, probability, signed
+from orthoglide.numerals import compact, decimals_for, probability, signed
 
 if TYPE_CHECKING:
-    from orthoglide.machine import Machine
     from orthoglide.result import Result
 
 
@@ -125,52 +123,3 @@ def millimetres(metres: Sequence[float]) -> list[str]:
     known = [v for v in metres if math.isfinite(v)]
     places = max(decimals_for(min(known, default=0.0) * 1e3, 4), 3)
     return [f"{v * 1e3:.{places}f}" if math.isfinite(v) else "–" for v in metres]
-
-
-@dataclass(frozen=True)
-class ControllerRow:
-    """What to enter in the controller of one axis; lengths in millimetres."""
-
-    axis: str
-    offset: str
-    sigma: str
-    add: str
-    zero_is: str
-    example_shown: str
-    example_true: str
-    example_command: str
-
-
-def controller_rows(machine: Machine) -> list[ControllerRow]:
-    """Numbers for the controller, from rho = L + sign (travel - zero) and rho true = rho + offset.
-
-    So the carriage stands right if ``sign x offset`` is added to what the controller shows, or is
-    subtracted from what it is told; and ``zero - sign x offset`` is what it shows at mechanical
-    zero. Empty where no joint offset is known.
-
-    Args:
-        machine: calibrated.
-    """
-    spec = machine.spec
-    zeros = [p for e in machine.catalogue.effects if e.controller == "zero" for p in e.motions]
-    offsets = [next((spec.parameters.get(p) for p in zeros if p.leg == leg), None) for leg in LEGS]
-    if not any(offsets):
-        return []
-    rows = []
-    for axis, leg, entry in zip(range(3), LEGS, offsets, strict=True):
-        value = (entry.value if entry else 0.0) * 1e3
-        sigma = (entry.sigma if entry else 0.0) * 1e3
-        sign, zero = spec.controller.sign[axis], spec.controller.zero[axis] * 1e3
-        rows.append(
-            ControllerRow(
-                leg,
-                signed(value, 3),
-                f"{sigma:.{decimals_for(sigma, 3)}f}",
-                signed(sign * value, 3),
-                plain(zero - sign * value, 3),
-                plain(zero, 3),
-                plain(spec.geometry.L * 1e3 + value, 3),
-                plain(zero - sign * value, 3),
-            )
-        )
-    return rows

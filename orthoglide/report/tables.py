@@ -36,7 +36,7 @@ def calibrated_machine(result: Result) -> MachineFile:
     request, spec = result.request, result.machine.spec
     provenance: dict[str, Any] = {
         **_origin(request),
-        "verdict": result.word,
+        **spec.provenance,
         "sigma": "noise alone" if result.posterior is None else "all other effects allowed",
     }
     if result.effects:
@@ -75,6 +75,13 @@ def residual_table(result: Result) -> str:
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
         for row, values in enumerate(figures[part]):
             writer.writerow([*_cells(campaign, row), *map(_mm, values), ""])
+    for points, part in zip(
+        problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
+    ):
+        for values, point, axis in zip(figures[part], points.point, points.setup, strict=True):
+            places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
+            places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
+            writer.writerow([*places, *map(_mm, values), ""])
     for campaign, row, kind in _set_aside(result):
         empty = [""] * (len(_FIGURES) - 1)
         writer.writerow([*_cells(campaign, row), _mm(campaign.reading[row]), *empty, kind])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from base64 import b64decode
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
+from orthoglide.effects import CATALOGUE, Effect
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
@@ -15,17 +16,19 @@ from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
 from orthoglide.request.request import Request
 
-_ROLES = ("campaign", "holdout", "tcp")
+_ROLES = ("campaign", "fit_tcp", "holdout", "tcp")
+_FRAMES = ("rigid", "translation", "none")
 _LAST_LINE = 1_000_000
 _LONGEST_NAME = 255  # bytes
 
 
-def request_of(result: Mapping[str, Any], file: str) -> Request:
+def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:
     """The request of a run from its ``result.json``.
 
     Args:
         result: the mapping of the file.
         file: its name, for errors.
+        effects: the user's own, where the run had some.
 
     Raises:
         FileError: where a part of it is not as it was written.
@@ -39,7 +42,12 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
         if not isinstance(seed, int) or isinstance(seed, bool) or (seed < 0 and not single):
             raise ValueError("seed is no number that counts")
         noise = given["noise_mm"]
-        machine = _machine(result["machine"])
+        if given.get("effects_file") and not effects:
+            raise FileError(
+                f"had effects from {given['effects_file']}: give it with --effects-file",
+                file=file,
+            )
+        machine = _machine(result["machine"], effects)
     except FileError:  # of the machine file
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -57,6 +65,9 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
         seed=seed,
         holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
         tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
+        points=tuple(_points(i, machine) for i in by_role["fit_tcp"]),
+        frame=given.get("frame", "rigid"),
+        effects_file=given.get("effects_file", ""),
     )
     if not single:
         return request
@@ -64,11 +75,12 @@ def request_of(result: Mapping[str, Any], file: str) -> Request:
     return replace(request, free=free, priors=priors, reduced=reduced)
 
 
-def _machine(given: Mapping[str, Any]) -> Machine:
+def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
     name = given["file"] or ""
     if name:
         _check_name(name)
-    spec, digest = parse_machine_file(given["toml"], name), given["sha256"] or ""
+    spec = parse_machine_file(given["toml"], name, CATALOGUE.with_effects(effects))
+    digest = given["sha256"] or ""
     kept = given.get("npz")
     known = kept and parse_posterior(b64decode(kept, validate=True), digest, name)
     return Machine(replace(spec, file=name, sha256=digest, posterior=known))
@@ -113,6 +125,8 @@ def _check_arguments(given: Mapping[str, Any], single: bool) -> None:
     if single:
         truth: Callable[[Any], bool] = lambda value: isinstance(value, bool)  # noqa: E731
         checks |= {"free": names, "priors": truth, "reduced": truth}
+    if given.get("frame", "rigid") not in _FRAMES:
+        raise ValueError(f"frame is {given['frame']!r}")
     for name, check in checks.items():
         if not check(given[name]):
             raise ValueError(f"{name} is {given[name]!r}")
@@ -130,7 +144,7 @@ def _check_inputs(found: Any) -> None:
             raise ValueError(f"{item['file']} is none of {', '.join(_ROLES)}")
         _check_rows(item["file"], item["rows"])
         _check_lines(item["file"], item.get("lines", []), len(item["rows"]))
-    if not any(item.get("role", _ROLES[0]) == _ROLES[0] for item in found):
+    if not any(item.get("role", _ROLES[0]) in _ROLES[:2] for item in found):
         raise ValueError("inputs has no campaign")
 
 

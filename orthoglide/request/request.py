@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from orthoglide.effects import BASE_FAMILIES
 from orthoglide.files import sha256
+from orthoglide.fit.factors import Frame
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints, campaign_rows, csv_text, tcp_rows
 
@@ -36,6 +37,9 @@ class Request:
         free: effects or parameters that ``identify`` frees.
         priors: whether tolerances act as priors in ``identify``.
         reduced: whether the analytic reduction identifies.
+        points: TCP points that are readings like the others.
+        frame: how the instrument of ``points`` may stand to the machine.
+        effects_file: name of the file with the user's own effects, where one was given.
     """
 
     command: Command
@@ -49,6 +53,9 @@ class Request:
     free: tuple[str, ...] = BASE_FAMILIES
     priors: bool = True
     reduced: bool = False
+    points: tuple[TcpPoints, ...] = ()
+    frame: Frame = "rigid"
+    effects_file: str = ""
 
     @property
     def searches(self) -> bool:
@@ -64,6 +71,10 @@ class Request:
             "machine": Path(self.machine.spec.file).name or None,
             "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
         }
+        if self.effects_file:
+            found["effects_file"] = self.effects_file
+        if self.points:
+            found |= {"fit_tcp": [name_of(p) for p in self.points], "frame": self.frame}
         if self.searches:
             held, points = self.holdout, self.tcp
             judges = {"holdout": name_of(held) if held else None}
@@ -79,6 +90,8 @@ class Request:
     def _inputs(self) -> Iterator[dict[str, Any]]:
         for campaign in self.campaigns:
             yield _input(campaign, "campaign", campaign_rows(campaign))
+        for points in self.points:
+            yield _input(points, "fit_tcp", tcp_rows(points))
         if self.holdout is not None:
             yield _input(self.holdout, "holdout", campaign_rows(self.holdout))
         if self.tcp is not None:
@@ -90,7 +103,7 @@ class Request:
         if self.command == "demo":
             return "orthoglide demo --out DIR" + (f" --seed {self.seed}" if self.seed else "")
         judges = [given for given in (self.holdout, self.tcp) if given is not None]
-        if not all(given.file for given in (*self.campaigns, *judges)):
+        if not all(given.file for given in (*self.campaigns, *self.points, *judges)):
             return _AGAIN
         given = self.arguments
         free = () if self.free == tuple(BASE_FAMILIES) else self.free
@@ -101,11 +114,14 @@ class Request:
             "--tcp": given.get("tcp") or "",
             "--own": ",".join(self.own),
             "--machine": given["machine"] or "",
+            "--effects-file": self.effects_file,
             "--noise": "" if self.noise is None else f"{given['noise_mm']:g}",
             "--seed": str(self.seed) if self.seed and self.searches else "",
         }
         for option, value in options.items():
             words += [option, value] if value else []
+        for points in self.points:
+            words += ["--fit-tcp", name_of(points), "--frame", self.frame]
         flags = {"--no-priors": not self.priors, "--reduced": self.reduced}
         return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from orthoglide.accuracy import Map, tcp_map
+from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
 from orthoglide.diagnosis.ranking import Round
@@ -129,7 +130,17 @@ class Result:
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine with its covariance, all else allowed but by ``identify``."""
+        """The calibrated machine with its covariance, all else allowed but by ``identify``.
+
+        The verdict and its cautions are kept with it.
+        """
+        kept: dict[str, Any] = {"verdict": self.word}
+        if self.cautions:
+            kept["cautions"] = list(self.cautions)
+        return self._machine.with_provenance(kept)
+
+    @property
+    def _machine(self) -> Machine:
         if self.posterior is None:
             return self.after.machine
         about_fit = self.posterior.machine
@@ -198,9 +209,9 @@ class Result:
     @property
     def unexcited(self) -> tuple[str, ...]:
         """Effects whose conditions the campaigns do not vary at all."""
-        from orthoglide.diagnosis.candidates import excited_families
+        from orthoglide.fit.excited import excited_effects
 
-        excited = {*excited_families(self.after.problem), *self.catalogue.base}
+        excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
         return tuple(name for name in self.catalogue if name not in excited)
 
     @cached_property
@@ -249,17 +260,13 @@ class Result:
         return () if self.posterior is None else uncertain_effects(self.machine)
 
     @cached_property
-    def offsets_alone(self) -> float:
-        """How far the TCP is off at Zero, Max and Min if only joint offsets are set, metres."""
-        machine, of = self.machine, self.catalogue.effect_of
-        offsets = {n: v for n, v in machine.values.items() if of(n).controller == "zero"}
-        if len(offsets) == len(machine.values):
-            return 0.0
-        geometry = machine.spec.geometry
-        names = ("zero", *(f"{leg}{end}" for leg in "xyz" for end in ("max", "min")))
-        rho = np.array([geometry.command(name) for name in names])
-        apart = machine.forward(rho) - machine.with_only(offsets).forward(rho)
-        return float(np.linalg.norm(apart, axis=-1).max())
+    def numbers(self) -> ControllerNumbers:
+        """What a controller takes of the calibrated machine, and the errors to expect of the TCP.
+
+        They are here whatever the verdict says; :func:`orthoglide.control.withheld` says whether
+        they are to be shown.
+        """
+        return controller_numbers(self.machine, force=True)
 
     @property
     def cautions(self) -> tuple[str, ...]:
@@ -289,7 +296,7 @@ class Result:
 def last_values(estimate: Estimate) -> dict[str, float]:
     """Parameters of the last campaign's machine, dials included, SI."""
     problem = estimate.problem
-    return problem.values(len(problem.campaigns) - 1, estimate.x)
+    return problem.values(problem.last, estimate.x)
 
 
 def by_lack_of_fit(estimate: Estimate) -> Detection:

@@ -56,3 +56,17 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
                 campaign.approach[there, setup.leg],
             )
         first += len(campaign)
+    for points, part in zip(
+        problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
+    ):
+        for k, axis in enumerate(LEGS):
+            there = np.flatnonzero(points.setup == k)
+            if len(there):
+                yield Mounting(
+                    f"{points.name} · {axis}",
+                    f"{points.name}: coordinate {axis} of the TCP",
+                    "point",
+                    part.start + there,
+                    (points.point[there] + 1).astype(np.float64),
+                    points.points.approach[points.point[there], k],
+                )

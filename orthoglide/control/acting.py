@@ -1,0 +1,35 @@
+"""Whether the numbers of a machine are to be acted on, by the verdict that is kept with them."""
+
+from __future__ import annotations
+
+from orthoglide.errors import InputError
+from orthoglide.machine import Machine
+
+_WHY = {
+    "partial": "its causes explain only part of what is wrong",
+    "unexplained": "something is wrong that no cause explains",
+}
+
+
+def withheld(machine: Machine) -> str:
+    """Why the numbers of a machine should not be put to use, as a clause; empty where they may."""
+    kept = machine.spec.provenance
+    verdict = str(kept.get("verdict", ""))
+    if verdict in _WHY:
+        return f"the verdict on this machine is {verdict}: {_WHY[verdict]}"
+    cautions = kept.get("cautions", ())
+    return f"the verdict on this machine warns: {cautions[0]}" if cautions else ""
+
+
+def refuse_withheld(machine: Machine, force: bool) -> None:
+    """Refuse a machine whose numbers the verdict says not to act on, unless forced.
+
+    Raises:
+        InputError: saying why.
+    """
+    why = "" if force else withheld(machine)
+    if why:
+        raise InputError(
+            f"{why.rstrip('.')}. Its numbers are withheld: confirm the cause first, or force them "
+            f"(--force, force=True)"
+        )

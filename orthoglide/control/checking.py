@@ -1,0 +1,125 @@
+"""The reading that proves on the machine that a zero was entered with the right sign."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, protocol
+
+Shown = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ZeroCheck:
+    """One dial of the standard protocol, read at Zero and at one other posture.
+
+    Attributes:
+        drive: whose zero is checked.
+        setup: of the dial in the standard protocol, its ``touched`` leg, direction, and place
+            along the leg in metres.
+        posture: the other posture, ``"max"`` or ``"min"``.
+        at_zero: what the controller shows at Zero once the new zeros are entered, metres.
+        at_posture: the same at the other posture.
+        right: reading there less reading at Zero, with all zeros as they should be, metres.
+        wrong: the same with this drive's zero moved the wrong way.
+    """
+
+    drive: str
+    setup: str
+    touched: str
+    direction: str
+    gauge: float
+    posture: str
+    at_zero: Shown
+    at_posture: Shown
+    right: float
+    wrong: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, millimetres."""
+        return {
+            "setup": self.setup,
+            "leg": self.touched,
+            "direction": self.direction,
+            "gauge_mm": round(self.gauge * 1e3, 6),
+            "posture": self.posture,
+            "shown_at_zero_mm": [round(v * 1e3, 6) + 0.0 for v in self.at_zero],
+            "shown_at_posture_mm": [round(v * 1e3, 6) + 0.0 for v in self.at_posture],
+            "expected_mm": round(self.right * 1e3, 6) + 0.0,
+            "expected_if_wrong_mm": round(self.wrong * 1e3, 6) + 0.0,
+        }
+
+    def __str__(self) -> str:
+        return (
+            f"drive {self.drive}: dial on leg {self.touched} toward {self.direction}, "
+            f"{self.gauge * 1e3:.1f} mm along it. From Zero ({_triple(self.at_zero)}) to "
+            f"{self.posture.capitalize()} ({_triple(self.at_posture)}) it reads "
+            f"{self.right * 1e3:+.3f} mm more; with the zero of {self.drive} moved the wrong way "
+            f"it would read {self.wrong * 1e3:+.3f} mm more."
+        )
+
+
+def _triple(shown: Shown) -> str:
+    return ", ".join(f"{v * 1e3:.3f}" for v in shown)
+
+
+def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
+    """What a dial should read once new zeros, and nothing else, are entered.
+
+    Of the dials and postures of the standard protocol the one that tells a wrong sign best.
+
+    Args:
+        machine: calibrated, its controller as it is now.
+        offsets: joint offsets that the new zeros take off ``(3,)``, metres.
+
+    Returns:
+        One check for each drive whose zero moves by what a dial shows.
+    """
+    sheet = protocol("standard", machine.geometry)
+    pairs = [pair for setup in range(len(sheet.setups)) for pair in _pairs(sheet, setup)]
+    right = _readings(machine, sheet, -offsets)
+    found = []
+    for drive in np.flatnonzero(offsets):
+        wrong = _readings(machine, sheet, np.where(np.arange(3) == drive, offsets, -offsets))
+        apart = right - wrong
+        first, row = max(pairs, key=lambda p: abs(apart[p[1]] - apart[p[0]]))
+        if abs(apart[row] - apart[first]) < 2 * machine.spec.dial.resolution:
+            continue
+        setup = sheet.setups[sheet.setup[row]]
+        found.append(
+            ZeroCheck(
+                LEGS[drive],
+                setup.name,
+                LEGS[setup.leg],
+                setup.direction,
+                setup.gauge,
+                sheet.posture[row],
+                _shown(machine, sheet.command[first], offsets),
+                _shown(machine, sheet.command[row], offsets),
+                float(right[row] - right[first]),
+                float(wrong[row] - wrong[first]),
+            )
+        )
+    return tuple(found)
+
+
+def _pairs(sheet: Campaign, setup: int) -> list[tuple[int, int]]:
+    """First rows of a setup at Zero and at each of its other postures."""
+    rows = np.flatnonzero(sheet.setup == setup)
+    first = {sheet.posture[row]: int(row) for row in rows[::-1]}
+    zero = first.pop("zero")
+    return [(zero, row) for row in first.values()]
+
+
+def _readings(machine: Machine, sheet: Campaign, by: Array) -> Array:
+    return machine.readings(replace(sheet, command=sheet.command + by))
+
+
+def _shown(machine: Machine, rho: Array, offsets: Array) -> Shown:
+    x, y, z = machine.spec.controller.from_rho(rho - offsets, machine.geometry).tolist()
+    return x, y, z

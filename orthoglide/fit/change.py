@@ -1,0 +1,106 @@
+"""A parameter that changed: between two campaigns, or since an earlier calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.problem import Problem
+from orthoglide.numerals import compact
+from orthoglide.units import Unit
+
+SIGNIFICANT = 3.0
+"""Sigmas beyond which what is left after a change is an error of its own."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter of the machine that is not what it was in an earlier file.
+
+    Attributes:
+        parameter: the most probable one.
+        members: all parameters whose change these readings cannot tell from its, itself first.
+        since: name of the first campaign after the change; empty since an earlier calibration.
+        between: files, or names, of the last one before and the first after the change.
+        evidence: log Bayes factor in its favour, the number of its like discounted.
+        unit: of the parameter in files.
+        before: value before the change, SI.
+        after: value after the change, SI.
+        sigma: standard deviation of the difference, SI.
+        sigma_after: standard deviation of the value after the change, SI.
+    """
+
+    parameter: str
+    members: tuple[str, ...]
+    since: str
+    between: tuple[str, str]
+    evidence: float
+    unit: Unit
+    before: float = float("nan")
+    after: float = float("nan")
+    sigma: float = float("nan")
+    sigma_after: float = float("nan")
+
+    @property
+    def message(self) -> str:
+        """One sentence: between which files, what, from what to what."""
+        si, name = self.unit.si, self.unit.name
+        before, after, sigma = (compact(v / si) for v in (self.before, self.after, self.sigma))
+        others = f" (or {', '.join(self.members[1:])})" if len(self.members) > 1 else ""
+        return (
+            f"between {_file(self.between[0])} and {_file(self.between[1])} "
+            f"{self.parameter}{others} changed from {before} to {after} {name} (± {sigma})"
+        )
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """What is separate from ``since`` on, as ``build_problem`` takes it."""
+        return tuple(f"{name}@{self.since}" for name in self.members)
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether the parameter still has an error after the change that these readings show."""
+        return abs(self.after) > SIGNIFICANT * self.sigma_after
+
+    def now(self, estimate: Estimate) -> Change:
+        """With the value of a later fit."""
+        if self.parameter not in estimate.values:
+            return self
+        value, sigma = estimate.values[self.parameter], estimate.sigmas[self.parameter]
+        return replace(self, after=value, sigma_after=sigma)
+
+    def measured(self, estimate: Estimate) -> Change:
+        """With the values of a fit in which the parameter, or a member instead, is separate."""
+        for name in self.members:
+            pair = _either_side(estimate.problem, name, self.since)
+            if pair is None:
+                continue
+            (before, after), spread = estimate.x[pair], estimate.covariance[np.ix_(pair, pair)]
+            sigma = np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1])
+            others = tuple(n for n in self.members if n != name)
+            return replace(
+                self,
+                parameter=name,
+                members=(name, *others),
+                before=float(before),
+                after=float(after),
+                sigma=float(sigma),
+                sigma_after=float(np.sqrt(spread[1, 1])),
+            )
+        return self
+
+
+def _file(path: str) -> str:
+    return path.rpartition("/")[2]
+
+
+def _either_side(problem: Problem, name: str, since: str) -> list[int] | None:
+    """Places of the unknowns before and after a change."""
+    places = [k for k, n in enumerate(problem.names) if n.partition("@")[0] == name]
+    for one, other in pairwise(places):
+        if problem.names[other] == f"{name}@{since}":
+            return [one, other]
+    return None

@@ -1,0 +1,49 @@
+"""Which effects the readings at hand could show at all: those whose conditions they vary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from orthoglide.effects import Effect
+from orthoglide.fit.problem import Problem
+
+
+def excited_effects(problem: Problem) -> tuple[Effect, ...]:
+    """Effects beyond the base whose conditions the readings vary."""
+    catalogue = problem.machine.catalogue
+    dials = bool(problem.campaigns)
+    return tuple(
+        effect
+        for effect in catalogue.effects
+        if effect.name not in catalogue.base
+        and all(_MET[need](problem) for need in effect.needs)
+        and not (effect.instead_of and _MET[effect.instead_of](problem))
+        and (dials or not effect.of_dial)
+    )
+
+
+def _varies(what: str) -> Callable[[Problem], bool]:
+    def vary(problem: Problem) -> bool:
+        files: tuple[Any, ...] = (*problem.campaigns, *(f.points for f in problem.points))
+        for file in files:
+            values = getattr(file, what, None)
+            if values is None:
+                continue
+            known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
+            if len(known) and np.ptp(known, axis=0).max() > 0:
+                return True
+        return False
+
+    return vary
+
+
+_MET: Mapping[str, Callable[[Problem], bool]] = {
+    "approach": _varies("approach"),
+    "time": _varies("time"),
+    "temperature": _varies("temperature"),
+    "load": lambda problem: any(c.load.any() for c in problem.campaigns),
+    "pitch": lambda problem: problem.machine.spec.screw_pitch is not None,
+}

@@ -1,0 +1,284 @@
+"""What was read, as factors: each predicts its rows, differentiates them, and has its nuisances.
+
+A *nuisance* is a number that the rows contain besides the machine: a dial's datum, where it stands,
+the rounding that repeats share, the frame of a tracker. Nuisances enter linearly and are fitted
+with everything else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array
+from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.prediction import Conditions, Model
+
+Frame = Literal["none", "translation", "rigid"]
+Ints = NDArray[np.int64]
+
+TCP_SIGMA = 1e-5
+"""Metres: of a coordinate of a TCP point where its file declares none."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Rows of one factor around one machine.
+
+    Attributes:
+        value: predicted ``(n,)``, metres.
+        jacobian: by the parameters asked for ``(n, P)``, SI.
+        slopes: what its nuisances need to know of the pose ``(n, k)``.
+    """
+
+    value: Array
+    jacobian: Array
+    slopes: Array
+
+
+@dataclass(frozen=True)
+class Block:
+    """Nuisances of one factor.
+
+    Attributes:
+        columns: derivative of its rows by them ``(n, k)``.
+        sd: standard deviation about zero ``(k,)``; infinite where nothing is known.
+        placement: which of them are where a dial stands ``(k,)``.
+    """
+
+    columns: Array
+    sd: Array
+    placement: NDArray[np.bool_]
+
+
+class Rows(Protocol):
+    """Rows that were read together."""
+
+    @property
+    def name(self) -> str:
+        """Of the file."""
+
+    @property
+    def setup_names(self) -> tuple[str, ...]:
+        """Labels whose parameters a dial may have; each has a datum of its own."""
+
+    @property
+    def measured(self) -> Array:
+        """What was read ``(n,)``, metres."""
+
+    @property
+    def setup(self) -> Ints:
+        """Whose datum each row has ``(n,)``."""
+
+    @property
+    def stations(self) -> Array:
+        """What makes visits the same ``(n, k)``: rows that are equal are repeats."""
+
+    @property
+    def places(self) -> Array:
+        """The same without the side from which a place was reached ``(n, k)``."""
+
+    def conditions(self) -> Conditions:
+        """Of its postures."""
+
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Rows ``(n,)`` of a machine, metres."""
+
+    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+        """Rows of a machine and their derivatives."""
+
+    def nuisances(self, slopes: Array) -> Block:
+        """Its nuisances, given ``slopes`` of a linearisation."""
+
+
+@dataclass(frozen=True)
+class DialReadings:
+    """Readings of dials on the legs: one campaign.
+
+    Attributes:
+        campaign: the readings.
+        placement: standard deviation of a dial's place along its leg, metres; 0: exact.
+        common: standard deviation of what a dial rounds away alike at every visit, metres.
+    """
+
+    campaign: Campaign
+    placement: float = 0.0
+    common: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Of the campaign."""
+        return self.campaign.name
+
+    @property
+    def setup_names(self) -> tuple[str, ...]:
+        """The mountings."""
+        return tuple(s.name for s in self.campaign.setups)
+
+    @property
+    def measured(self) -> Array:
+        """The readings."""
+        return self.campaign.reading
+
+    @property
+    def setup(self) -> Ints:
+        """The mounting of each."""
+        return self.campaign.setup
+
+    @property
+    def stations(self) -> Array:
+        """Setup, command, approach of all axes, load ``(n, 8)``."""
+        c = self.campaign
+        return np.column_stack([c.setup, c.command, c.approach, c.load])
+
+    @property
+    def places(self) -> Array:
+        """Setup and command ``(n, 4)``."""
+        return np.column_stack([self.campaign.setup, self.campaign.command])
+
+    def conditions(self) -> Conditions:
+        """Of every reading."""
+        return Conditions.of(self.campaign)
+
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Readings, datums apart."""
+        return model.readings(values, self.campaign)
+
+    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+        """Readings; the slope is by the dial's place along the leg."""
+        found = model.linearised(values, self.campaign, names)
+        return Linear(found.value, found.jacobian, found.by_gauge[:, None])
+
+    def nuisances(self, slopes: Array) -> Block:
+        """A datum a setup, a placement a setup, and where readings repeat a rounding a station."""
+        setups = len(self.campaign.setups)
+        datum = np.eye(setups)[self.setup]
+        columns, sd = [datum], [np.full(setups, np.inf)]
+        if self.placement > 0:
+            columns.append(datum * slopes)
+            sd.append(np.full(setups, self.placement))
+        placed = np.arange(setups * len(columns)) >= setups
+        if self.common > 0:
+            station = np.unique(self.stations, axis=0, return_inverse=True)[1].reshape(-1)
+            count = int(station.max(initial=-1)) + 1
+            columns.append(np.eye(count)[station])
+            sd.append(np.full(count, self.common))
+        every = np.hstack(columns)
+        return Block(every, np.concatenate(sd), np.pad(placed, (0, every.shape[1] - len(placed))))
+
+
+@dataclass(frozen=True)
+class TcpReadings:
+    """Coordinates of the TCP by a tracker or a measuring machine, in its own frame.
+
+    Attributes:
+        points: the points; coordinates that are missing are no rows.
+        frame: how the instrument's frame may differ from the machine's: not at all, by a
+            translation, or by a translation and a small turn.
+    """
+
+    points: TcpPoints
+    frame: Frame = "rigid"
+
+    @property
+    def name(self) -> str:
+        """Of the file, without its ending."""
+        return self.points.name
+
+    @property
+    def setup_names(self) -> tuple[str, ...]:
+        """No dial has parameters here."""
+        return ()
+
+    @cached_property
+    def known(self) -> NDArray[np.bool_]:
+        """Which coordinates were measured ``(n, 3)``."""
+        return np.isfinite(self.points.p)
+
+    @property
+    def measured(self) -> Array:
+        """The coordinates, point by point."""
+        return np.asarray(self.points.p[self.known])
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation of each row, metres."""
+        declared = np.where(np.isfinite(self.points.sigma), self.points.sigma, TCP_SIGMA)
+        return np.asarray(np.repeat(declared[:, None], 3, axis=1)[self.known])
+
+    @property
+    def setup(self) -> Ints:
+        """The coordinate of each row: 0, 1 or 2."""
+        return np.nonzero(self.known)[1]
+
+    @property
+    def point(self) -> Ints:
+        """The point of each row."""
+        return np.nonzero(self.known)[0]
+
+    @property
+    def stations(self) -> Array:
+        """Coordinate, command, approach of all axes ``(n, 7)``."""
+        rows = np.column_stack([self.points.command, self.points.approach])[self.point]
+        return np.column_stack([self.setup, rows])
+
+    @property
+    def places(self) -> Array:
+        """Coordinate and command ``(n, 4)``."""
+        return np.column_stack([self.setup, self.points.command[self.point]])
+
+    def conditions(self) -> Conditions:
+        """Of every point, machine unloaded."""
+        return Conditions.at(self.points.command, approach=self.points.approach)
+
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Coordinates in the machine's frame."""
+        return np.asarray(model.outputs(values, self.conditions()).p[self.known])
+
+    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+        """Coordinates; the slopes are by a small turn of the frame."""
+        machine = [n for n in names if not model.catalogue.effect_of(n).of_dial]
+        out, by_name = model.sensitivities(values, self.conditions(), machine)
+        jacobian = np.zeros((len(self.measured), len(names)))
+        columns = [k for k, n in enumerate(names) if n in set(machine)]
+        jacobian[:, columns] = by_name[:, :3][self.known]
+        p = out.p
+        turn = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)  # (n, xyz, axis)
+        return Linear(np.asarray(p[self.known]), jacobian, turn[self.known])
+
+    def nuisances(self, slopes: Array) -> Block:
+        """A datum a coordinate, and three turns, as far as the frame is free."""
+        datum = np.eye(3)[self.setup]
+        columns = {"none": datum[:, :0], "translation": datum,
+                   "rigid": np.hstack([datum, slopes])}[self.frame]  # fmt: skip
+        # What no row shows (a coordinate that was never measured) is no nuisance.
+        kept = np.abs(columns).max(axis=0, initial=0.0) > 0
+        count = int(kept.sum())
+        return Block(columns[:, kept], np.full(count, np.inf), np.zeros(count, dtype=bool))
+
+
+Factor = DialReadings | TcpReadings
+"""All kinds of readings; each owes what `Rows` names."""
+
+
+def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
+    """Points in a frame turned by a large angle, brought near the machine's by a rigid motion.
+
+    What is left of the turn is small and is fitted. Points with missing coordinates cannot be
+    turned, and stay as they are where any coordinate is missing.
+
+    Args:
+        points: measured.
+        p: about where the machine has them ``(n, 3)``, metres.
+    """
+    if len(points) < 4 or not np.isfinite(points.p).all():
+        return points
+    centre, goal = points.p.mean(axis=0), p.mean(axis=0)
+    left, _, right = np.linalg.svd((points.p - centre).T @ (p - goal))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return replace(points, p=(points.p - centre) @ (left @ flip @ right) + goal)

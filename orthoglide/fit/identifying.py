@@ -1,0 +1,157 @@
+"""``identify``: what a user asks, put together as a problem and solved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Literal
+
+import numpy as np
+
+from orthoglide.errors import InputError
+from orthoglide.fit.earlier import account_for_changes, earlier_of
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.factors import Frame, TcpReadings, turned_to
+from orthoglide.fit.noise import noise_of
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.solving import Method, solve
+from orthoglide.fit.unknowns import build_problem
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
+
+_EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
+
+Source = Given | TcpPoints
+"""A campaign of dial readings, or the path of one, or TCP points."""
+
+
+def identify(
+    campaigns: Source | Sequence[Source],
+    machine: Machine | None = None,
+    free: Sequence[str] | None = None,
+    *,
+    own: Sequence[str] = (),
+    priors: bool = True,
+    noise: float | None = None,
+    bounds: Mapping[str, float] | None = None,
+    weighting: Literal["readings", "deviations"] = "readings",
+    method: Method = "auto",
+    frame: Frame = "rigid",
+) -> Estimate:
+    """Identify parameters of the general mechanism from dial readings.
+
+    Args:
+        campaigns: one or several; paths are read as by ``read_campaign``.
+        machine: dimensions, tolerances and what is known already; nominal where absent.
+        free: effects, parameters or structured members to identify; joint offsets and leg lengths
+            where absent.
+        own: which of them each campaign has for itself; the rest is shared.
+        priors: whether the machine's tolerances act as priors about zero.
+        noise: standard deviation of one reading, metres (of one TCP coordinate where there are no
+            dial readings); see ``noise_of`` where absent.
+        bounds: by parameter or family, SI: values stay within plus and minus.
+        weighting: ``"readings"`` weighs every reading by its noise, with a free datum a setup;
+            ``"deviations"`` is the papers' ordinary least squares on differences from each
+            setup's first posture, which takes that posture's reading and the dials' places for
+            exact.
+        method: ``"nlp"``, ``"nested"``, ``"reduction"`` (the analytic PSS model); ``"auto"`` takes
+            the programme up to ``NLP_POSTURES`` postures, and nests the closure beyond.
+        frame: how the instrument of TCP points may stand to the machine: ``"none"``: not at all,
+            ``"translation"``, or ``"rigid"``.
+
+    Raises:
+        InputError: where what is asked makes no sense.
+        UnidentifiableError: where the readings cannot determine it, naming what.
+        SolverError: where no solver reaches an answer that passes our own checks.
+        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
+    """
+    machine = machine or Machine.nominal()
+    chosen = machine.catalogue.base if free is None else free
+    problem = assemble(
+        campaigns, machine, chosen, own=own, priors=priors, noise=noise, bounds=bounds, frame=frame
+    )
+    for name in problem.own:
+        plain = name.partition("@")[0]
+        if not any(n.plain == plain or n.startswith(f"{plain}.") for n in problem.names):
+            raise InputError(f"{name} is own to each campaign but not free: free it too")
+    if weighting == "deviations":
+        problem = _anchored(problem)
+    return account_for_changes(solve(problem, method=method), method)
+
+
+def assemble(
+    given: Source | Sequence[Source],
+    machine: Machine,
+    free: Sequence[str],
+    *,
+    own: Sequence[str] = (),
+    priors: bool = True,
+    noise: float | None = None,
+    bounds: Mapping[str, float] | None = None,
+    frame: Frame = "rigid",
+) -> Problem:
+    """The problem of dial readings and TCP points together; arguments as of :func:`identify`."""
+    campaigns, points = sorted_out(given, machine)
+    level = noise_of(campaigns, machine.spec.dial, noise)
+    readings = [_tcp_readings(p, machine, frame, None if campaigns else noise) for p in points]
+    return build_problem(
+        machine, campaigns, free, level, own=own, priors=priors, bounds=bounds, points=readings,
+        earlier=earlier_of(machine) if priors else None,
+    )  # fmt: skip
+
+
+def sorted_out(
+    given: Source | Sequence[Source], machine: Machine
+) -> tuple[tuple[Campaign, ...], tuple[TcpPoints, ...]]:
+    """Campaigns, paths read, and TCP points apart.
+
+    Raises:
+        InputError: where there is neither, or a file cannot be read.
+    """
+    alone = isinstance(given, Campaign | TcpPoints | str | PathLike)
+    several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
+    points = tuple(g for g in several if isinstance(g, TcpPoints))
+    others = [g for g in several if not isinstance(g, TcpPoints)]
+    if points and not others:
+        return (), points
+    return as_campaigns(others, machine.spec), points
+
+
+def _tcp_readings(
+    points: TcpPoints, machine: Machine, frame: Frame, sigma: float | None
+) -> TcpReadings:
+    """Points as readings; a large turn of the instrument's frame is taken out beforehand."""
+    if len(points) < 3:
+        raise InputError(
+            f"{points.name}: these are too few TCP points to identify anything: measure three or "
+            f"more"
+        )
+    if sigma is not None:
+        points = replace(points, sigma=np.full(len(points), sigma))
+    if frame == "rigid":
+        points = turned_to(points, machine.forward(points.command))
+    return TcpReadings(points, frame)
+
+
+def _averaged(campaign: Campaign) -> Campaign:
+    """One row a setup and posture, as the papers average their repeats."""
+    table = np.column_stack([campaign.setup, campaign.command])
+    _, first, station = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    station = station.reshape(-1)
+    mean = np.bincount(station, campaign.reading) / np.bincount(station)
+    kept = np.sort(first)
+    return campaign.subset(kept).with_readings(mean[station[kept]])
+
+
+def _anchored(problem: Problem) -> Problem:
+    """Averaged readings, equal weights, each setup's first posture and the dials' places exact."""
+    campaigns = tuple(_averaged(c) for c in problem.campaigns)
+    sigmas = []
+    for campaign in campaigns:
+        sigma = np.full(len(campaign), problem.noise.typical)
+        _, first = np.unique(campaign.setup, return_index=True)
+        sigma[first] *= _EXACT
+        sigmas.append(sigma)
+    noise = replace(problem.noise, sigma=tuple(sigmas), common=0.0)
+    return replace(problem, campaigns=campaigns, noise=noise, placement=0.0)

@@ -1,0 +1,38 @@
+"""What a user should know of a fit, in sentences."""
+
+from __future__ import annotations
+
+from orthoglide.fit.estimate import Estimate
+from orthoglide.notes import Note
+
+_FAR = 4.0  # tolerances: one parameter in sixteen thousand of a machine as it is expected to be
+
+
+def notes(estimate: Estimate) -> tuple[Note, ...]:
+    """Notes of a fit: what was noticed on reading, lack of fit, bounds, tolerances, the check."""
+    problem, scores = estimate.problem, estimate.scores
+    noticed = [c.warnings for c in problem.campaigns] + [f.points.warnings for f in problem.points]
+    found = [Note(text, "campaign") for texts in noticed for text in texts]
+    if estimate.sigma_scale > 1:
+        text = (
+            f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
+            f"{problem.noise.typical * 1e3:.3f} mm (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
+            f"degrees of freedom): the model lacks something, and all sigmas take the readings for "
+            f"{estimate.sigma_scale:.1f} times as noisy"
+        )
+        found.append(Note(text, "lack_of_fit"))
+    for name in estimate.on_bound:
+        text = f"{name} ended on its bound: it is not identified; check the readings and the units"
+        found.append(Note(text, "bound"))
+    for (name, value), tolerance in zip(estimate.values.items(), problem.tolerance, strict=True):
+        if abs(value) > _FAR * tolerance:
+            text = f"{name} is {abs(value) / tolerance:.1f} times its tolerance"
+            found.append(Note(text, "tolerance"))
+    check = estimate.check
+    if check is not None and not check.second_order:
+        text = (
+            f"the linear system (11) fits readings that differ by {check.linear * 1e3:.3g} mm, "
+            f"more than second-order terms explain: treat the result with care"
+        )
+        found.append(Note(text, "second_order"))
+    return tuple(found)

@@ -1,0 +1,212 @@
+"""From names to unknowns, and from unknowns to a problem; the one way to free more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Protocol
+
+from orthoglide.effects import Catalogue
+from orthoglide.errors import InputError
+from orthoglide.fit.factors import TcpReadings
+from orthoglide.fit.noise import Noise
+from orthoglide.fit.problem import Problem, Unknown
+from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
+from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
+
+# Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
+# parameter that ends on one is reported.
+_BOUND_SD = 50.0
+_LEAST_BOUND = {"mm": 0.05, "rad": 0.1}
+
+
+class Source(Protocol):
+    """Where readings come from: its name, and the setups whose dials may have parameters."""
+
+    @property
+    def name(self) -> str:
+        """Of the file."""
+
+    @property
+    def setup_names(self) -> tuple[str, ...]:
+        """Of its mountings."""
+
+
+def build_unknowns(
+    machine: Machine, sources: Sequence[Source], free: Sequence[str], own: Sequence[str] = ()
+) -> tuple[Unknown, ...]:
+    """Unknowns for effects, parameters or structured members.
+
+    Args:
+        machine: tolerances, and where to start.
+        sources: what is own to a campaign is repeated for each.
+        free: what to identify.
+        own: effects or parameters that each campaign has for itself; ``axis_tilt.y.z@new`` has
+            one value before the campaign ``new`` and another from it on.
+
+    Raises:
+        InputError: for names that are none, or campaigns of one name.
+    """
+    stems = [s.name for s in sources]
+    if len(set(stems)) != len(stems):
+        raise InputError(f"two campaigns are called alike ({', '.join(stems)}): rename one file")
+    catalogue, unknowns = machine.catalogue, list[Unknown]()
+    for name in _expanded(catalogue, free, sources):
+        starts = [0] + [k for k in range(1, len(stems)) if _begins(catalogue, name, stems[k], own)]
+        for first, end in pairwise([*starts, len(stems)]):
+            parts = tuple(
+                _parts(catalogue, name, s) if first <= k < end else {}
+                for k, s in enumerate(sources)
+            )
+            if any(parts):
+                shown = name.at(stems[first]) if len(starts) > 1 else name
+                unknowns.append(_unknown(machine, shown, parts))
+    return tuple(unknowns)
+
+
+def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]) -> bool:
+    """Whether a parameter has another value from a campaign on than before it."""
+    if catalogue[name.effect].of_dial:
+        return True
+    for chosen in own:
+        plain, _, at = chosen.partition("@")
+        if at in ("", stem) and (name == plain or name.startswith(f"{plain}.")):
+            return True
+    return False
+
+
+def _expanded(
+    catalogue: Catalogue, free: Sequence[str], sources: Sequence[Source]
+) -> tuple[Parameter, ...]:
+    setups = tuple(dict.fromkeys(s for source in sources for s in source.setup_names))
+    found = tuple(p.plain for p in catalogue.expand(free, setups))
+    if not found:
+        raise InputError("nothing is free: name at least one parameter or family to identify")
+    return tuple(dict.fromkeys(found))
+
+
+def _parts(catalogue: Catalogue, name: Parameter, source: Source) -> Mapping[str, float]:
+    if catalogue[name.effect].of_dial:
+        if name.setup and name.setup not in source.setup_names:  # another campaign's setup
+            return {}
+        if not source.setup_names:
+            return {}
+    return catalogue.elementary(name, source.setup_names)
+
+
+def _unknown(machine: Machine, name: Parameter, parts: tuple[Mapping[str, float], ...]) -> Unknown:
+    tolerance = machine.tolerance(name)
+    unit = machine.catalogue.effect_of(name).unit.name
+    bound = max(_BOUND_SD * tolerance, _LEAST_BOUND.get(unit, 0.0))
+    return Unknown(name, parts, tolerance, machine.values.get(name.plain, 0.0), bound)
+
+
+def build_problem(
+    machine: Machine,
+    campaigns: Sequence[Campaign],
+    free: Sequence[str],
+    noise: Noise,
+    *,
+    own: Sequence[str] = (),
+    priors: bool = True,
+    bounds: Mapping[str, float] | None = None,
+    points: Sequence[TcpReadings] = (),
+    earlier: Posterior | None = None,
+) -> Problem:
+    """Put an identification together.
+
+    Args:
+        machine: dimensions, tolerances, parameters to hold or to start from.
+        campaigns: dial readings.
+        free: effects, parameters or structured members.
+        noise: of the dial readings.
+        own: what each campaign has for itself, see :func:`build_unknowns`; it need not be free.
+        priors: whether tolerances act as priors.
+        bounds: by unknown or effect, SI; the value stays within plus and minus.
+        points: TCP points that are readings like the others.
+        earlier: what an earlier calibration says.
+
+    Raises:
+        InputError: where these do not fit together.
+    """
+    if not campaigns and not points:
+        raise InputError("there is no campaign: give at least one file of readings")
+    nothing = Problem(
+        machine, tuple(campaigns), (), noise, priors, (), machine.spec.dial.placement, tuple(own),
+        tuple(points), earlier,
+    )  # fmt: skip
+    _check_own(machine.catalogue, own, nothing.factors)
+    unknowns = build_unknowns(machine, nothing.factors, free, own)
+    if bounds:
+        unknowns = tuple(replace(u, bound=_bound(u, bounds)) for u in unknowns)
+    every = tuple(machine.values for _ in nothing.factors)
+    return replace(nothing, unknowns=unknowns, held=_without(every, unknowns))
+
+
+def _without(
+    held: Sequence[Mapping[str, float]], unknowns: Sequence[Unknown]
+) -> tuple[dict[str, float], ...]:
+    """What stays held of each factor's parameters."""
+    free = [{n for u in unknowns for n in u.parts[k]} for k in range(len(held))]
+    return tuple(
+        {n: v for n, v in values.items() if n not in set_here}
+        for values, set_here in zip(held, free, strict=True)
+    )
+
+
+def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -> Problem:
+    """The same problem with more freed; what is free already is not freed twice.
+
+    Args:
+        problem: to be extended.
+        names: effects, parameters or structured members; with ``@`` only that campaign's.
+        release: whether values that were held are let go; else the unknowns are changes of them.
+
+    Returns:
+        The problem with the new unknowns behind those that it has.
+    """
+    present = set(problem.names)
+    added: list[Unknown] = []
+    for name in names:
+        plain, _, stem = str(name).partition("@")
+        if isinstance(name, Parameter):
+            plain, stem = str(name.plain), name.campaign
+        for unknown in build_unknowns(problem.machine, problem.factors, [plain], problem.own):
+            wanted = not stem or unknown.name.campaign in ("", stem)
+            if wanted and unknown.name not in present:
+                present.add(unknown.name)
+                added.append(unknown)
+    unknowns = (*problem.unknowns, *added)
+    held = _without(problem.held, unknowns) if release else problem.held
+    return replace(problem, unknowns=unknowns, held=held)
+
+
+def elementary_beyond(problem: Problem, effects: Sequence[str]) -> tuple[Parameter, ...]:
+    """Elementary parameters of effects that no unknown of the problem sets yet."""
+    taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
+    found: dict[Parameter, None] = {}
+    for unknown in build_unknowns(problem.machine, problem.factors, list(effects)):
+        if not any(p in taken for parts in unknown.parts for p in parts):
+            found[unknown.name.plain] = None
+    return tuple(found)
+
+
+def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Source]) -> None:
+    stems = [s.name for s in sources]
+    for name in own:
+        plain, at, stem = name.partition("@")
+        if at and stem not in stems:
+            raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
+        _expanded(catalogue, [plain], sources)
+
+
+def _bound(unknown: Unknown, bounds: Mapping[str, float]) -> float:
+    for key in (unknown.name, unknown.name.plain, unknown.name.effect):
+        if key in bounds:
+            if not bounds[key] > 0:
+                raise InputError(f"the bound of {key} must be a positive number")
+            return float(bounds[key])
+    return unknown.bound

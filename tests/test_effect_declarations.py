@@ -1,0 +1,200 @@
+"""An effect is one declaration: nobody else knows it by name; a user's own does all it should."""
+
+import ast
+import copy
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
+from orthoglide.effects.wording import cause_short, cause_words, confirm_words
+from orthoglide.errors import InputError
+from orthoglide.prediction import Conditions, Model
+from orthoglide.units import MM
+
+PACKAGE = Path(og.__file__).parent
+
+
+def literals(path: Path) -> Iterator[tuple[int, str]]:
+    """String constants of a file that are no docstrings."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    documents = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    attributes = {  # a bare string below an assignment documents it
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    for node in ast.walk(tree):
+        text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+        if text and id(node) not in documents | attributes:
+            yield node.lineno, node.value
+
+
+def test_no_effect_is_known_by_name_outside_its_declaration() -> None:
+    found = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.parent.name == "effects":
+            continue
+        for line, text in literals(path):
+            words = text.replace(".", " ").replace(",", " ").split()
+            found += [f"{path.relative_to(PACKAGE)}:{line}: {w}" for w in words if w in CATALOGUE]
+    # "backlash" is also a number that a controller holds, as "zero" and "scale" are.
+    found = [f for f in found if not (f.startswith("control/") and f.endswith(": backlash"))]
+    assert not found
+
+
+# -- effects of a user's own --------------------------------------------------------------------
+
+
+def _play(c):
+    return -c.approach / 2
+
+
+def _sine(c):
+    return 0.0 if c.pitch is None else sin(4 * np.pi * c.nominal_travel / c.pitch)
+
+
+def _cosine(c):
+    return 0.0 if c.pitch is None else cos(4 * np.pi * c.nominal_travel / c.pitch)
+
+
+CARRIAGE_PLAY = Effect(
+    "carriage_play",
+    MM,
+    0.05,
+    because="a worn carriage tips by a few hundredths",
+    sentence="the carriage has play beside its rail",
+    look_at="the carriage's bearings",
+    members=lambda leg: {"b": (Motion("lateral_b", _play),), "c": (Motion("lateral_c", _play),)},
+)
+SECOND_HARMONIC = Effect(
+    "encoder_second",
+    MM,
+    0.02,
+    because="an encoder disc sits a hundredth out of true",
+    sentence="the encoder errs twice a turn of its screw",
+    look_at="the encoder's disc",
+    members=lambda leg: {"sin": (Motion("travel", _sine),), "cos": (Motion("travel", _cosine),)},
+    paired=True,
+    group="drive",
+)
+
+
+def sheet(machine: og.Machine) -> og.Campaign:
+    return og.protocol("sweep", machine.geometry)
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    rough = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
+    return rough.with_effects([CARRIAGE_PLAY, SECOND_HARMONIC])
+
+
+def test_conditions_are_read_off_the_basis() -> None:
+    assert CARRIAGE_PLAY.needs == {"approach"}
+    assert SECOND_HARMONIC.needs == {"pitch"}
+    assert CATALOGUE["thermal_growth"].needs == {"temperature"}
+    assert CATALOGUE["drive_compliance"].needs == {"load"}
+    assert CATALOGUE["gauge_drift"].needs == {"time"}
+    assert not CATALOGUE["axis_tilt"].needs
+
+
+def test_an_effect_by_approach_shows_in_the_readings(machine: og.Machine) -> None:
+    """It moved the TCP and changed no reading, as equal conditions were merged by a name."""
+    name, value = "carriage_play.x.b", 1e-4
+    campaign = sheet(machine)
+    shown = machine.with_parameters({name: value}).readings(campaign) - machine.readings(campaign)
+    touched = (campaign.leg == 0) & (campaign.approach[:, 0] != 0)
+    assert np.abs(shown[touched]).max() > 0.2 * value
+    linear = machine.model.linearised({}, campaign, [name]).jacobian[:, 0] * value
+    np.testing.assert_allclose(shown, linear, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["carriage_play.x.b", "encoder_second.y.sin"])
+def test_the_contract_holds_for_ones_own(machine: og.Machine, name: str) -> None:
+    model = Model(machine.geometry, 0.02, catalogue=machine.catalogue, compile=False)
+    campaign = sheet(machine)
+    step = 1e-5
+    assert np.array_equal(model.readings({name: 0.0}, campaign), model.readings({}, campaign))
+    high, low = (model.readings({name: v}, campaign) for v in (step, -step))
+    slope = model.linearised({}, campaign, [name]).jacobian[:, 0]
+    np.testing.assert_allclose((high - low) / (2 * step), slope, atol=1e-7)
+    assert np.abs(slope).max() > 1e-3
+    conditions = Conditions.of(campaign)
+    _, by_name = model.sensitivities({}, conditions, [name])
+    ends = [model.outputs({name: v}, conditions).p for v in (step, -step)]
+    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), by_name[:, :3, 0], atol=1e-7)
+
+
+def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
+    catalogue = machine.catalogue
+    said = cause_words(catalogue, "carriage_play.x.b", {"carriage_play.x.b": -1.5e-4})
+    assert "carriage has play" in said
+    assert "−0.15 mm" in said
+    assert "leg x" in cause_short(catalogue, "carriage_play.x.b")
+    pair = {"encoder_second.y.sin": 3e-5, "encoder_second.y.cos": 4e-5}
+    assert "0.05 mm" in cause_words(catalogue, "encoder_second.y", pair)
+    test = confirm_words(CARRIAGE_PLAY, catalogue.parameter("carriage_play.x.b"), 1e-4)
+    assert "0.1 mm" in test
+
+
+@pytest.mark.parametrize("effect", [CARRIAGE_PLAY, SECOND_HARMONIC], ids=lambda e: e.name)
+def test_ones_own_effect_is_found_and_named(machine: og.Machine, effect: Effect) -> None:
+    plain = og.Machine(machine.spec).with_only({})
+    name = next(iter(effect.motions))
+    worn = machine.with_parameters({"joint_offset.x": 5e-4, name: 1.5e-4})
+    campaign = og.simulate(worn, sheet(machine), noise=5e-6, seed=3)
+    verdict = og.close_loop([campaign], plain, effects=[effect])
+    assert verdict.effects[0].trial.candidate.effect == effect.name
+    assert verdict.after.values[name] == pytest.approx(1.5e-4, abs=3e-5)
+    assert effect.sentence in str(verdict)
+
+
+def test_effects_travel_between_processes(machine: og.Machine) -> None:
+    again = pickle.loads(pickle.dumps(machine.catalogue["axis_tilt"]))
+    assert again is CATALOGUE["axis_tilt"]
+    assert copy.deepcopy(machine).catalogue["carriage_play"].name == "carriage_play"
+    parameter = machine.catalogue.parameter("axis_tilt.y.z@april")
+    assert pickle.loads(pickle.dumps(parameter)).campaign == "april"
+
+
+def test_mistakes_are_refused() -> None:
+    with pytest.raises(InputError, match="two effects"):
+        CATALOGUE.with_effects([Effect("backlash", MM, 1.0, "", "", "")])
+    with pytest.raises(InputError, match="above 0"):
+        Effect("play", MM, 0.0, "", "", "")
+    wrong = Effect("play", MM, 1.0, "", "", "", members=once(Motion("nowhere", lambda _: 1.0)))
+    with pytest.raises(InputError, match="no virtual joint"):
+        og.Machine.nominal().with_effects([wrong]).with_parameters({"play.x": 1e-3}).forward(
+            [0.31, 0.31, 0.31]
+        )
+
+
+@pytest.mark.parametrize("name", list(CATALOGUE))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_words_say_sign_size_and_part(name: str, sign: int) -> None:
+    """Opposite values are said in different words, but for what has no sign (an amplitude)."""
+    effect = CATALOGUE[name]
+    for parameter in effect.parameters(("top",)):
+        value = sign * effect.tolerance_si
+        said, other = (cause_words(CATALOGUE, parameter, {parameter: v}) for v in (value, -value))
+        assert (said != other) != effect.paired
+        assert (parameter.setup or f" {parameter.leg} ") in f"{said} "
+        assert any(c.isdigit() for c in said)
+        assert confirm_words(effect, parameter, value) != confirm_words(
+            effect, parameter, -value
+        ) or (effect.paired)
+
+
+def test_words_default_to_words(machine: og.Machine) -> None:
+    assert Words().one is None

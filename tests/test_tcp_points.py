@@ -1,0 +1,150 @@
+"""Identification from TCP points, on a machine that is not this package's model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.fit import assemble
+from orthoglide.fit.factors import Frame
+from orthoglide.fit.least_squares import linearise, nuisances, predict
+from tests.rig import Rig
+
+RIG = Path(__file__).parent / "data" / "rig"
+MACHINE = og.Machine.load(RIG / "machine.toml")
+TRUTH = {
+    "joint_offset.x": 4e-4,
+    "joint_offset.y": -9e-4,
+    "leg_length.z": 6e-5,
+    "axis_tilt.z.x": 2e-3,
+}
+
+
+def measured(seed: int = 0, missing: bool = False) -> og.TcpPoints:
+    rng = np.random.default_rng(seed)
+    rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))
+    p = Rig(errors=TRUTH).pose(rho)[0] + rng.normal(0, 1e-6, (40, 3))
+    if missing:
+        p[rng.random((40, 3)) < 0.3] = np.nan
+    n = len(rho)
+    return og.TcpPoints(rho, p, np.full(n, 1e-6), np.zeros((n, 3)), np.arange(2, n + 2))
+
+
+@pytest.mark.parametrize("missing", [False, True])
+@pytest.mark.parametrize("frame", ["none", "translation", "rigid"])
+def test_a_planted_machine_is_recovered(frame: Frame, missing: bool) -> None:
+    found = og.identify(
+        measured(1, missing), MACHINE, ["joint_offset", "leg_length", "axis_tilt"], frame=frame
+    )
+    assert found.sigma_scale == 1.0
+    for name, value in found.values.items():
+        assert abs(value - TRUTH.get(name, 0.0)) < 4.5 * found.sigmas[name], name
+    assert found.scores.rms < 2e-6 < found.nominal.rms
+    assert found.method == "nlp"
+    again = og.identify(
+        measured(1, missing),
+        MACHINE,
+        ["joint_offset", "leg_length", "axis_tilt"],
+        frame=frame,
+        method="nested",
+    )
+    np.testing.assert_allclose(found.x, again.x, atol=1e-9)
+
+
+def test_the_instruments_frame_does_not_matter() -> None:
+    points = measured(2)
+    angle, shift = 0.3, np.array([0.01, -0.02, 0.03])
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    moved = og.TcpPoints(
+        points.command, points.p @ turn.T + shift, points.sigma, points.approach, points.line
+    )
+    free = ["joint_offset", "leg_length", "axis_tilt.z.x"]
+    here, there = (og.identify(p, MACHINE, free, frame="rigid") for p in (points, moved))
+    np.testing.assert_allclose(here.x, there.x, atol=2e-9)
+
+
+def test_derivatives_are_those_of_the_points() -> None:
+    problem = assemble(measured(), MACHINE, ["joint_offset", "axis_tilt"])
+    rng = np.random.default_rng(3)
+    at = problem.tolerance * rng.standard_normal(9)
+    jacobian = linearise(problem, at).jacobian
+    for k in range(9):
+        step = np.zeros(9)
+        step[k] = 1e-6
+        high, low = (predict(problem, v) for v in (at + step, at - step))
+        np.testing.assert_allclose(
+            (high - low) / 2e-6, jacobian[:, k], atol=1e-6 * np.abs(jacobian).max()
+        )
+
+
+def test_a_small_turn_of_the_frame_is_a_nuisance() -> None:
+    problem = assemble(measured(), MACHINE, ["joint_offset"])
+    at = linearise(problem, problem.start)
+    p = at.value.reshape(-1, 3)
+    turned = p + np.cross([1e-6, -2e-6, 3e-6], p) + [1e-3, 2e-3, -1e-3]
+    nuisance = nuisances(problem, at.slopes)
+    assert np.abs(nuisance.project((turned - p).ravel())).max() < 1e-6
+
+
+def test_dials_and_points_together_are_surer_than_either() -> None:
+    dials = og.read_campaign(RIG / "rig-1.csv", MACHINE.spec)
+    points = og.read_tcp(RIG / "rig-1.tcp.csv", MACHINE.spec)
+    both = og.identify([dials, points], MACHINE)
+    assert both.sigma_scale == 1.0
+    for alone in (og.identify(dials, MACHINE), og.identify(points, MACHINE)):
+        assert alone.names == both.names
+        assert all(both.sigmas[n] <= alone.sigmas[n] * (1 + 1e-9) for n in both.names)
+    keys = json.loads((RIG / "keys.json").read_text(encoding="utf-8"))["rig-1"]
+    for k, leg in enumerate("xyz"):
+        for effect in ("joint_offset", "leg_length"):
+            name, true = f"{effect}.{leg}", keys[f"{effect}_mm"][k] * 1e-3
+            assert abs(both.values[name] - true) < 4 * both.sigmas[name] + 5e-7
+
+
+def test_too_few_points_and_dials_are_refused() -> None:
+    points = measured()
+    few = og.TcpPoints(
+        points.command[:2], points.p[:2], points.sigma[:2], points.approach[:2], points.line[:2]
+    )
+    with pytest.raises(og.InputError, match="too few"):
+        og.identify(few, MACHINE)
+    with pytest.raises(og.InputError, match="nothing is free"):
+        og.identify(points, MACHINE, ["gauge_scale"])
+    with pytest.raises(og.UnidentifiableError, match="do not determine"):
+        og.identify(points, MACHINE, ["joint_offset", "axis_offset"], frame="rigid", priors=False)
+
+
+def test_the_command_line(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ["identify", "--fit-tcp", str(RIG / "rig-1.tcp.csv"), "--out", str(out), "--json"]
+    done = CliRunner().invoke(cli, [*arguments, "--machine", str(RIG / "machine.toml")])
+    assert done.exit_code == 0, done.output
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    keys = json.loads((RIG / "keys.json").read_text(encoding="utf-8"))["rig-1"]
+    for leg, value in zip("xyz", keys["joint_offset_mm"], strict=True):
+        assert result["parameters"][f"joint_offset.{leg}"]["value"] == pytest.approx(
+            value, abs=0.03
+        )
+    assert og.Machine.load(out / "calibrated.toml").values
+
+
+def test_dials_and_points_close_the_loop_and_run_again(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    files = [str(RIG / "rig-2.csv"), "--fit-tcp", str(RIG / "rig-2.tcp.csv")]
+    machine = ["--machine", str(RIG / "machine.toml")]
+    done = CliRunner().invoke(cli, ["close-loop", *files, *machine, "--out", str(out), "--quiet"])
+    assert done.exit_code == 0, done.output
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert result["effects"][0]["parameters"] == ["axis_tilt.y.z"]
+    assert abs(result["effects"][0]["value"] - 2.5e-3) < 1e-4
+    assert result["arguments"]["fit_tcp"] == ["rig-2.tcp.csv"]
+    again = CliRunner().invoke(cli, ["rerun", str(out / "result.json"), "--quiet"])
+    assert again.exit_code == 0, again.output
