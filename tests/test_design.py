@@ -285,7 +285,7 @@ def identified(machine, campaign, free):
     told = campaign.with_readings(machine.readings(campaign))
     problem = build_problem(machine, [told], free, noise_of([told], machine.spec.dial))
     at = linearise(problem, problem.start)
-    here = normal(problem, at, nuisances(problem, at.by_gauge))
+    here = normal(problem, at, nuisances(problem, at.slopes))
     return here.jacobian * problem.tolerance
 
 

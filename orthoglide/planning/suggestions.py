@@ -238,8 +238,7 @@ def _to_narrow(
     """Readings for one weak direction of the fit, in its own unknowns, each in its tolerance."""
     shares = direction.parameters
     d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
-    most = max(shares, key=lambda n: abs(shares[n]))
-    unit = estimate.problem.machine.catalogue.effect_of(most).unit
+    unit = estimate.unit(max(shares, key=lambda n: abs(shares[n])))
     tolerance = estimate.problem.tolerance
     here = readings.with_columns(readings.columns @ (own.weights_of(names) * tolerance))
     information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
