@@ -17,7 +17,6 @@ from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.effects import family_of, is_dial
 from orthoglide.fit import Change, Problem, build_unknowns
 from orthoglide.geometry import Array
 
@@ -69,9 +68,10 @@ def _squared_tolerances(scoring: Scoring, residual: Array) -> Array:
 def _hypotheses(means: StationMeans) -> Signatures:
     """Changes of all single parameters before all campaigns but the first, as candidates."""
     problem, base = means.problem, means.signatures
+    catalogue = problem.machine.catalogue
     slopes: dict[str, Array] = {}
     for name, slope in base.slopes.items():
-        if not is_dial(name):
+        if not catalogue.effect_of(name).of_dial:
             plain = name.partition("@")[0]
             slopes[plain] = slopes.get(plain, 0.0) + slope
     fitted = {n.partition("@")[0] for n in problem.names}
@@ -88,9 +88,8 @@ def _hypotheses(means: StationMeans) -> Signatures:
             names.append(since)
             columns.append(np.where(np.arange(base.count) >= rows.start, slope, 0.0))
             parts = (since,) if plain in fitted else (plain, since)
-            found.append(
-                Candidate(since, family_of(plain).name, parts, tuple({n: 1.0} for n in parts))
-            )
+            effect = catalogue.effect_of(plain).name
+            found.append(Candidate(since, effect, parts, tuple({n: 1.0} for n in parts)))
     tolerance = [problem.machine.tolerance(n.partition("@")[0]) for n in names]
     return replace(
         base,
