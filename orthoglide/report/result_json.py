@@ -123,7 +123,8 @@ def _scores(scores: Scores) -> dict[str, Any]:
         "deviation_rms_mm": _mm(scores.deviation_rms),
         "max_mm": _mm(scores.max),
         "chi2": number(scores.chi2),
-        "dof": scores.dof,
+        "prior_chi2": number(scores.prior_chi2),
+        "dof": number(scores.dof),
         "lack_of_fit_p": number(scores.lack_of_fit_p),
         "cv_rms_mm": _mm(scores.cv_rms),
     }
