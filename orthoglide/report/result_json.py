@@ -150,9 +150,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "rivals": [
             {
                 **_explanation(rival),
-                "chi2_more": number(
-                    rival.fit.scores.chi2 - effect.trial.estimate.scores.chi2, _SHORT
-                ),
+                "chi2_more": number(cause.chi2_more(rival), _SHORT),
             }
             for rival in cause.rivals
         ],
