@@ -31,7 +31,7 @@ from orthoglide.control import (
     read_path,
     tcp_sigma,
 )
-from orthoglide.effects import MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import Controller, Posterior
@@ -61,7 +61,9 @@ def circle(points: int = 40) -> Array:
 def everything() -> dict[str, float]:
     """An error of every kind, each a share of its tolerance; lost motion is positive."""
     rng, plain = np.random.default_rng(5), Machine.nominal()
-    drawn = {n: 0.7 * plain.tolerance(n) * float(rng.standard_normal()) for n in MACHINE_PARAMETERS}
+    drawn = {
+        n: 0.7 * plain.tolerance(n) * float(rng.standard_normal()) for n in CATALOGUE.parameters
+    }
     return {n: abs(v) if n.startswith("backlash") else v for n, v in drawn.items()}
 
 

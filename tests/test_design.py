@@ -17,7 +17,7 @@ from orthoglide.cli.sheets import protocol as protocol_command
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
-from orthoglide.effects import BASE_FAMILIES, CATALOGUE, relabelled
+from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
 from orthoglide.fit import build_problem, noise_of
 from orthoglide.fit.least_squares import linearise, normal, nuisances
@@ -65,7 +65,7 @@ def measured(machine, rig, rows, seed, name="a") -> Campaign:
 
 
 def base_problem(machine, campaigns):
-    return build_problem(machine, campaigns, BASE_FAMILIES, noise_of(campaigns, machine.spec.dial))
+    return build_problem(machine, campaigns, CATALOGUE.base, noise_of(campaigns, machine.spec.dial))
 
 
 def as_numbers(rows):
@@ -224,8 +224,8 @@ def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
 
 def test_repeating_a_protocol_helps_o3_but_not_o1(machine):
     once = protocol("standard").subset(protocol("standard").repeat == 1)
-    one = observability(machine, once, BASE_FAMILIES)
-    three = observability(machine, protocol("standard"), BASE_FAMILIES)
+    one = observability(machine, once, CATALOGUE.base)
+    three = observability(machine, protocol("standard"), CATALOGUE.base)
     assert three.indices["O3"] > 1.3 * one.indices["O3"]
     assert three.indices["O1"] < 1.05 * one.indices["O1"]
 
@@ -234,7 +234,7 @@ def test_repeating_a_protocol_helps_o3_but_not_o1(machine):
 
 
 def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
-    found = design(machine, BASE_FAMILIES, 24)
+    found = design(machine, CATALOGUE.base, 24)
     assert len(found.campaign) == 24
     pool = reading_pool(machine.geometry)
     names = found.names
@@ -252,7 +252,7 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
         ]
         random.append(replayed(everything, start, rows).value)
     assert found.value > max(random) + 3
-    standard = observability(machine, protocol("standard"), BASE_FAMILIES)
+    standard = observability(machine, protocol("standard"), CATALOGUE.base)
     assert found.indices.indices["O1"] > standard.indices["O1"]
 
 
@@ -277,18 +277,18 @@ def test_a_discriminating_design_separates_better_than_a_d_optimal_one(machine):
     found = design(machine, families, 16, "discriminate")
     assert len(found.campaign) == 16
     optimal = design(machine, families, 16)
-    seen = identified(machine, optimal.campaign, (*BASE_FAMILIES, *families))
+    seen = identified(machine, optimal.campaign, (*CATALOGUE.base, *families))
     prior = np.diag([1.0] * base + [0.0] * 3)
     pairs = np.array([(i, j) for i in range(3) for j in range(i, 3)])
     least = np.sqrt(separations(gram(prior + seen.T @ seen, base), pairs).min())
     assert found.value > least
-    again = identified(machine, found.campaign, (*BASE_FAMILIES, *families))
+    again = identified(machine, found.campaign, (*CATALOGUE.base, *families))
     same = np.sqrt(separations(gram(prior + again.T @ again, base), pairs).min())
     assert found.value == pytest.approx(same, rel=0.02)
 
 
 def test_a_design_is_a_sheet_that_reads_back(machine, tmp_path):
-    campaign = design(machine, BASE_FAMILIES, 12).campaign
+    campaign = design(machine, CATALOGUE.base, 12).campaign
     og.write_campaign(campaign, tmp_path / "sheet.csv")
     again = og.read_campaign(tmp_path / "sheet.csv", machine.spec, require_readings=False)
     assert np.array_equal(again.command, campaign.command)
@@ -324,30 +324,30 @@ def test_what_no_design_can_serve_is_refused(machine, families, count, criterion
 @pytest.mark.parametrize("what", ["TCP", "joint_offset.x"])
 def test_repeats_are_the_fewest_that_reach_the_accuracy(machine, what):
     campaign = protocol("standard")
-    two = sigma_by_repeats(machine, campaign, BASE_FAMILIES, what)(2)
-    five = sigma_by_repeats(machine, campaign, BASE_FAMILIES, what)(5)
+    two = sigma_by_repeats(machine, campaign, CATALOGUE.base, what)(2)
+    five = sigma_by_repeats(machine, campaign, CATALOGUE.base, what)(5)
     wanted = (two + five) / 2
-    found = repeats_needed(machine, campaign, BASE_FAMILIES, what, wanted)
+    found = repeats_needed(machine, campaign, CATALOGUE.base, what, wanted)
     assert found.sigma <= wanted
     assert 2 < found.repeats <= 5
-    fewer = sigma_by_repeats(machine, campaign, BASE_FAMILIES, what)(found.repeats - 1)
+    fewer = sigma_by_repeats(machine, campaign, CATALOGUE.base, what)(found.repeats - 1)
     assert fewer > wanted
 
 
 def test_sigma_with_the_protocols_repeats_is_that_of_the_identification(machine):
     campaign = measured(machine, Rig(), "standard", 4)
     estimate = og.identify(campaign, machine, method="nested")
-    told = sigma_by_repeats(machine, campaign, BASE_FAMILIES, "joint_offset.x")(3)
+    told = sigma_by_repeats(machine, campaign, CATALOGUE.base, "joint_offset.x")(3)
     assert told == pytest.approx(estimate.sigmas["joint_offset.x"] / estimate.sigma_scale, rel=0.02)
 
 
 def test_repeats_do_not_help_beyond_their_floor(machine):
-    found = repeats_needed(machine, protocol("standard"), BASE_FAMILIES, "TCP", 1e-9)
+    found = repeats_needed(machine, protocol("standard"), CATALOGUE.base, "TCP", 1e-9)
     assert found.repeats is None
     assert found.floor < found.sigma
     assert "out of reach" in repeats_row(found, machine.catalogue)
     with pytest.raises(InputError, match="not identified"):
-        repeats_needed(machine, protocol("standard"), BASE_FAMILIES, "axis_tilt.x.y", 1e-3)
+        repeats_needed(machine, protocol("standard"), CATALOGUE.base, "axis_tilt.x.y", 1e-3)
 
 
 # -- the smallest effects ------------------------------------------------------------------------

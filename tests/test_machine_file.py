@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from orthoglide.effects import CATALOGUE, DEFAULT_TOLERANCE, UNITS, unit_of
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import (
@@ -94,7 +94,7 @@ def test_the_least_machine_file(tmp_path: Path) -> None:
     machine = read_machine_file(write(tmp_path / "m.toml", text))
     assert machine == replace(nominal_machine_file(), name="")
     assert machine.dial == Dial(resolution=1e-5, repeatability=None, placement=1e-3)
-    assert dict(machine.tolerance) == DEFAULT_TOLERANCE
+    assert dict(machine.tolerance) == CATALOGUE.default_tolerance
 
 
 # The contract of files: unit and default tolerance of every family, whatever the catalogue says.
@@ -110,16 +110,18 @@ CONTRACT = {
 
 def test_the_catalogue_keeps_the_contract_of_files() -> None:
     for family, (unit, value) in CONTRACT.items():
-        assert (UNITS[family].name, CATALOGUE[family].tolerance) == (unit, value)
+        assert (CATALOGUE[family].unit.name, CATALOGUE[family].tolerance) == (unit, value)
 
 
 def test_default_tolerances_are_in_their_units() -> None:
     for family, entry in CATALOGUE.items():
         factor = 1e-3 if entry.unit.name.startswith("mm") else 1.0
-        assert DEFAULT_TOLERANCE[family] == pytest.approx(entry.tolerance * factor, rel=1e-15)
-        assert UNITS[family] == entry.unit == unit_of(f"{family}.x")
+        assert CATALOGUE.default_tolerance[family] == pytest.approx(
+            entry.tolerance * factor, rel=1e-15
+        )
+        assert CATALOGUE[family].unit == entry.unit == CATALOGUE.effect_of(f"{family}.x").unit
     with pytest.raises(InputError, match="no effect 'wobble'"):
-        unit_of("wobble.x")
+        CATALOGUE.effect_of("wobble.x")
 
 
 # (replace this, with that, phrase, line)
@@ -242,7 +244,7 @@ def machines(draw: st.DrawFn) -> MachineFile:
         tolerance={"joint_offset": draw(LENGTH), "thermal_growth": draw(LENGTH)},
         stiffness=Stiffness(draw(st.none() | st.floats(0, 1e6)), draw(st.none() | LENGTH)),
         parameters={
-            name: ParameterValue(draw(value), abs(draw(value)), unit_of(name).name)
+            name: ParameterValue(draw(value), abs(draw(value)), CATALOGUE.effect_of(name).unit.name)
             for name in draw(st.lists(st.sampled_from(NAMES), unique=True))
         },
         provenance={"campaigns": [{"file": "a.csv", "weight": draw(value)}]},

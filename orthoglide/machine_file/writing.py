@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from orthoglide import files, units
-from orthoglide.effects import unit_of
+from orthoglide.effects import Catalogue
 from orthoglide.errors import InputError
 from orthoglide.machine_file.model import SCHEMA, MachineFile, ParameterValue
 from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
@@ -76,7 +76,9 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     import tomli_w
 
     try:
-        text = tomli_w.dumps(_tables(machine)) + _parameter_lines(machine.parameters)
+        text = tomli_w.dumps(_tables(machine)) + _parameter_lines(
+            machine.parameters, machine.catalogue
+        )
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     again = parse_machine_file(text, file)  # what could not be read back is never written
@@ -100,8 +102,8 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
         "drive": {"screw_pitch_mm": _mm(machine.screw_pitch)},
         "controller": {"zero_mm": _mm(controller.zero), "sign": list(controller.sign)},
         "tolerance": {
-            family: units.from_si(value, unit_of(family).si)
-            for family, value in machine.tolerance.items()
+            name: units.from_si(value, machine.catalogue[name].unit.si)
+            for name, value in machine.tolerance.items()
         },
         "stiffness": {"torsion_Nmm_per_rad": _mm(stiffness.torsion), "bar_N_per_mm": bar},
     }
@@ -119,13 +121,13 @@ def _float(value: float, factor: float) -> str:
     return text if set(text) & set(".EN") else f"{text}.0"  # a whole number would lose its -0
 
 
-def _parameter_lines(parameters: Mapping[str, ParameterValue]) -> str:
+def _parameter_lines(parameters: Mapping[str, ParameterValue], catalogue: Catalogue) -> str:
     """One inline table a parameter, which the TOML writer would spread over four lines."""
     if not parameters:
         return ""
     lines = ["", "[parameters]"]
     for name, parameter in parameters.items():
-        factor = unit_of(name).si
+        factor = catalogue.effect_of(name).unit.si
         value, sigma = (_float(v, factor) for v in (parameter.value, parameter.sigma))
         lines.append(
             f'"{name}" = {{ value = {value}, sigma = {sigma}, unit = "{parameter.unit}" }}'
