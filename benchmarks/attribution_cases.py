@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects import CATALOGUE, structured
+from orthoglide.effects import CATALOGUE
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
 
@@ -99,7 +99,7 @@ def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
     if kind == "effect":
         return [(f, p, rms) for f in FAMILIES for p in PROTOCOLS for rms in RMS]
     if kind == "structured":
-        shaped = [f for f in FAMILIES if CATALOGUE[f].group != "dial" and structured(f)]
+        shaped = [f for f in FAMILIES if CATALOGUE[f].group != "dial" and CATALOGUE.structured(f)]
         return [(f, p, rms) for f in shaped for p in PROTOCOLS for rms in (5.0, 15.0)]
     if kind == "outside":
         return [(f, p, rms) for f in OUTSIDE for p in PROTOCOLS for rms in (3.0, 8.0, 20.0)]
@@ -195,7 +195,7 @@ def effect(
     """A member of a family, either sign, at one tolerance."""
     sign = float(rng.choice([-1.0, 1.0])) * tolerance
     if shaped:
-        members = structured(family)
+        members = CATALOGUE.structured(family)
         name = str(rng.choice(sorted(members)))
         return Cause(name, family, {n: sign * w for n, w in members[name].items()})
     if family == "screw_error":

@@ -27,7 +27,7 @@ from benchmarks.attribution_asked import (
 )  # fmt: skip
 from benchmarks.attribution_cases import FAMILIES, FAULTS, OUTSIDE, PROTOCOLS
 from benchmarks.attribution_run import Record, accepted
-from orthoglide.effects import family_of
+from orthoglide.effects import CATALOGUE
 
 SHORT = {
     "encoder_scale": "scale", "screw_error": "screw", "backlash": "lash",
@@ -201,7 +201,7 @@ def detectable(records: Sequence[Record]) -> Table:
         rms = np.array([r["truth"][0]["rms"] for r in chosen])
         half = _half(np.log(np.maximum(rms, 1e-3)), np.array([float(named(r)) for r in chosen]))
         cells = [_size(chosen, protocol, half) for protocol in PROTOCOLS]
-        unit = family_of(family).unit.name
+        unit = CATALOGUE.effect_of(family).unit.name
         level = f"{half:.1f}" if np.isfinite(half) else "-"
         rows.append((family, str(len(chosen)), level, *cells, unit))
     note = "Half of the effects of this size are named, alone or in a class; -: never or always."
@@ -230,7 +230,7 @@ def _size(chosen: Sequence[Record], protocol: str, rms: float) -> str:
     each = [t["size"] / t["rms"] for t in here if t["rms"] > 1e-3]
     if not each or not np.isfinite(rms):
         return "-"
-    family = family_of(chosen[0]["what"])
+    family = CATALOGUE.effect_of(chosen[0]["what"])
     return f"{np.median(each) * rms * machine().tolerance(family.name) / family.unit.si:.2g}"
 
 

@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from orthoglide import reduction
-from orthoglide.effects import MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE
 from orthoglide.geometry import Geometry
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.batch import BatchClosure
@@ -135,10 +135,10 @@ def _add_batches(geometry: Geometry, add: Callable[..., None], with_compiler: bo
     for count, name in ((1000, "batch"), (1, "one posture")):
         seen = Conditions.at(rho[:count])
         add(
-            f"closure and {len(MACHINE_PARAMETERS)} sensitivities, {name}, {how}",
+            f"closure and {len(CATALOGUE.parameters)} sensitivities, {name}, {how}",
             "cold",
             count,
-            lambda seen=seen: model.sensitivities(values, seen, MACHINE_PARAMETERS),
+            lambda seen=seen: model.sensitivities(values, seen, CATALOGUE.parameters),
         )
 
 

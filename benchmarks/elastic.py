@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from orthoglide.effects import MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Stiffness
 from orthoglide.mechanism.elastic import RELIEF_LIMIT, relief_angles
-from orthoglide.prediction import Conditions, Model, tolerance_of
+from orthoglide.prediction import Conditions, Model
 
 Array = NDArray[np.float64]
 STIFFNESS = Stiffness(torsion=1e4, bar=5e7)
@@ -40,7 +40,10 @@ def conditions(geometry: Geometry) -> Conditions:
 def at_tolerance(seed: int = 1) -> dict[str, float]:
     """Every parameter of the machine drawn at its tolerance, SI."""
     rng = np.random.default_rng(seed)
-    return {name: tolerance_of(name, {}) * rng.standard_normal() for name in MACHINE_PARAMETERS}
+    return {
+        name: CATALOGUE.effect_of(name).tolerance_si * rng.standard_normal()
+        for name in CATALOGUE.parameters
+    }
 
 
 def inputs(model: Model) -> dict[str, Array]:

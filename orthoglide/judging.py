@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.effects import BASE_FAMILIES, is_dial
 from orthoglide.fit import build_problem, solve
 from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
 from orthoglide.fit.noise import noise_of
@@ -51,10 +50,10 @@ def hold_out(
 def _left_out(
     values: Mapping[str, float], machine: Machine, campaign: Campaign, own: Sequence[str]
 ) -> float:
-    held = {n: v for n, v in values.items() if not is_dial(n)}
+    held = _of_the_machine(machine, values)
     noise = noise_of([campaign], machine.spec.dial)
     fixed = machine.with_only(held)
-    problem = build_problem(fixed, [campaign], own or BASE_FAMILIES, noise)
+    problem = build_problem(fixed, [campaign], own or machine.catalogue.base, noise)
     if own:
         estimate = solve(problem, method="nested")
         at, nuisance = estimate.at, estimate.nuisance
@@ -106,9 +105,7 @@ def tcp_errors(
     conditions = Conditions.at(points.command, approach=points.approach)
     found = {}
     predicted = {
-        name: machine.model.outputs(
-            {n: v for n, v in values.items() if not is_dial(n)}, conditions
-        ).p
+        name: machine.model.outputs(_of_the_machine(machine, values), conditions).p
         for name, values in (("nominal", {}), ("before", before), ("after", after))
     }
     for fit in ("none", "translation", "rigid"):
@@ -138,3 +135,8 @@ def _aligned(p: Array, measured: Array, fit: str) -> Array:
     left, _, right = np.linalg.svd((source - centre).T @ (target - goal))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     return np.asarray((p - centre) @ (left @ flip @ right) + goal)
+
+
+def _of_the_machine(machine: Machine, values: Mapping[str, float]) -> dict[str, float]:
+    """Parameters without those of dials."""
+    return {n: v for n, v in values.items() if not machine.catalogue.effect_of(n).of_dial}

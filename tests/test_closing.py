@@ -10,7 +10,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import Verdict, close_loop
-from orthoglide.effects import family_of
+from orthoglide.effects import CATALOGUE
 from orthoglide.fit import identify
 from orthoglide.judging import tcp_errors
 
@@ -55,7 +55,7 @@ def test_the_hidden_effect_is_named(case: str, verdicts: dict[str, Verdict]) -> 
         classes = [{e.name, *e.indistinguishable_from} for e in verdict.effects]
         own = [c for c in classes if name in c]
         assert own, f"{name} is in none of {classes}"
-        assert len({family_of(n).name for n in own[0]}) <= 3
+        assert len({CATALOGUE.effect_of(n).name for n in own[0]}) <= 3
     assert not verdict.blunders
 
 

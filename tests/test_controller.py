@@ -21,17 +21,17 @@ from orthoglide.accuracy import workspace
 from orthoglide.cli.compensate import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.control import (
-    HELD_BY_URDF,
     RULE,
     calibrated_urdf,
     commands_text,
     compensate,
     controller_numbers,
     export_files,
+    held_by_urdf,
     read_path,
     tcp_sigma,
 )
-from orthoglide.effects import MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import Controller, Posterior
@@ -61,7 +61,9 @@ def circle(points: int = 40) -> Array:
 def everything() -> dict[str, float]:
     """An error of every kind, each a share of its tolerance; lost motion is positive."""
     rng, plain = np.random.default_rng(5), Machine.nominal()
-    drawn = {n: 0.7 * plain.tolerance(n) * float(rng.standard_normal()) for n in MACHINE_PARAMETERS}
+    drawn = {
+        n: 0.7 * plain.tolerance(n) * float(rng.standard_normal()) for n in CATALOGUE.parameters
+    }
     return {n: abs(v) if n.startswith("backlash") else v for n, v in drawn.items()}
 
 
@@ -464,7 +466,7 @@ def test_offsets_and_lengths_are_held_exactly(family: str) -> None:
 
 
 def test_with_relief_joints_all_constant_geometry_is_held() -> None:
-    values = {n: v for n, v in everything().items() if n.partition(".")[0] in HELD_BY_URDF}
+    values = held_by_urdf(machine(everything()))
     assert len(values) > 30
     tree = tree_of(calibrated_urdf(machine(values)), general=True)
     slope = np.zeros(3)

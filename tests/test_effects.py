@@ -12,15 +12,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orthoglide import effects, reduction
-from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS, relabelled, structured
+from orthoglide import reduction
+from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.mechanism.functions import LINES, ROTATION, TCP
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 from orthoglide.observations.campaign import Setup
-from orthoglide.prediction import Conditions, Model, tolerance_of
+from orthoglide.prediction import Conditions, Model
 from tests.rig import Array, Pose, Rig, parameter_names
 
 PITCH = 0.02
@@ -40,8 +40,8 @@ DIAL_PARAMETERS = tuple(
     if family.group == "dial"
     for setup in (SETUPS[1], SETUPS[3])
 )
-MACHINE = pytest.mark.parametrize("name", MACHINE_PARAMETERS)
-EVERY = pytest.mark.parametrize("name", MACHINE_PARAMETERS + DIAL_PARAMETERS)
+MACHINE = pytest.mark.parametrize("name", CATALOGUE.parameters)
+EVERY = pytest.mark.parametrize("name", CATALOGUE.parameters + DIAL_PARAMETERS)
 
 # The rest of the carriages' path and of the bars' lengths: nothing that turns a short link.
 ON_SPHERES = (
@@ -79,7 +79,7 @@ def campaign(load: float = 5.0) -> Campaign:
 
 
 def tolerance(name: str) -> float:
-    return tolerance_of(name, {})
+    return CATALOGUE.effect_of(name).tolerance_si
 
 
 def rig_outputs(values: dict[str, float], seen: Campaign) -> tuple[Pose, Array]:
@@ -101,7 +101,7 @@ def rig_outputs(values: dict[str, float], seen: Campaign) -> tuple[Pose, Array]:
 
 def outputs(values: dict[str, float], seen: Campaign) -> Array:
     """TCP, rotation and bars' ends ``(n, 48)``."""
-    machine = {k: v for k, v in values.items() if not effects.is_dial(k)}
+    machine = {k: v for k, v in values.items() if not CATALOGUE.effect_of(k).of_dial}
     return model().outputs(machine, Conditions.of(seen)).values
 
 
@@ -111,7 +111,7 @@ def background() -> dict[str, float]:
     rng = np.random.default_rng(2)
     return {
         n: 0.3 * tolerance(n) * float(rng.standard_normal())
-        for n in MACHINE_PARAMETERS + DIAL_PARAMETERS
+        for n in CATALOGUE.parameters + DIAL_PARAMETERS
     }
 
 
@@ -137,7 +137,7 @@ def test_no_two_families_say_the_same() -> None:
 
 def test_catalogue_and_rig_know_the_same_parameters() -> None:
     names = [setup.name for setup in SETUPS]
-    assert set(effects.expand(CATALOGUE, names)) == set(parameter_names(names))
+    assert set(CATALOGUE.expand(CATALOGUE, names)) == set(parameter_names(names))
 
 
 @MACHINE
@@ -155,7 +155,7 @@ def test_motions_are_of_joints_that_exist(name: str) -> None:
 )  # fmt: skip
 def test_what_is_no_parameter_is_refused(name: str) -> None:
     with pytest.raises(InputError):
-        effects.expand([name], [setup.name for setup in SETUPS])
+        CATALOGUE.expand([name], [setup.name for setup in SETUPS])
 
 
 def test_a_vector_of_parameters_takes_no_families() -> None:
@@ -186,7 +186,7 @@ def test_a_tolerance_is_seen_somewhere(name: str) -> None:
     change = model().readings({name: tolerance(name)}, seen) - model().readings({}, seen)
     moved = outputs({name: tolerance(name)}, seen)[:, TCP] - outputs({}, seen)[:, TCP]
     assert max(np.abs(change).max(), np.abs(moved).max()) > 1e-8
-    if effects.is_dial(name):
+    if CATALOGUE.effect_of(name).of_dial:
         assert np.abs(moved).max() == 0.0
         touched = np.array([s.name for s in seen.setups])[seen.setup] == name.split(".")[1]
         assert np.abs(change[~touched]).max() == 0.0
@@ -214,8 +214,8 @@ def test_derivatives_equal_central_differences(name: str, about: str) -> None:
     assert np.abs(own.value - model().readings(base, seen)).max() < 1e-14
     assert np.abs(slope - numeric).max() <= 1e-6 * np.abs(numeric).max() + floor
 
-    if not effects.is_dial(name):
-        machine = {k: v for k, v in base.items() if not effects.is_dial(k)}
+    if not CATALOGUE.effect_of(name).of_dial:
+        machine = {k: v for k, v in base.items() if not CATALOGUE.effect_of(k).of_dial}
         out, by_name = model().sensitivities(machine, Conditions.of(seen), [name])
         assert np.abs(out.values - outputs(machine, seen)).max() < 1e-14
         numeric = four_point(lambda h: outputs({**machine, name: start + h}, seen), step)
@@ -238,7 +238,7 @@ def test_derivative_by_the_gauges_place() -> None:
 
 
 def test_all_derivatives_at_once_are_those_one_by_one() -> None:
-    seen, names = campaign(), list(MACHINE_PARAMETERS + DIAL_PARAMETERS)
+    seen, names = campaign(), list(CATALOGUE.parameters + DIAL_PARAMETERS)
     shuffled = [names[k] for k in np.random.default_rng(3).permutation(len(names))]
     together = model().linearised(background(), seen, shuffled).jacobian
     for k in range(0, len(shuffled), 7):
@@ -253,11 +253,11 @@ def test_all_derivatives_at_once_are_those_one_by_one() -> None:
 def test_relabelling_the_legs_relabels_the_effect(name: str) -> None:
     seen = campaign(load=0.0)
     value = 10 * tolerance(name)
-    if effects.is_dial(name):
+    if CATALOGUE.effect_of(name).of_dial:
         turned = name  # a setup keeps its name
     else:
         turned = relabelled(name)
-        assert turned in MACHINE_PARAMETERS
+        assert turned in CATALOGUE.parameters
         assert relabelled(relabelled(turned)) == name
     shown = model().readings({name: value}, seen)
     assert np.abs(model().readings({turned: value}, seen.relabelled()) - shown).max() < 1e-13
@@ -298,7 +298,7 @@ def test_agrees_with_the_independent_machine(name: str, times: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    names = [n for n in MACHINE_PARAMETERS + DIAL_PARAMETERS if "compliance" not in n]
+    names = [n for n in CATALOGUE.parameters + DIAL_PARAMETERS if "compliance" not in n]
     values = {n: tolerance(n) * float(rng.standard_normal()) for n in names}
     pose, shown = rig_outputs(values, campaign())
     found = outputs(values, campaign())
@@ -311,7 +311,7 @@ def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> No
 
 @pytest.mark.parametrize("times", [1, 10, -10])
 @pytest.mark.parametrize(
-    "name", [n for n in MACHINE_PARAMETERS if n.partition(".")[0] in ON_SPHERES]
+    "name", [n for n in CATALOGUE.parameters if n.partition(".")[0] in ON_SPHERES]
 )
 def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, times: int) -> None:
     seen, value = campaign(), times * tolerance(name)
@@ -361,14 +361,14 @@ MEMBERS = [
     (name, member)
     for name, family in CATALOGUE.items()
     if family.group != "dial"
-    for member in structured(name)
+    for member in CATALOGUE.structured(name)
 ]
 
 
 @pytest.mark.parametrize(("family", "member"), MEMBERS)
 def test_structured_members_sum_to_their_parts(family: str, member: str) -> None:
-    weights = structured(family)[member]
-    assert set(weights) <= set(MACHINE_PARAMETERS)
+    weights = CATALOGUE.structured(family)[member]
+    assert set(weights) <= set(CATALOGUE.parameters)
     assert set(weights.values()) <= {1.0, -1.0}
     conditions = Conditions.of(campaign())
     value = tolerance(family)
@@ -385,7 +385,7 @@ def test_structured_members_sum_to_their_parts(family: str, member: str) -> None
 
 def test_structured_members_are_the_symmetries_they_are_called() -> None:
     for family in ("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"):
-        members = structured(family)
+        members = CATALOGUE.structured(family)
         assert len(members) == 8
         assert len(members[f"{family}.common"]) == 6
         cyclic = members[f"{family}.cyclic"]
@@ -398,15 +398,15 @@ def test_structured_members_are_the_symmetries_they_are_called() -> None:
             one, other = f"{family}.{pair[0]}.{pair[1]}", f"{family}.{pair[1]}.{pair[0]}"
             assert members[f"{family}.{pair}.symmetric"] == {one: 1.0, other: 1.0}
             assert members[f"{family}.{pair}.antisymmetric"] == {one: 1.0, other: -1.0}
-    assert set(structured("mount_tilt")) == {"mount_tilt.a.common", "mount_tilt.b.common"}
-    assert structured("joint_offset") == {
+    assert set(CATALOGUE.structured("mount_tilt")) == {"mount_tilt.a.common", "mount_tilt.b.common"}
+    assert CATALOGUE.structured("joint_offset") == {
         "joint_offset.common": {f"joint_offset.{leg}": 1.0 for leg in LEGS}
     }
 
 
 def test_a_dials_common_member_is_all_its_setups() -> None:
     names = [setup.name for setup in SETUPS]
-    weights = structured("gauge_scale", names)["gauge_scale.common"]
+    weights = CATALOGUE.structured("gauge_scale", names)["gauge_scale.common"]
     assert weights == {f"gauge_scale.{name}": 1.0 for name in names}
     shown = model().readings(dict.fromkeys(weights, 0.01), campaign())
     assert np.abs(shown - 1.01 * model().readings({}, campaign())).max() < 1e-15

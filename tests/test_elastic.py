@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orthoglide.effects import MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import ClosureError, InputError, NumericsError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
@@ -23,7 +23,6 @@ from orthoglide.mechanism.elastic_functions import STRETCH
 from orthoglide.mechanism.functions import LINES, ROTATION, TCP
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, nominal_tree
 from orthoglide.prediction import Conditions, Model
-from orthoglide.prediction.model import tolerance_of
 from tests.rig import Rig, parameter_names
 
 GEOMETRY = Geometry()
@@ -254,7 +253,7 @@ def test_equals_the_independent_machine_under_load(bar: float) -> None:
     rng = np.random.default_rng(10)
     left_out = ("drive_compliance",)
     errors = {
-        name: tolerance_of(name, {}) * float(rng.standard_normal())
+        name: CATALOGUE.effect_of(name).tolerance_si * float(rng.standard_normal())
         for name in parameter_names()
         if not name.startswith(left_out)
     }
@@ -411,9 +410,9 @@ def test_sensitivities_of_the_catalogue_equal_finite_differences() -> None:
         machine().model,
         Conditions.at(some_commands(3), approach=1.0, time=600.0, warming=3.0, load=LOAD),
     )
-    outputs, by_name = model.sensitivities(ERRORS, conditions, MACHINE_PARAMETERS)
-    for k, name in enumerate(MACHINE_PARAMETERS):
-        step = tolerance_of(name, {}) / 2
+    outputs, by_name = model.sensitivities(ERRORS, conditions, CATALOGUE.parameters)
+    for k, name in enumerate(CATALOGUE.parameters):
+        step = CATALOGUE.effect_of(name).tolerance_si / 2
         at = ERRORS.get(name, 0.0)
 
         def aside(times: int, name: str = name, at: float = at, step: float = step) -> Array:
@@ -488,7 +487,10 @@ def test_the_limit_is_four_times_what_tolerances_make_of_it() -> None:
     model = machine(None, None).model
     worst = []
     for _ in range(100):
-        drawn = {n: tolerance_of(n, {}) * rng.standard_normal() for n in MACHINE_PARAMETERS}
+        drawn = {
+            n: CATALOGUE.effect_of(n).tolerance_si * rng.standard_normal()
+            for n in CATALOGUE.parameters
+        }
         rho = GEOMETRY.L + rng.uniform(*GEOMETRY.stroke, (1, 3))
         batch, known = model.closing(drawn, Conditions.at(rho, warming=2.0))
         worst.append(np.abs(relief_angles(batch.tree, batch.close(known))).max())

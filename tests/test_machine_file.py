@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from orthoglide.effects import CATALOGUE, DEFAULT_TOLERANCE, UNITS, unit_of
+from orthoglide.control import compensate, held_by_urdf
+from orthoglide.effects import CATALOGUE, Effect, LegConditions, Motion, once
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
+from orthoglide.machine import Machine
 from orthoglide.machine_file import (
     Controller,
     Dial,
@@ -25,6 +27,7 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
+from orthoglide.units import MM
 
 GOOD = """\
 schema = 1
@@ -94,7 +97,7 @@ def test_the_least_machine_file(tmp_path: Path) -> None:
     machine = read_machine_file(write(tmp_path / "m.toml", text))
     assert machine == replace(nominal_machine_file(), name="")
     assert machine.dial == Dial(resolution=1e-5, repeatability=None, placement=1e-3)
-    assert dict(machine.tolerance) == DEFAULT_TOLERANCE
+    assert dict(machine.tolerance) == CATALOGUE.default_tolerance
 
 
 # The contract of files: unit and default tolerance of every family, whatever the catalogue says.
@@ -110,16 +113,18 @@ CONTRACT = {
 
 def test_the_catalogue_keeps_the_contract_of_files() -> None:
     for family, (unit, value) in CONTRACT.items():
-        assert (UNITS[family].name, CATALOGUE[family].tolerance) == (unit, value)
+        assert (CATALOGUE[family].unit.name, CATALOGUE[family].tolerance) == (unit, value)
 
 
 def test_default_tolerances_are_in_their_units() -> None:
     for family, entry in CATALOGUE.items():
         factor = 1e-3 if entry.unit.name.startswith("mm") else 1.0
-        assert DEFAULT_TOLERANCE[family] == pytest.approx(entry.tolerance * factor, rel=1e-15)
-        assert UNITS[family] == entry.unit == unit_of(f"{family}.x")
+        assert CATALOGUE.default_tolerance[family] == pytest.approx(
+            entry.tolerance * factor, rel=1e-15
+        )
+        assert CATALOGUE[family].unit == entry.unit == CATALOGUE.effect_of(f"{family}.x").unit
     with pytest.raises(InputError, match="no effect 'wobble'"):
-        unit_of("wobble.x")
+        CATALOGUE.effect_of("wobble.x")
 
 
 # (replace this, with that, phrase, line)
@@ -242,7 +247,7 @@ def machines(draw: st.DrawFn) -> MachineFile:
         tolerance={"joint_offset": draw(LENGTH), "thermal_growth": draw(LENGTH)},
         stiffness=Stiffness(draw(st.none() | st.floats(0, 1e6)), draw(st.none() | LENGTH)),
         parameters={
-            name: ParameterValue(draw(value), abs(draw(value)), unit_of(name).name)
+            name: ParameterValue(draw(value), abs(draw(value)), CATALOGUE.effect_of(name).unit.name)
             for name in draw(st.lists(st.sampled_from(NAMES), unique=True))
         },
         provenance={"campaigns": [{"file": "a.csv", "weight": draw(value)}]},
@@ -308,3 +313,32 @@ def test_the_controller_counts_both_ways() -> None:
     rho = geometry.L + np.random.default_rng(0).uniform(-0.1, 0.06, (4, 5, 3))
     again = controller.to_rho(controller.from_rho(rho, geometry), geometry)
     np.testing.assert_allclose(again, rho, atol=1e-15)
+
+
+# --- Effects of a user's own ----------------------------------------------------------------
+
+
+def _shifted(conditions: LegConditions) -> float:
+    return 1.0
+
+
+SHIFT = Effect(
+    "carriage_shift", MM, 0.1, "", "", "", members=once(Motion("lateral_b", _shifted))
+)  # fmt: skip
+
+
+def test_a_machine_file_may_name_effects_of_ones_own(tmp_path: Path) -> None:
+    text = GOOD.replace("axis_tilt = 2e-3", "carriage_shift = 0.2").replace(
+        "axis_tilt.y.z", "carriage_shift.y"
+    ).replace('-1e-3, sigma = 0, unit = "rad"', '-0.5, sigma = 0.1, unit = "mm"')  # fmt: skip
+    file = write(tmp_path / "m.toml", text)
+    with pytest.raises(FileError, match="no key 'carriage_shift'"):
+        read_machine_file(file)
+    spec = read_machine_file(file, CATALOGUE.with_effects([SHIFT]))
+    assert spec.tolerance["carriage_shift"] == pytest.approx(2e-4)
+    assert spec.parameters["carriage_shift.y"] == ParameterValue(-5e-4, 1e-4, "mm")
+    machine = Machine.load(file, [SHIFT])
+    machine.save(tmp_path / "again.toml")
+    assert Machine.load(tmp_path / "again.toml", [SHIFT]).values == machine.values
+    assert held_by_urdf(machine)["carriage_shift.y"] == -5e-4
+    assert compensate(machine, [[0.0, 0.0, 0.01]]).residual.max() < 1e-8

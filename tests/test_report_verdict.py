@@ -19,7 +19,7 @@ import pytest
 import orthoglide as og
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.pattern import describe_left
-from orthoglide.effects import CATALOGUE, MACHINE_PARAMETERS
+from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
 from orthoglide.fit import Estimate, identify
@@ -257,7 +257,7 @@ def test_a_machine_with_nothing_wrong() -> None:
     assert not {"look", "apart", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
 
 
-@pytest.mark.parametrize("name", MACHINE_PARAMETERS)
+@pytest.mark.parametrize("name", CATALOGUE.parameters)
 def test_every_parameter_can_be_said(name: str) -> None:
     leg = name.split(".")[1]
     for value in (1e-3, -1e-3):

@@ -70,12 +70,14 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     """
     from importlib.resources import as_file, files
 
+    from orthoglide.effects import CATALOGUE
+
     data = files("orthoglide") / "data"
     with ExitStack() as stack:
         first, held = (
             stack.enter_context(as_file(data / n)) for n in (DEMO_CAMPAIGN, DEMO_HELD_OUT)
         )
-        options: dict[str, Any] = {"holdout": held, "own": ("joint_offset",), "seed": seed}
+        options: dict[str, Any] = {"holdout": held, "own": CATALOGUE.zeros, "seed": seed}
         execute(
             lambda: read_request("demo", (first,), **options),
             out or _next_free(DEMO_FOLDER), quiet=quiet, as_json=as_json,

@@ -30,7 +30,7 @@ KINDS = ("standard", "sweep", "two-gauges")
     type=Names(),
     default=(),
     metavar="NAME,...",
-    help="Families or parameters it is for.  [default: joint_offset,leg_length; with "
+    help="Effects or parameters it is for.  [default: zeros and bar lengths; with "
     "--criterion discriminate all that a design can show]",
 )
 @click.option("--count", type=int, default=24, show_default=True, help="Readings to choose.")
@@ -123,7 +123,7 @@ def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
 
 def _wanted(want: tuple[str, ...]) -> dict[str, float]:
     """``NAME=SIGMA`` in SI."""
-    from orthoglide.effects import unit_of
+    from orthoglide.effects import CATALOGUE
 
     found = {}
     for item in want:
@@ -132,7 +132,7 @@ def _wanted(want: tuple[str, ...]) -> dict[str, float]:
             value = float(number)
         except ValueError:
             raise InputError(f"--want takes NAME=SIGMA such as TCP=0.01, not {item!r}") from None
-        found[name] = value * (1e-3 if name == "TCP" else unit_of(name).si)
+        found[name] = value * (1e-3 if name == "TCP" else CATALOGUE.effect_of(name).unit.si)
     return found
 
 

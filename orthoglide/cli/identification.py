@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     type=Names(),
     default=(),
     metavar="NAME,...",
-    help="Effects or parameters to identify.  [default: joint_offset,leg_length]",
+    help="Effects or parameters to identify.  [default: zeros and bar lengths]",
 )
 @click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
 @fit_options

@@ -11,27 +11,11 @@ from orthoglide.effects.effect import (
     sideways,
     sin,
 )
-from orthoglide.effects.names import (
-    BASE_FAMILIES,
-    DEFAULT_TOLERANCE,
-    MACHINE_PARAMETERS,
-    UNITS,
-    elementary,
-    expand,
-    family_of,
-    is_dial,
-    structured,
-    unit_of,
-)
 from orthoglide.effects.words import Words
 from orthoglide.parameters import Parameter
 
 __all__ = [
-    "BASE_FAMILIES",
     "CATALOGUE",
-    "DEFAULT_TOLERANCE",
-    "MACHINE_PARAMETERS",
-    "UNITS",
     "Catalogue",
     "DialReading",
     "Effect",
@@ -40,14 +24,8 @@ __all__ = [
     "Parameter",
     "Words",
     "cos",
-    "elementary",
-    "expand",
-    "family_of",
-    "is_dial",
     "once",
     "relabelled",
     "sideways",
     "sin",
-    "structured",
-    "unit_of",
 ]

@@ -64,6 +64,11 @@ class Catalogue(Mapping[str, Effect]):
         return tuple(e.name for e in self.effects if e.controller in ("zero", "bar_length"))
 
     @cached_property
+    def zeros(self) -> tuple[str, ...]:
+        """The effects that a controller's zeros hold."""
+        return tuple(e.name for e in self.effects if e.controller == "zero")
+
+    @cached_property
     def motions(self) -> Mapping[Parameter, tuple[int, tuple[Motion, ...]]]:
         """Every parameter of the machine itself: from name to leg (0, 1, 2) and motions."""
         return {name: moved for e in self.effects for name, moved in e.motions.items()}

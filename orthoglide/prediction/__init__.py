@@ -1,6 +1,6 @@
 """Conditions and parameters in, poses and readings out, with sensitivities."""
 
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.model import Model, Readings, tolerance_of
+from orthoglide.prediction.model import Model, Readings
 
-__all__ = ["Conditions", "Model", "Readings", "tolerance_of"]
+__all__ = ["Conditions", "Model", "Readings"]

@@ -287,9 +287,3 @@ class Model:
                 row, k = dials[name]
                 column[:] = np.where(campaign.setup == row, by_dial[:, k], 0.0)
         return Readings(shown[:, 0], jacobian, by_mounting[:, BY_GAUGE])
-
-
-def tolerance_of(name: str, tolerance: Mapping[str, float]) -> float:
-    """Standard deviation to expect of a parameter, SI."""
-    effect = CATALOGUE.effect_of(name)
-    return tolerance.get(effect.name, effect.tolerance_si)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from orthoglide.effects import BASE_FAMILIES
+from orthoglide.effects import CATALOGUE
 from orthoglide.files import sha256
 from orthoglide.fit.factors import Frame
 from orthoglide.machine import Machine
@@ -50,7 +50,7 @@ class Request:
     seed: int = 0
     holdout: Campaign | None = None
     tcp: TcpPoints | None = None
-    free: tuple[str, ...] = BASE_FAMILIES
+    free: tuple[str, ...] = CATALOGUE.base
     priors: bool = True
     reduced: bool = False
     points: tuple[TcpPoints, ...] = ()
@@ -106,7 +106,7 @@ class Request:
         if not all(given.file for given in (*self.campaigns, *self.points, *judges)):
             return _AGAIN
         given = self.arguments
-        free = () if self.free == tuple(BASE_FAMILIES) else self.free
+        free = () if self.free == tuple(CATALOGUE.base) else self.free
         words = ["orthoglide", self.command, *given["campaigns"], "--out", "DIR"]
         options = {
             "--free": ",".join(free),
