@@ -163,7 +163,7 @@ def test_the_key_numbers_are_on_the_page() -> None:
     assert "x −0.51, y +0.55, z −1.72 mm" in text
     assert "leg lengths nominal to 0.02 mm" in text
     assert "from 0.32 to 0.14 mm" in text
-    assert "5.5 times the noise" in text
+    assert "6.4 times the noise" in text
     for name, value in estimate.values.items():
         low, high = (end * 1e3 for end in estimate.interval(name))
         sigma = estimate.sigmas[name] * 1e3
@@ -231,7 +231,16 @@ KEYS = {
     "sigma_scale", "verdict", "before", "after", "holdout", "tcp", "effects", "parameters",
     "candidates", "blunders", "weak_directions", "cross_check", "next_measurements",
 }  # fmt: skip
-SCORES = {"rms_mm", "deviation_rms_mm", "max_mm", "chi2", "dof", "lack_of_fit_p", "cv_rms_mm"}
+SCORES = {
+    "rms_mm",
+    "deviation_rms_mm",
+    "max_mm",
+    "chi2",
+    "prior_chi2",
+    "dof",
+    "lack_of_fit_p",
+    "cv_rms_mm",
+}
 
 
 def test_result_has_the_keys_of_the_contract_and_the_estimates_numbers() -> None:
@@ -244,7 +253,11 @@ def test_result_has_the_keys_of_the_contract_and_the_estimates_numbers() -> None
     for side, scores in (("nominal", estimate.nominal), ("after", estimate.scores)):
         assert result[side]["chi2"] == pytest.approx(scores.chi2, rel=1e-9)
         assert result[side]["deviation_rms_mm"] == pytest.approx(scores.deviation_rms * 1e3)
-        assert result[side]["dof"] == scores.dof == 12
+        # Six datums, and three of the unknowns: lengths and offsets are told by the priors alone.
+        assert (
+            result[side]["dof"] == scores.dof == pytest.approx(12 - 3 * (side == "after"), abs=0.01)
+        )
+        assert result[side]["prior_chi2"] == pytest.approx(scores.prior_chi2)
     for name, entry in result["parameters"].items():
         assert entry["value"] == pytest.approx(estimate.values[name] * 1e3, rel=1e-9)
         assert entry["sigma"] == pytest.approx(estimate.sigmas[name] * 1e3, rel=1e-9)

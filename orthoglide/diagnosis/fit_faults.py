@@ -7,6 +7,7 @@ station means, in the same form of evidence; then with an effect in the model be
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,10 +15,7 @@ from orthoglide.diagnosis.changes import Change, likeliest_change
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, untouched
 from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
 from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
-from orthoglide.diagnosis.significance import within_groups
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.errors import NumericsError
-from orthoglide.fit import solve
 
 MARGIN = 5.0
 """Log Bayes factor by which a fault must beat the best effect of the catalogue."""
@@ -30,8 +28,6 @@ _WORTH = 2.0  # evidence of an effect that is taken into the model beside a chan
 _LACK = 1.5  # chi2 a degree of freedom below which nothing is worth looking for
 _HALVED = 0.6  # share of the rms of its own setups that a fault may leave
 _APART = 3.0  # log Bayes factor between the best fault and the next one of other setups
-_RELABELLED = 2  # pairs of setups that are identified anew with their labels exchanged
-_MASSIVE = 300.0  # chi2 a degree of freedom that puts the linearisation itself in doubt
 _REPEATS = 4  # degrees of freedom from which the scatter of a setup says something of its unit
 _LARGEST = 10.0  # log Bayes factor that the scatter may add
 _MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
@@ -58,11 +54,7 @@ def fit_fault(
         best = None
         if faulty:
             hypotheses = misreadings(means, free) if hypotheses is None else hypotheses
-            best = _likeliest(
-                _misread(means, [h for h in hypotheses if not h.labels], setups)
-                + _relabelled(means, [h for h in hypotheses if h.labels])
-                + _single(means, free)
-            )
+            best = _likeliest(_misread(means, hypotheses, setups) + _single(means, free))
         change = likeliest_change(means)
         rival, place = means.best_effect
         if change is not None and change.evidence >= max(
@@ -90,7 +82,7 @@ def _likeliest(faults: list[Fault]) -> Fault | None:
 def _misread(
     means: StationMeans, hypotheses: list[Misreading], setups: Sequence[Scatter]
 ) -> list[Fault]:
-    """A sign, a unit, or two columns exchanged: readings that fit once they are changed back."""
+    """A sign, a unit, an exchange: readings that fit once they are changed back."""
     if not hypotheses:
         return []
     change = np.stack([h.change for h in hypotheses], axis=-1)
@@ -106,12 +98,8 @@ def _misread(
         if (swapped or factor_fits(means, fault.rows, fault.size)) and _mended(
             means, fault, after[:, k]
         ):
-            found.append(_with_evidence(fault, evidence[k] + bonus))
+            found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
-
-
-def _with_evidence(fault: Fault, evidence: float) -> Fault:
-    return Fault(fault.kind, fault.rows, fault.setups, fault.size, float(evidence))
 
 
 def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) -> float:
@@ -135,28 +123,6 @@ def _mended(means: StationMeans, fault: Fault, after: np.ndarray) -> bool:
     return size <= max(_HALVED * before, 2 * float(np.sqrt(rows.sum())))
 
 
-def _relabelled(means: StationMeans, hypotheses: list[Misreading]) -> list[Fault]:
-    """Two setups that carry each other's leg, direction and place while the commands stay."""
-    if not hypotheses:
-        return []
-    change = np.stack([h.change for h in hypotheses], axis=-1)
-    after = np.sum((means.residual[:, None] + means.by_reading @ change) ** 2, axis=0)
-    found = []
-    for k in np.argsort(after)[:_RELABELLED]:
-        if means.chi2 < _MASSIVE * means.dof and after[k] > means.chi2 / 2:
-            continue
-        # Wrong labels lead the fit far from where it belongs: its linearisation is no guide there.
-        try:
-            fit = solve(hypotheses[k].corrected(means.problem), method="nested")
-        except NumericsError:
-            continue
-        exact = fit.scores.chi2 - within_groups(means.signatures)
-        evidence = float(means.evidence(np.array(exact))) - float(np.log(len(hypotheses)))
-        if evidence >= EVIDENCE:
-            found.append(_with_evidence(hypotheses[k].fault, evidence))
-    return found
-
-
 def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     """Outliers where no repeat can show them.
 
@@ -175,12 +141,9 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     evidence = means.evidence(after, 1) - np.log(len(rows))
     # A cause in no catalogue looks much the same: only what mends the fit counts, and where no
     # other visit bears witness it must be a slip larger than such causes are.
-    where = np.column_stack(
-        [problem.setup_of_row, np.vstack([c.command for c in problem.campaigns])]
-    )
-    _, place, count = np.unique(where, axis=0, return_inverse=True, return_counts=True)
     least = _SPOILT * problem.machine.spec.dial.resolution
-    needed = np.where(count[place.reshape(-1)][rows] > 1, least, max(least, _ALONE))
+    witnessed = np.bincount(problem.place)[problem.place][rows] > 1
+    needed = np.where(witnessed, least, max(least, _ALONE))
     # What the fit can imitate almost wholly is no fault that it could show.
     visible = square > 0.2 * means.signatures.weight[rows] ** 2
     sure = visible & (np.abs(size) >= needed) & (after <= _MENDS * means.dof)

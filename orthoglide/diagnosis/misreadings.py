@@ -42,8 +42,10 @@ class Misreading:
 def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
     """Every sign, unit and exchange of two setups of one campaign."""
     problem = means.problem
+    if not setups:
+        return []
     measured, value = problem.measured, means.signatures.estimate.at.value
-    found = []
+    found: list[Misreading] = []
 
     def add(kind: Kind, rows: Rows, of: tuple[int, ...], size: float, corrected: Array) -> None:
         change = np.zeros(len(measured))
@@ -115,7 +117,8 @@ def digits(problem: Problem, fault: Fault) -> float:
         return bool((np.abs(readings / step - np.round(readings / step)) < _OFF_GRID).all())
 
     readings = problem.measured[rows]
-    if not on_grid(np.delete(problem.measured, rows)):
+    dials = np.concatenate([c.reading for c in problem.campaigns])
+    if not on_grid(np.delete(dials, rows)):
         return 0.0
     decimal = abs(np.log10(factor) - round(float(np.log10(factor)))) < 1e-9
     if not on_grid(readings * factor) or (on_grid(readings) and factor > 1):

@@ -8,6 +8,7 @@ import numpy as np
 
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, in_order
 from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
+from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.station_means import StationMeans, orthonormal
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
@@ -17,21 +18,27 @@ _STEPS, _SIGMAS = 5.0, 6.0  # of the dial, and of the noise, that they must have
 _MARGIN = 5.0  # log Bayes factor over the best effect of the catalogue
 
 
-def stuck_faults(means: StationMeans, setups: Sequence[Scatter]) -> list[Fault]:
-    """Runs of equal readings that repeats contradict, or the fit more than any effect explains."""
+def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter]) -> list[Fault]:
+    """Runs of equal readings that repeats contradict, or the fit more than any effect explains.
+
+    Args:
+        base: at the fit.
+        means: the same as station means.
+        setups: scatter of all of them.
+    """
     problem = means.problem
     runs = [(s, run) for s in range(problem.setup_count) for run in _runs(problem, s)]
     scale = noise_scale(problem, setups)
     found = []
     for setup, run in runs:
-        shown = means.by_reading[:, run]
         # How far the dial should have moved over the run, says a fit without it.
-        missed = float(np.ptp(np.linalg.lstsq(shown, means.residual, rcond=1e-6)[0]))
+        free = base.whiten(np.eye(base.count)[:, run])
+        missed = float(np.ptp(np.linalg.lstsq(free, base.residual, rcond=1e-6)[0]))
         step, sigma = problem.machine.spec.dial.resolution, float(problem.sigma[run].max())
         if missed < max(_STEPS * step, _SIGMAS * sigma):
             continue
         repeats = _by_repeats(setups[setup], run, scale) - np.log(len(runs))
-        fit = _by_fit(means, shown) - np.log(len(runs))
+        fit = _by_fit(means, means.by_reading[:, run]) - np.log(len(runs))
         needed = max(EVIDENCE, means.best_effect[0] + _MARGIN)
         if repeats >= EVIDENCE or fit + max(repeats, 0.0) >= needed:
             evidence = float(max(repeats, 0.0) + max(fit, 0.0))

@@ -181,12 +181,11 @@ def apart(result: Result, figures: Figures) -> Data:
 
 
 def _apart(cause: Cause, shown: list[str]) -> Data:
-    chi2 = cause.effect.trial.estimate.scores.chi2
     rivals = [
         {
             "name": rival.name,
             "words": rival.words,
-            "chi2": signed(rival.fit.scores.chi2 - chi2, 2),
+            "chi2": signed(cause.chi2_more(rival), 2),
             "probability": f"{rival.probability:.2f}",
         }
         for rival in cause.rivals

@@ -123,7 +123,8 @@ def _scores(scores: Scores) -> dict[str, Any]:
         "deviation_rms_mm": _mm(scores.deviation_rms),
         "max_mm": _mm(scores.max),
         "chi2": number(scores.chi2),
-        "dof": scores.dof,
+        "prior_chi2": number(scores.prior_chi2),
+        "dof": number(scores.dof),
         "lack_of_fit_p": number(scores.lack_of_fit_p),
         "cv_rms_mm": _mm(scores.cv_rms),
     }
@@ -149,9 +150,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "rivals": [
             {
                 **_explanation(rival),
-                "chi2_more": number(
-                    rival.fit.scores.chi2 - effect.trial.estimate.scores.chi2, _SHORT
-                ),
+                "chi2_more": number(cause.chi2_more(rival), _SHORT),
             }
             for rival in cause.rivals
         ],

@@ -109,7 +109,7 @@ def score_rows(result: Result) -> list[ScoreRow]:
         rows.append(ScoreRow(f"TCP, mean / largest, {words}, mm", *cells))
     rows += [
         ScoreRow("chi²", *(f"{s.chi2:.1f}" for s in stages)),
-        ScoreRow("degrees of freedom", *(str(s.dof) for s in stages)),
+        ScoreRow("degrees of freedom", *(compact(s.dof, 4) for s in stages)),
         ScoreRow(
             "probability of what is left by noise alone",
             *(probability(s.lack_of_fit_p) for s in stages),

@@ -95,6 +95,10 @@ class Cause:
         """The chosen cause and its rivals."""
         return (self.chosen, *self.rivals)
 
+    def chi2_more(self, rival: Explanation) -> float:
+        """By how much a rival fits worse, priors included."""
+        return rival.fit.scores.cost - self.effect.trial.chi2
+
     @property
     def class_width(self) -> float:
         """Change of chi2 within which causes count as one class."""
@@ -145,7 +149,7 @@ def candidates(tried: Sequence[Tried], found: Sequence[Cause]) -> tuple[Tried, .
             trial = rival.trial
             if trial.candidate.name in known:
                 continue
-            fall = max(one.without.scores.chi2 - trial.chi2, 0.0)
+            fall = max(one.without.scores.cost - trial.chi2, 0.0)
             every.append(
                 Tried(
                     trial.candidate.name,
