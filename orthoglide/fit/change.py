@@ -47,7 +47,7 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
-        si, name = self.unit.si, self.unit.name
+        si, name = (1e-3, "mrad") if self.unit.name == "rad" else (self.unit.si, self.unit.name)
         before, after, sigma = (compact(v / si) for v in (self.before, self.after, self.sigma))
         others = f" (or {', '.join(self.members[1:])})" if len(self.members) > 1 else ""
         return (
@@ -67,10 +67,12 @@ class Change:
 
     def now(self, estimate: Estimate) -> Change:
         """With the value of a later fit."""
-        if self.parameter not in estimate.values:
+        places = [k for k, name in enumerate(estimate.names) if name in self.members]
+        if len(places) < len(self.members):
             return self
-        value, sigma = estimate.values[self.parameter], estimate.sigmas[self.parameter]
-        return replace(self, after=value, sigma_after=sigma)
+        spread = estimate.covariance[np.ix_(places, places)].sum()
+        after = float(estimate.x[places].sum())
+        return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
         """With the values of a fit in which the parameter, or a member instead, is separate."""
