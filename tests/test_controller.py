@@ -21,13 +21,13 @@ from orthoglide.accuracy import workspace
 from orthoglide.cli.compensate import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.control import (
-    HELD_BY_URDF,
     RULE,
     calibrated_urdf,
     commands_text,
     compensate,
     controller_numbers,
     export_files,
+    held_by_urdf,
     read_path,
     tcp_sigma,
 )
@@ -466,7 +466,7 @@ def test_offsets_and_lengths_are_held_exactly(family: str) -> None:
 
 
 def test_with_relief_joints_all_constant_geometry_is_held() -> None:
-    values = {n: v for n, v in everything().items() if n.partition(".")[0] in HELD_BY_URDF}
+    values = held_by_urdf(machine(everything()))
     assert len(values) > 30
     tree = tree_of(calibrated_urdf(machine(values)), general=True)
     slope = np.zeros(3)

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from orthoglide.effects import CATALOGUE
+from orthoglide.control import compensate, held_by_urdf
+from orthoglide.effects import CATALOGUE, Effect, LegConditions, Motion, once
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
+from orthoglide.machine import Machine
 from orthoglide.machine_file import (
     Controller,
     Dial,
@@ -25,6 +27,7 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
+from orthoglide.units import MM
 
 GOOD = """\
 schema = 1
@@ -310,3 +313,32 @@ def test_the_controller_counts_both_ways() -> None:
     rho = geometry.L + np.random.default_rng(0).uniform(-0.1, 0.06, (4, 5, 3))
     again = controller.to_rho(controller.from_rho(rho, geometry), geometry)
     np.testing.assert_allclose(again, rho, atol=1e-15)
+
+
+# --- Effects of a user's own ----------------------------------------------------------------
+
+
+def _shifted(conditions: LegConditions) -> float:
+    return 1.0
+
+
+SHIFT = Effect(
+    "carriage_shift", MM, 0.1, "", "", "", members=once(Motion("lateral_b", _shifted))
+)  # fmt: skip
+
+
+def test_a_machine_file_may_name_effects_of_ones_own(tmp_path: Path) -> None:
+    text = GOOD.replace("axis_tilt = 2e-3", "carriage_shift = 0.2").replace(
+        "axis_tilt.y.z", "carriage_shift.y"
+    ).replace('-1e-3, sigma = 0, unit = "rad"', '-0.5, sigma = 0.1, unit = "mm"')  # fmt: skip
+    file = write(tmp_path / "m.toml", text)
+    with pytest.raises(FileError, match="no key 'carriage_shift'"):
+        read_machine_file(file)
+    spec = read_machine_file(file, CATALOGUE.with_effects([SHIFT]))
+    assert spec.tolerance["carriage_shift"] == pytest.approx(2e-4)
+    assert spec.parameters["carriage_shift.y"] == ParameterValue(-5e-4, 1e-4, "mm")
+    machine = Machine.load(file, [SHIFT])
+    machine.save(tmp_path / "again.toml")
+    assert Machine.load(tmp_path / "again.toml", [SHIFT]).values == machine.values
+    assert held_by_urdf(machine)["carriage_shift.y"] == -5e-4
+    assert compensate(machine, [[0.0, 0.0, 0.01]]).residual.max() < 1e-8

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, out_option
+from orthoglide.cli.options import PATH, effects_option, load_machine, out_option
 from orthoglide.cli.writing import write_file, write_results
 from orthoglide.errors import FileError, InputError, UnreachableError
 
@@ -33,9 +33,16 @@ _FORCE = click.option(
               help="Weight at the TCP.")  # fmt: skip
 @click.option("--warming", type=float, default=0.0, metavar="K", show_default=True,
               help="Kelvin above the calibration's first reading.")  # fmt: skip
+@effects_option
 @_FORCE
 def compensate(
-    path: Path, machine_path: Path, out: Path, load_N: float, warming: float, force: bool
+    path: Path,
+    machine_path: Path,
+    out: Path,
+    load_N: float,
+    warming: float,
+    effects_file: Path | None,
+    force: bool,
 ) -> None:
     """Turn a path of TCP points into joint commands that reach them on the real machine.
 
@@ -46,7 +53,7 @@ def compensate(
 
     if not (0 <= load_N < 1e4 and -100 < warming < 100):
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
-    points, machine = control.read_path(path), load_machine(machine_path)
+    points, machine = control.read_path(path), load_machine(machine_path, effects_file)
     try:
         found = control.compensate(machine, points.p, load=load_N, warming=warming, force=force)
     except UnreachableError as error:
@@ -61,9 +68,12 @@ def compensate(
 @click.command()
 @_MACHINE
 @click.option("--zeros-only", is_flag=True, help="For a controller that takes nothing but zeros.")
+@effects_option
 @_FORCE
 @out_option()
-def export(machine_path: Path, out: Path, zeros_only: bool, force: bool) -> None:
+def export(
+    machine_path: Path, out: Path, zeros_only: bool, effects_file: Path | None, force: bool
+) -> None:
     """Write what other programs take of a calibrated machine.
 
     The controller's numbers with the sign rule written out (controller.txt and .json), and the
@@ -73,7 +83,8 @@ def export(machine_path: Path, out: Path, zeros_only: bool, force: bool) -> None
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
-    write_results(out, export_files(load_machine(machine_path), zeros_only=zeros_only, force=force))
+    machine = load_machine(machine_path, effects_file)
+    write_results(out, export_files(machine, zeros_only=zeros_only, force=force))
     click.echo(f"written: {click.format_filename(out)}")
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option
+from orthoglide.cli.options import PATH, effects_option, load_machine, machine_option
 from orthoglide.cli.writing import write_file
 from orthoglide.errors import InputError
 
@@ -42,6 +42,7 @@ def _arguments(metavar: str) -> Callable[[click.decorators.FC], click.decorators
         for decorator in (
             click.option("--out", type=PATH, metavar="CSV", help="With --csv: file to write."),
             click.option("--csv", "table", type=PATH, metavar="CSV", help="Rows to compute."),
+            effects_option,
             machine_option,
             click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
         ):
@@ -53,26 +54,22 @@ def _arguments(metavar: str) -> Callable[[click.decorators.FC], click.decorators
 
 @click.command(context_settings=_NUMBERS)
 @_arguments("RHO_X RHO_Y RHO_Z")
-def forward(
-    numbers: tuple[float, ...], machine_path: Path | None, table: Path | None, out: Path | None
-) -> None:
+def forward(**given: Any) -> None:
     """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm.
 
     Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0.
     """
-    _run(numbers, machine_path, table, out, _forward)
+    _run(_forward, **given)
 
 
 @click.command(context_settings=_NUMBERS)
 @_arguments("P_X P_Y P_Z")
-def inverse(
-    numbers: tuple[float, ...], machine_path: Path | None, table: Path | None, out: Path | None
-) -> None:
+def inverse(**given: Any) -> None:
     """Commands for a TCP: three coordinates in mm, or a CSV of p_x_mm, p_y_mm, p_z_mm.
 
     With a calibrated machine file these are the commands that bring the real TCP to the point.
     """
-    _run(numbers, machine_path, table, out, _inverse)
+    _run(_inverse, **given)
 
 
 COMMANDS = (forward, inverse)
@@ -95,28 +92,31 @@ Solve = Callable[["Machine", "Array", bool, Fail], "Array"]
 
 
 def _run(
+    solve: Solve,
+    *,
     numbers: tuple[float, ...],
     machine_path: Path | None,
-    path: Path | None,
+    effects_file: Path | None,
+    table: Path | None,
     out: Path | None,
-    solve: Solve,
 ) -> None:
-    if (path is None) != (out is None):
+    if (table is None) != (out is None):
         raise InputError("--csv and --out go together: name a file to read and a file to write")
-    if (path is None) == (not numbers):
+    if (table is None) == (not numbers):
         raise InputError("give either three numbers in mm, or --csv and --out")
-    if path is None or out is None:
-        found = solve(load_machine(machine_path), _vector(numbers), False, _refuse)
+    if table is None or out is None:
+        machine = load_machine(machine_path, effects_file)
+        found = solve(machine, _vector(numbers), False, _refuse)
         click.echo(" ".join(_number(value) for value in found[0]))
         return
     from orthoglide.observations.columns import POINT, RHO, TRAVEL
     from orthoglide.observations.table import read_table
 
-    table = read_table(path)
-    travelled = solve is _forward and bool(set(TRAVEL) & set(table.names))
+    rows = read_table(table)
+    travelled = solve is _forward and bool(set(TRAVEL) & set(rows.names))
     names, new = (POINT, RHO) if solve is _inverse else (TRAVEL if travelled else RHO, POINT)
-    given = _columns(table, names, new)
-    _write(table, new, solve(load_machine(machine_path), given, travelled, table.fail), out)
+    given, machine = _columns(rows, names, new), load_machine(machine_path, effects_file)
+    _write(rows, new, solve(machine, given, travelled, rows.fail), out)
 
 
 def _vector(numbers: tuple[float, ...]) -> Array:

@@ -43,6 +43,16 @@ def machine_option(command: Command) -> Command:
     )(command)
 
 
+def effects_option(command: Command) -> Command:
+    """``--effects-file FILE.py``."""
+    return click.option(
+        "--effects-file",
+        type=PATH,
+        metavar="FILE.py",
+        help="Python file with effects of your own, beside the catalogue.",
+    )(command)
+
+
 def out_option(required: bool = True, help: str = "") -> Decorator[Any]:
     """``--out DIR`` of the commands that write a folder."""
     return click.option(
@@ -77,12 +87,7 @@ def fit_options(command: Command) -> Command:
             help="What each campaign has for itself while the rest is shared.",
         ),
         machine_option,
-        click.option(
-            "--effects-file",
-            type=PATH,
-            metavar="FILE.py",
-            help="Python file with effects of your own, weighed beside the catalogue.",
-        ),
+        effects_option,
         click.option(
             "--fit-tcp",
             type=PATH,

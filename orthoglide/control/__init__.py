@@ -12,10 +12,9 @@ from orthoglide.control.compensation import (
 )
 from orthoglide.control.files import PathPoints, commands_text, export_files, read_path
 from orthoglide.control.numbers import RULE, ControllerNumbers, DriveNumbers, controller_numbers
-from orthoglide.control.urdf import HELD_BY_URDF, calibrated_urdf
+from orthoglide.control.urdf import calibrated_urdf, held_by_urdf
 
 __all__ = [
-    "HELD_BY_URDF",
     "NOT_COVERED",
     "RULE",
     "Compensation",
@@ -28,6 +27,7 @@ __all__ = [
     "compensate",
     "controller_numbers",
     "export_files",
+    "held_by_urdf",
     "read_path",
     "tcp_sigma",
     "withheld",

@@ -97,7 +97,7 @@ class DriveNumbers:
         way = "away from" if self.sign > 0 else "toward"
         side = "out" if self.offset >= 0 else "in"
         return (
-            f"joint_offset.{self.leg} = {_mm(self.offset):+.4f} mm: sent to mechanical zero, shown "
+            f"joint offset {self.leg} = {_mm(self.offset):+.4f} mm: sent to mechanical zero, shown "
             f"{_mm(self.zero):.4f}, carriage {self.leg} stands {abs(_mm(self.offset)):.4f} mm too "
             f"far {side}. The controller counts {way} the origin (sign {self.sign:+d}), so the "
             f"carriage is at mechanical zero where it shows {_mm(self.zero):.4f} - "

@@ -6,20 +6,15 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
+from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions
 from orthoglide.urdf import to_urdf
 
-HELD_BY_URDF = (
-    "joint_offset", "leg_length", "axis_offset", "axis_tilt", "rail_tilt", "mount_tilt",
-    "bar_mismatch", "parallelogram_width",
-)  # fmt: skip
-"""Families that are constant geometry: places and directions of joints."""
-
-_FIT_RIGID_LEGS = frozenset({"joint_offset", "leg_length", "axis_offset", "axis_tilt"})
 _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held are straight
+_LATERAL = ("lateral_b", "lateral_c")
 
 
 def calibrated_urdf(machine: Machine) -> str:
@@ -62,8 +57,29 @@ def calibrated_urdf(machine: Machine) -> str:
     return f'<?xml version="1.0"?>\n<!-- {_comment(machine)} -->\n{body}\n'
 
 
-def _held(machine: Machine) -> dict[str, float]:
-    return {n: v for n, v in machine.values.items() if n.partition(".")[0] in HELD_BY_URDF}
+def held_by_urdf(machine: Machine) -> dict[str, float]:
+    """Parameters of a machine that are constant geometry, SI: places and directions of joints."""
+    of = machine.catalogue.effect_of
+    return {n: v for n, v in machine.values.items() if _is_constant(of(n), machine)}
+
+
+def _is_constant(effect: Effect, machine: Machine) -> bool:
+    """Whether an effect shifts or turns joints by the same everywhere, or tilts straight paths."""
+    if effect.of_dial or effect.needs:
+        return False
+    length, stroke = machine.geometry.L, machine.geometry.stroke
+
+    def moved(motion: Motion, s: float) -> float:
+        at = LegConditions(length + s, length, stroke, None, 0, 0, 0, 0, s)
+        return float(motion.basis(at))
+
+    for _, motions in effect.motions.values():
+        for motion in motions:
+            low, middle, high = (moved(motion, s) for s in (-_PROBE, 0.0, _PROBE))
+            bent = abs(low - 2 * middle + high) > 1e-12
+            if bent or (high != low and motion.joint not in _LATERAL):
+                return False
+    return True
 
 
 def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
@@ -72,8 +88,8 @@ def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
     Taken from the effects themselves, so that there is one definition of each.
     """
     at = Conditions.at(machine.geometry.zero + np.array([[0.0], [_PROBE]]))
-    here, there = machine.model.displacements(_held(machine), at).reshape(2, 3, -1)
-    lateral = [VIRTUAL_NAMES.index("lateral_b"), VIRTUAL_NAMES.index("lateral_c")]
+    here, there = machine.model.displacements(held_by_urdf(machine), at).reshape(2, 3, -1)
+    lateral = [VIRTUAL_NAMES.index(name) for name in _LATERAL]
     return [
         (
             dict(zip(VIRTUAL_NAMES, here[leg].tolist(), strict=True)),
@@ -84,10 +100,10 @@ def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
 
 
 def _comment(machine: Machine) -> str:
-    names = [n for n, v in machine.values.items() if v]
-    held = [n for n in names if n in _held(machine)]
-    left = [n for n in names if n not in held]
-    misfit = [n for n in held if n.partition(".")[0] not in _FIT_RIGID_LEGS]
+    constant, of = held_by_urdf(machine), machine.catalogue.effect_of
+    held = [n for n, v in constant.items() if v]
+    left = [n for n, v in machine.values.items() if v and n not in constant]
+    misfit = [n for n in held if not of(n).urdf]
     lines = [
         f"Calibrated: {machine.spec.name}. Slide q is the commanded rho - L.",
         "Holds " + (", ".join(held) or "no correction") + ".",

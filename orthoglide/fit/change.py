@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
-from orthoglide.numerals import compact
+from orthoglide.numerals import compact, decimals_for, plain
 from orthoglide.units import Unit
 
 SIGNIFICANT = 3.0
@@ -47,12 +47,15 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
-        si, name = (1e-3, "mrad") if self.unit.name == "rad" else (self.unit.si, self.unit.name)
-        before, after, sigma = (compact(v / si) for v in (self.before, self.after, self.sigma))
+        si, unit = self.unit.si, self.unit.name
+        if unit == "rad":
+            si, unit = 1e-3, "mrad"
+        decimals = decimals_for(self.sigma / si)
+        before, after = (plain(v / si, decimals) for v in (self.before, self.after))
         others = f" (or {', '.join(self.members[1:])})" if len(self.members) > 1 else ""
         return (
-            f"between {_file(self.between[0])} and {_file(self.between[1])} "
-            f"{self.parameter}{others} changed from {before} to {after} {name} (± {sigma})"
+            f"between {_file(self.between[0])} and {_file(self.between[1])} {self.parameter}"
+            f"{others} changed from {before} to {after} {unit} (± {compact(self.sigma / si, 2)})"
         )
 
     @property

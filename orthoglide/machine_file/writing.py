@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from orthoglide import files, units
-from orthoglide.effects import Catalogue
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
-from orthoglide.machine_file.model import SCHEMA, MachineFile, ParameterValue
+from orthoglide.machine_file.model import SCHEMA, MachineFile
 from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
 from orthoglide.machine_file.reading import parse_machine_file
 
@@ -76,12 +75,11 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     import tomli_w
 
     try:
-        text = tomli_w.dumps(_tables(machine)) + _parameter_lines(
-            machine.parameters, machine.catalogue
-        )
+        text = tomli_w.dumps(_tables(machine)) + _parameter_lines(machine)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
-    again = parse_machine_file(text, file)  # what could not be read back is never written
+    # What could not be read back is never written.
+    again = parse_machine_file(text, file, machine.catalogue)
     if replace(again, provenance=machine.provenance) != machine:
         raise InputError("a machine file cannot hold this machine: it would read back differently")
     return text
@@ -94,7 +92,7 @@ def _mm(value: Any) -> Any:
 
 
 def _tables(machine: MachineFile) -> dict[str, Any]:
-    stiffness, controller = machine.stiffness, machine.controller
+    stiffness, controller, catalogue = machine.stiffness, machine.controller, machine.catalogue
     bar = None if stiffness.bar is None else units.from_si(stiffness.bar, 1e3)
     tables: dict[str, Any] = {
         "geometry_mm": {key: _mm(value) for key, value in asdict(machine.geometry).items()},
@@ -102,8 +100,10 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
         "drive": {"screw_pitch_mm": _mm(machine.screw_pitch)},
         "controller": {"zero_mm": _mm(controller.zero), "sign": list(controller.sign)},
         "tolerance": {
-            name: units.from_si(value, machine.catalogue[name].unit.si)
+            name: units.from_si(value, catalogue.effect_of(name).unit.si)
             for name, value in machine.tolerance.items()
+            # Without need of it, a file that names a user's effect could not be read alone.
+            if name in CATALOGUE or value != catalogue.default_tolerance.get(name)
         },
         "stiffness": {"torsion_Nmm_per_rad": _mm(stiffness.torsion), "bar_N_per_mm": bar},
     }
@@ -121,13 +121,13 @@ def _float(value: float, factor: float) -> str:
     return text if set(text) & set(".EN") else f"{text}.0"  # a whole number would lose its -0
 
 
-def _parameter_lines(parameters: Mapping[str, ParameterValue], catalogue: Catalogue) -> str:
+def _parameter_lines(machine: MachineFile) -> str:
     """One inline table a parameter, which the TOML writer would spread over four lines."""
-    if not parameters:
+    if not machine.parameters:
         return ""
     lines = ["", "[parameters]"]
-    for name, parameter in parameters.items():
-        factor = catalogue.effect_of(name).unit.si
+    for name, parameter in machine.parameters.items():
+        factor = machine.catalogue.effect_of(name).unit.si
         value, sigma = (_float(v, factor) for v in (parameter.value, parameter.sigma))
         lines.append(
             f'"{name}" = {{ value = {value}, sigma = {sigma}, unit = "{parameter.unit}" }}'

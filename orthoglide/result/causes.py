@@ -62,10 +62,13 @@ class Explanation:
 
     @property
     def in_unit(self) -> tuple[float, float] | None:
-        """Value and sigma in its unit; ``None`` where it has several parameters."""
-        if len(self.parameters) != 1:
+        """Value and sigma in its unit; ``None`` where it has several parameters.
+
+        Of one that campaigns have for themselves: the last one's.
+        """
+        if len({self._catalogue.parameter(n).plain for n in self.parameters}) != 1:
             return None
-        (name,), si = self.parameters, self._catalogue.effect_of(self.name).unit.si
+        name, si = self.parameters[-1], self._catalogue.effect_of(self.name).unit.si
         return self.values[name] / si, self.sigmas[name] / si
 
 
