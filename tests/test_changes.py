@@ -84,10 +84,13 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
     # The machine as it is now: a tilt is left, whichever of the two, and nothing of the dials.
     (effect,) = verdict.effects
     assert {effect.name, *effect.indistinguishable_from} == set(change.members)
-    now = [verdict.machine.values[name] for name in change.members]
+    now = [verdict.machine.values.get(name, 0.0) for name in change.members]
     assert sum(now) == pytest.approx(0.3e-3, abs=1.5e-4)
     verdict.report(str(tmp_path / "run"))
-    (told,) = json.loads((tmp_path / "run" / "result.json").read_text())["changed"]
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    (told,), (cause,) = result["changed"], result["effects"]
+    assert cause["value"] == pytest.approx(change.after, rel=1e-4)
+    assert told["words"].endswith("changed from 1.469 to 0.222 mrad (± 0.066)")
     assert told["parameter"] == change.parameter
     assert (told["unit"], told["between"]) == ("rad", ["c0", "c1"])
     assert told["from"] == pytest.approx(change.before, rel=1e-4)

@@ -31,14 +31,12 @@ from orthoglide.planning import (
     repeats_needed,
     smallest_effects,
 )
-from orthoglide.planning.choosing import choose, replayed
+from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import (
     Determinant,
     EffectSeparation,
     LeastVariance,
     RivalSeparation,
-    gram,
-    separations,
 )
 from orthoglide.planning.detectable import noncentrality, separation
 from orthoglide.planning.linear import LinearReadings
@@ -153,16 +151,31 @@ def test_information_is_that_of_the_problem_with_all_nuisances(readings):
     assert coarse.information(rows) == pytest.approx(by_hand(coarse, rows), rel=1e-6)
 
 
+def stepwise(readings, criterion, rows):
+    """The criterion once rows have been taken one by one, mounting by mounting."""
+    for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
+        own = [k for k in rows if readings.campaign.setup[k] == setup]
+        for i in range(1, len(own)):
+            steps = readings.continued(setup, own[:i])
+            place = int(np.flatnonzero(steps.rows[:, 1] == own[i])[0])
+            criterion = criterion.after(steps, place)
+    return criterion
+
+
 def test_steps_add_up_to_the_whole(readings):
     rows = some_rows(readings)
     C = np.diag([2.0, 1.0, 3.0])
     M = readings.information(rows)
-    after = replayed(readings, Determinant(C), rows)
-    assert after.value == pytest.approx(np.linalg.slogdet(np.eye(3) + C @ M)[1], rel=1e-6)
-    assert after.covariance == pytest.approx(np.linalg.inv(np.linalg.inv(C) + M), rel=1e-5)
+    start = Determinant(np.linalg.inv(C))
+    after = stepwise(readings, start, rows)
+    gained = np.linalg.slogdet(np.eye(3) + C @ M)[1]
+    assert after.value - start.value == pytest.approx(gained, rel=1e-6)
+    assert after.information == pytest.approx(start.information + M, rel=1e-5)
+    assert start.with_rows(readings, rows).value == pytest.approx(after.value, rel=1e-6)
     d = np.array([1.0, 0.0, -1.0])
-    narrowed = replayed(readings, LeastVariance(C, d), rows)
-    assert narrowed.variance == pytest.approx(d @ after.covariance @ d, rel=1e-5)
+    narrowed = stepwise(readings, LeastVariance(np.linalg.inv(C), d), rows)
+    covariance = np.linalg.inv(np.linalg.inv(C) + M)
+    assert narrowed.variance == pytest.approx(d @ covariance @ d, rel=1e-5)
 
 
 def test_steps_gain_what_they_promise(readings):
@@ -181,7 +194,7 @@ def test_rivals_are_as_far_apart_as_least_squares_says(readings):
     spread = np.stack([np.diag([1.0, 2.0, 0.5]), np.diag([0.3, 0.1, 4.0])])
     pairs = np.array([[0, 1], [1, 0]])
     rows = some_rows(readings)
-    after = replayed(both, RivalSeparation(spread, pairs, np.zeros((2, 3)), np.zeros(2)), rows)
+    after = stepwise(both, RivalSeparation.between(spread, pairs[:1]), rows)
     W = both.information(rows)
     for chi2, (a, b) in zip(after.chi2, pairs, strict=True):
         e = np.eye(2)[a] - np.eye(2)[b]
@@ -189,6 +202,10 @@ def test_rivals_are_as_far_apart_as_least_squares_says(readings):
         toward = W[:3, 3:] @ e
         left = e @ W[3:, 3:] @ e - toward @ np.linalg.solve(normal, toward)
         assert chi2 == pytest.approx(left, rel=1e-5)
+    steps = both.steps(rows, 4)
+    for k in (0, len(steps.rows) // 2, len(steps.rows) - 1):
+        risen = after.after(steps, k).value - after.value
+        assert after.gains(steps)[k] == pytest.approx(risen, rel=1e-6)
 
 
 # -- observability -------------------------------------------------------------------------------
@@ -239,7 +256,7 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     pool = reading_pool(machine.geometry)
     names = found.names
     everything = LinearReadings.of(machine, pool, names)
-    start = Determinant(1e4 * np.eye(len(names)))
+    start = Determinant(1e-4 * np.eye(len(names)))
     rng = np.random.default_rng(1)
     mountings = len(found.campaign.setups)
     random = []
@@ -250,14 +267,14 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
             for s in setups
             for k in rng.choice(everything.of_setup[s], 24 // mountings, replace=False)
         ]
-        random.append(replayed(everything, start, rows).value)
+        random.append(start.with_rows(everything, rows).value - start.value)
     assert found.value > max(random) + 3
     standard = observability(machine, protocol("standard"), CATALOGUE.base)
     assert found.indices.indices["O1"] > standard.indices["O1"]
 
 
 def test_exchange_does_not_make_a_design_worse(readings):
-    start = Determinant(1e4 * np.eye(3))
+    start = Determinant(1e-4 * np.eye(3))
     _, greedy = choose(readings, start, 8)
     _, exchanged = choose(readings, start, 8, exchange=True)
     assert exchanged.value >= greedy.value
@@ -268,7 +285,7 @@ def identified(machine, campaign, free):
     told = campaign.with_readings(machine.readings(campaign))
     problem = build_problem(machine, [told], free, noise_of([told], machine.spec.dial))
     at = linearise(problem, problem.start)
-    here = normal(problem, at, nuisances(problem, at.by_gauge))
+    here = normal(problem, at, nuisances(problem, at.slopes))
     return here.jacobian * problem.tolerance
 
 
@@ -280,10 +297,10 @@ def test_a_discriminating_design_separates_better_than_a_d_optimal_one(machine):
     seen = identified(machine, optimal.campaign, (*CATALOGUE.base, *families))
     prior = np.diag([1.0] * base + [0.0] * 3)
     pairs = np.array([(i, j) for i in range(3) for j in range(i, 3)])
-    least = np.sqrt(separations(gram(prior + seen.T @ seen, base), pairs).min())
+    least = np.sqrt(EffectSeparation(prior + seen.T @ seen, base, pairs).squares.min())
     assert found.value > least
     again = identified(machine, found.campaign, (*CATALOGUE.base, *families))
-    same = np.sqrt(separations(gram(prior + again.T @ again, base), pairs).min())
+    same = np.sqrt(EffectSeparation(prior + again.T @ again, base, pairs).squares.min())
     assert found.value == pytest.approx(same, rel=0.02)
 
 

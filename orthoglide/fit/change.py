@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
-from orthoglide.numerals import compact
+from orthoglide.numerals import compact, decimals_for, plain
 from orthoglide.units import Unit
 
 SIGNIFICANT = 3.0
@@ -47,12 +47,15 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
-        si, name = self.unit.si, self.unit.name
-        before, after, sigma = (compact(v / si) for v in (self.before, self.after, self.sigma))
+        si, unit = self.unit.si, self.unit.name
+        if unit == "rad":
+            si, unit = 1e-3, "mrad"
+        decimals = decimals_for(self.sigma / si)
+        before, after = (plain(v / si, decimals) for v in (self.before, self.after))
         others = f" (or {', '.join(self.members[1:])})" if len(self.members) > 1 else ""
         return (
-            f"between {_file(self.between[0])} and {_file(self.between[1])} "
-            f"{self.parameter}{others} changed from {before} to {after} {name} (± {sigma})"
+            f"between {_file(self.between[0])} and {_file(self.between[1])} {self.parameter}"
+            f"{others} changed from {before} to {after} {unit} (± {compact(self.sigma / si, 2)})"
         )
 
     @property
@@ -67,10 +70,12 @@ class Change:
 
     def now(self, estimate: Estimate) -> Change:
         """With the value of a later fit."""
-        if self.parameter not in estimate.values:
+        places = [k for k, name in enumerate(estimate.names) if name in self.members]
+        if len(places) < len(self.members):
             return self
-        value, sigma = estimate.values[self.parameter], estimate.sigmas[self.parameter]
-        return replace(self, after=value, sigma_after=sigma)
+        spread = estimate.covariance[np.ix_(places, places)].sum()
+        after = float(estimate.x[places].sum())
+        return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
         """With the values of a fit in which the parameter, or a member instead, is separate."""

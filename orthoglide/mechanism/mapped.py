@@ -27,6 +27,10 @@ class Mapped:
 
     def __init__(self, function: Any) -> None:
         self.function = function
+        # CasADi stores columns.
+        self._shapes = [
+            (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
+        ]
         self._buffers: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, *arguments: Array) -> list[Array]:
@@ -35,13 +39,14 @@ class Mapped:
         Args:
             arguments: each ``(n, k)``, or ``(k,)`` where all rows share it; the last sets n.
         """
-        n, f = len(arguments[-1]), self.function
+        n = len(arguments[-1])
         rows = [
-            np.ascontiguousarray(np.broadcast_to(a, (n, np.shape(a)[-1])), dtype=float)
+            np.ascontiguousarray(
+                a if len(np.shape(a)) == 2 else np.broadcast_to(a, (n, len(a))), dtype=float
+            )
             for a in arguments
         ]
-        # CasADi stores columns.
-        results = [np.empty((n, f.size2_out(k), f.size1_out(k))) for k in range(f.n_out())]
+        results = [np.empty((n, *shape)) for shape in self._shapes]
         for part in blocks(n):
             buffer, evaluate = self._buffer(part.stop - part.start)
             for k, row in enumerate(rows):

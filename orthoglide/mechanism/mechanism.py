@@ -217,11 +217,14 @@ class Mechanism:
         """``[drives; virtual]`` ``(..., 33)`` for commands ``(..., 3)`` and displacements
         ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
         """
-        moves = np.zeros(VIRTUAL_COUNT) if displacements is None else np.asarray(displacements)
-        if moves.shape[-1] != VIRTUAL_COUNT:
-            moves = moves.reshape(*moves.shape[:-2], VIRTUAL_COUNT)
-        every = np.broadcast_to(moves, (*commands.shape[:-1], VIRTUAL_COUNT))
-        return np.concatenate([commands - self.geometry.L, every], axis=-1)
+        given = np.zeros((*commands.shape[:-1], 3 + VIRTUAL_COUNT))
+        given[..., :3] = commands - self.geometry.L
+        if displacements is not None:
+            moves = np.asarray(displacements)
+            if moves.shape[-1] != VIRTUAL_COUNT:
+                moves = moves.reshape(*moves.shape[:-2], VIRTUAL_COUNT)
+            given[..., 3:] = moves
+        return given
 
     def _closing(
         self, commands: Array, displacements: ArrayLike | None
@@ -231,11 +234,7 @@ class Mechanism:
         return (self.nominal_batch, given[:, :3]) if displacements is None else (self.batch, given)
 
     def forward(
-        self,
-        commands: ArrayLike,
-        displacements: ArrayLike | None = None,
-        *,
-        mode: Mode = "machine",
+        self, commands: ArrayLike, displacements: ArrayLike | None = None, *, mode: Mode = "machine"
     ) -> Array:
         """TCP ``(..., 3)`` for commands rho ``(..., 3)``, metres.
 

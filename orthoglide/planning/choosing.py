@@ -49,7 +49,7 @@ def choose(
         before = best.value
         for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
             kept = [k for k in rows if readings.campaign.setup[k] != setup]
-            again, found = _grow(readings, replayed(readings, start, kept), kept, count, mounting)
+            again, found = _grow(readings, start.with_rows(readings, kept), kept, count, mounting)
             if found.value > best.value:
                 rows, best = again, found
         if best.value - before < 1e-6 * abs(before):
@@ -73,15 +73,3 @@ def _grow(
         criterion = criterion.after(steps, k)
         taken += steps.taken(k)
     return taken, criterion
-
-
-def replayed(readings: LinearReadings, start: C, rows: Sequence[int]) -> C:
-    """The criterion once rows have been taken, mounting by mounting."""
-    criterion = start
-    for setup in dict.fromkeys(int(readings.campaign.setup[k]) for k in rows):
-        own = [k for k in rows if readings.campaign.setup[k] == setup]
-        for i in range(1, len(own)):
-            steps = readings.continued(setup, own[:i])
-            place = int(np.flatnonzero(steps.rows[:, 1] == own[i])[0])
-            criterion = criterion.after(steps, place)
-    return criterion

@@ -1,24 +1,33 @@
-"""What a reading is worth: four criteria, each told what would be added and what was.
+"""What a reading is worth: four criteria, each by what is known so far.
 
-All see a step as the scalar observation ``d x + e`` of variance ``s2`` (see ``linear``).
+All see a step as the scalar observation ``d x + e`` of variance ``s2`` (see ``linear``), which adds
+``d' d / s2`` to the information.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.planning.linear import Steps
+from orthoglide.planning.linear import LinearReadings, Steps
 
 _WORST = 150  # pairs that a discriminating step looks at: those told apart least
 
 
+@dataclass(frozen=True)
 class Criterion(ABC):
-    """A criterion with what it knows so far; immutable."""
+    """A criterion with what is known so far.
+
+    Attributes:
+        information: on all columns of the readings ``(P, P)``, priors in it.
+    """
+
+    information: Array
 
     @property
     @abstractmethod
@@ -32,38 +41,31 @@ class Criterion(ABC):
 
     @abstractmethod
     def gains(self, steps: Steps) -> Array:
-        """How much better each step would make it ``(k,)``."""
+        """How much better each step would make the value ``(k,)``."""
 
-    @abstractmethod
     def after(self, steps: Steps, k: int) -> Self:
         """The criterion once step ``k`` has been taken."""
+        d = steps.columns[k]
+        return replace(self, information=self.information + np.outer(d, d) / steps.variance[k])
+
+    def with_rows(self, readings: LinearReadings, rows: list[int]) -> Self:
+        """The criterion once rows have been read, in mountings of their own."""
+        return replace(self, information=self.information + readings.information(rows))
 
 
 @dataclass(frozen=True)
 class Determinant(Criterion):
-    """D-optimality: log det(information), unknowns in tolerances.
-
-    Attributes:
-        covariance: of the unknowns ``(P, P)``.
-        gained: log det so far.
-    """
-
-    covariance: Array
-    gained: float = 0.0
+    """D-optimality: log det(information), unknowns in tolerances."""
 
     @property
     def value(self) -> float:
-        """Log det so far."""
-        return self.gained
+        """Log det."""
+        return float(np.linalg.slogdet(self.information)[1])
 
     def gains(self, steps: Steps) -> Array:
         """``log(1 + d C d' / s2)``: matrix determinant lemma."""
-        return np.asarray(np.log1p(_spread(steps.columns, self.covariance) / steps.variance))
-
-    def after(self, steps: Steps, k: int) -> Self:
-        """Sherman and Morrison."""
-        gained = self.gained + float(self.gains(steps)[k])
-        return replace(self, covariance=_less(self.covariance, steps, k), gained=gained)
+        covariance = np.asarray(np.linalg.inv(self.information))
+        return np.asarray(np.log1p(_spread(steps.columns, covariance) / steps.variance))
 
 
 @dataclass(frozen=True)
@@ -71,17 +73,15 @@ class LeastVariance(Criterion):
     """The variance along one direction, as small as can be.
 
     Attributes:
-        covariance: of the unknowns ``(P, P)``.
         direction: ``(P,)``.
     """
 
-    covariance: Array
     direction: Array
 
     @property
     def variance(self) -> float:
         """Along the direction."""
-        return float(self.direction @ self.covariance @ self.direction)
+        return float(self.direction @ np.linalg.solve(self.information, self.direction))
 
     @property
     def value(self) -> float:
@@ -90,36 +90,60 @@ class LeastVariance(Criterion):
 
     def gains(self, steps: Steps) -> Array:
         """``-log(1 - (d C w)^2 / (s2 + d C d') / (w C w'))``."""
-        seen = steps.columns @ (self.covariance @ self.direction)
-        share = seen**2 / (steps.variance + _spread(steps.columns, self.covariance))
+        covariance = np.asarray(np.linalg.inv(self.information))
+        seen = steps.columns @ (covariance @ self.direction)
+        share = seen**2 / (steps.variance + _spread(steps.columns, covariance))
         return np.asarray(-np.log1p(-np.clip(share / self.variance, 0.0, 1 - 1e-12)))
-
-    def after(self, steps: Steps, k: int) -> Self:
-        """Sherman and Morrison."""
-        return replace(self, covariance=_less(self.covariance, steps, k))
 
 
 @dataclass(frozen=True)
 class RivalSeparation(Criterion):
     """Rival explanations, as far apart as can be once each has been fitted again.
 
-    For an ordered pair (a, b), a true and b fitted, every step raises the expected chi2 of b by
-    ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``. The last columns of the steps hold the
-    readings that each rival predicts.
+    The last columns of the readings are what each rival predicts of them. For an ordered pair
+    (a, b), a true and b fitted, a step raises the expected chi2 of b by
+    ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``.
 
     Attributes:
-        covariance: of the unknowns under each rival ``(K, P, P)``.
-        pairs: ordered pairs of rivals ``(q, 2)``.
-        shift: of the unknowns of b, fitted to a's readings so far ``(q, P)``.
-        chi2: expected so far ``(q,)``.
+        spread: covariance of the unknowns under each rival before any step ``(K, P, P)``.
+        pairs: of rivals ``(q, 2)``; both ways round count.
         enough: chi2 beyond which no more is wanted.
     """
 
-    covariance: Array
+    spread: Array
     pairs: Array
-    shift: Array
-    chi2: Array
     enough: float = np.inf
+
+    @classmethod
+    def between(cls, spread: Array, pairs: Array, enough: float = np.inf) -> Self:
+        """Rivals before any step."""
+        return cls(np.zeros((sum(spread.shape[:2]),) * 2), spread, np.asarray(pairs), enough)
+
+    @cached_property
+    def _ordered(self) -> Array:
+        return np.concatenate([self.pairs, self.pairs[:, ::-1]])
+
+    @cached_property
+    def _refitted(self) -> Array:
+        """Covariance of the unknowns under each rival once fitted again ``(K, P, P)``."""
+        size = self.spread.shape[1]
+        known = np.eye(size) + self.information[:size, :size] @ self.spread
+        # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
+        return np.asarray(self.spread @ np.linalg.inv(known))
+
+    @cached_property
+    def chi2(self) -> Array:
+        """Expected of the wrong rival of each pair so far, then the other way round ``(2 q,)``."""
+        size, W = self.spread.shape[1], self.information
+        left = W[size:, size:] - W[size:, :size] @ self._refitted @ W[:size, size:]
+        a, b = self._ordered.T
+        return np.maximum(left[b, a, a] + left[b, b, b] - left[b, a, b] - left[b, b, a], 0.0)
+
+    @property
+    def sigmas(self) -> dict[tuple[int, int], float]:
+        """Root of the chi2 of each pair, the smaller of the two ways round."""
+        least = np.sqrt(self.chi2.reshape(2, -1).min(axis=0))
+        return {(a, b): s for (a, b), s in zip(self.pairs.tolist(), least.tolist(), strict=True)}
 
     @property
     def value(self) -> float:
@@ -131,42 +155,19 @@ class RivalSeparation(Criterion):
         """Whether the least separated pair is far enough apart."""
         return bool(self.chi2.min() >= self.enough)
 
-    @property
-    def sigmas(self) -> dict[tuple[int, int], float]:
-        """Root of the chi2 of each pair, the smaller of the two ways round."""
-        found: dict[tuple[int, int], float] = {}
-        for (a, b), chi2 in zip(self.pairs.tolist(), self.chi2.tolist(), strict=True):
-            pair = (min(a, b), max(a, b))
-            found[pair] = min(found.get(pair, np.inf), float(np.sqrt(chi2)))
-        return found
-
-    def _increments(self, steps: Steps) -> tuple[Array, Array]:
-        count = self.covariance.shape[1]
-        unknowns, predicted = steps.columns[:, :count], steps.columns[:, count:]
-        a, b = self.pairs.T
-        left = predicted[:, a] - predicted[:, b] - unknowns @ self.shift.T
-        spread = np.stack([_spread(unknowns, c) for c in self.covariance], axis=1)
-        return left, spread[:, b] + steps.variance[:, None]
-
     def gains(self, steps: Steps) -> Array:
         """Rise of ``value``."""
-        left, variance = self._increments(steps)
-        after = _log_mean_exp(-(self.chi2 + left**2 / variance) / 2)
-        return np.asarray(-after - self.value)
-
-    def after(self, steps: Steps, k: int) -> Self:
-        """Kalman's update of every rival."""
-        one = steps.part([k])
-        left, variance = self._increments(one)
-        d = one.columns[0, : self.covariance.shape[1]]
-        gain = (self.covariance @ d)[self.pairs[:, 1]] / variance[0][:, None]
-        covariance = np.stack([_less(c, one, 0) for c in self.covariance])
-        return replace(
-            self,
-            covariance=covariance,
-            shift=self.shift + gain * left[0][:, None],
-            chi2=self.chi2 + left[0] ** 2 / variance[0],
-        )
+        size = self.spread.shape[1]
+        unknowns, predicted = steps.columns[:, :size], steps.columns[:, size:]
+        raised = np.empty((len(unknowns), len(self._ordered)))
+        for rival, covariance in enumerate(self._refitted):
+            mine = self._ordered[:, 1] == rival
+            fitted = unknowns @ covariance
+            expected = predicted - fitted @ self.information[:size, size:]
+            left = expected[:, self._ordered[mine, 0]] - expected[:, [rival]]
+            variance = np.sum(fitted * unknowns, axis=1) + steps.variance
+            raised[:, mine] = left**2 / variance[:, None]
+        return np.asarray(-_log_mean_exp(-(self.chi2 + raised) / 2) - self.value)
 
 
 @dataclass(frozen=True)
@@ -178,24 +179,25 @@ class EffectSeparation(Criterion):
     other is fitted to it.
 
     Attributes:
-        information: in tolerances, the base's priors in it ``(P, P)``.
         base: how many of the unknowns, the first ones, are fitted anyway.
         pairs: of effects ``(q, 2)``, counted from the first beyond the base; equal: against none.
     """
 
-    information: Array
     base: int
     pairs: Array
 
     @property
     def gram(self) -> Array:
-        """Signatures past the base, multiplied ``(E, E)``."""
-        return gram(self.information, self.base)
+        """Information on the effects ``(E, E)`` with the base fitted again."""
+        b, M = self.base, self.information
+        return np.asarray(M[b:, b:] - M[b:, :b] @ np.linalg.solve(M[:b, :b], M[:b, b:]))
 
     @property
     def squares(self) -> Array:
         """Squared separation of each pair ``(q,)``, in sigmas squared."""
-        return separations(self.gram, self.pairs)
+        i, j = self.pairs.T
+        G = self.gram
+        return _apart(G[i, i], G[j, j], G[i, j], i == j)
 
     @property
     def value(self) -> float:
@@ -218,23 +220,6 @@ class EffectSeparation(Criterion):
         )
         return np.asarray(np.sum(1 / (1 + before[worst]) - 1 / (1 + after), axis=1))
 
-    def after(self, steps: Steps, k: int) -> Self:
-        """One more row of information."""
-        d = steps.columns[k]
-        return replace(self, information=self.information + np.outer(d, d) / steps.variance[k])
-
-
-def gram(information: Array, base: int) -> Array:
-    """Information on the effects ``(E, E)`` with the base fitted again."""
-    top, side = information[:base, :base], information[:base, base:]
-    return np.asarray(information[base:, base:] - side.T @ np.linalg.solve(top, side))
-
-
-def separations(G: Array, pairs: Array) -> Array:
-    """Squared separation of pairs of effects ``(q,)``; see :class:`EffectSeparation`."""
-    i, j = pairs.T
-    return _apart(G[i, i], G[j, j], G[i, j], i == j)
-
 
 def _apart(one: Array, other: Array, both: Array, alone: Array) -> Array:
     large = np.maximum(one, other)
@@ -244,12 +229,6 @@ def _apart(one: Array, other: Array, both: Array, alone: Array) -> Array:
 
 def _spread(columns: Array, covariance: Array) -> Array:
     return np.asarray(np.sum((columns @ covariance) * columns, axis=1))
-
-
-def _less(covariance: Array, steps: Steps, k: int) -> Array:
-    d = steps.columns[k, : len(covariance)]
-    seen = covariance @ d
-    return np.asarray(covariance - np.outer(seen, seen) / (steps.variance[k] + d @ seen))
 
 
 def _log_mean_exp(x: Array) -> Array:

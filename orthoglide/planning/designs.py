@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.planning.choosing import choose
-from orthoglide.planning.criteria import Determinant, EffectSeparation, gram, separations
+from orthoglide.planning.criteria import Determinant, EffectSeparation
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool, sheet
@@ -100,9 +100,9 @@ def design(
     if criterion == "d-optimal":
         names = shown_names(machine, pool, base if free is None else free)
         readings = LinearReadings.of(machine, pool, names, noise)
-        start = Determinant(_LOOSE**2 * np.eye(len(names)))
+        start = Determinant(np.eye(len(names)) / _LOOSE**2)
         rows, best = choose(readings, start, count, exchange=True)
-        value = best.value
+        value = best.value - start.value
     else:
         fitted = machine.catalogue.expand(base)
         apart = tuple(n for n in shown_names(machine, pool, free or ()) if n not in fitted)
@@ -161,7 +161,7 @@ def _told_apart(
     size = len(names)
     pairs = np.array([(i, j) for i in range(size) for j in range(i, size)])
     prior = np.diag([1.0] * base + [0.0] * size)
-    most = np.sqrt(separations(gram(prior + readings.information(), base), pairs))
+    most = np.sqrt(EffectSeparation(prior + readings.information(), base, pairs).squares)
     possible = most >= _NEVER
     if not possible.any():
         raise InputError("no reading within reach shows any of these effects at its tolerance")

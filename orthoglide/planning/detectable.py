@@ -99,13 +99,11 @@ def smallest_effects(
     columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
     length = np.linalg.norm(columns, axis=0)
     cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
-    effect_of = machine.catalogue.effect_of
-    kinds = np.array([effect_of(c.name).name for c in single])
+    kinds = np.array([c.effect for c in single])
     cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
     found = []
     for k, candidate in enumerate(single):
-        effect = effect_of(candidate.name)
-        if names and not {effect.name, candidate.name} & set(names):
+        if names and not {candidate.effect, candidate.name} & set(names):
             continue
         tolerance = float(np.abs(seen.scaled(candidate)).max())
         closest = int(np.argmax(cosine[k]))
@@ -113,15 +111,16 @@ def smallest_effects(
         found.append(
             SmallestEffect(
                 candidate.name,
-                effect.name,
+                candidate.effect,
                 tolerance,
-                effect.unit,
+                machine.catalogue[candidate.effect].unit,
                 detectable * tolerance,
                 nameable * tolerance,
                 single[closest].name if cosine[k, closest] > 0 else "",
                 candidate.name in seen.names,
             )
         )
+    effect_of = machine.catalogue.effect_of
     hidden = [n for n in seen.invisible if not names or effect_of(n).name in names]
     return Detectability(tuple(found), tuple(hidden), threshold)
 

@@ -65,8 +65,7 @@ def explanation(
     if isinstance(fit, Estimate):
         return _described(name, fit.problem, fit.at, fit.nuisance, scale)
     problem = _problem(name, fit, like.problem)
-    last = len(problem.campaigns) - 1
-    x = np.array([_value(dict(u.parts[last]), fit) for u in problem.unknowns])
+    x = np.array([_value(dict(u.parts[problem.last]), fit) for u in problem.unknowns])
     return _described(name, problem, linearise(problem, x), like.nuisance, scale)
 
 
@@ -77,10 +76,9 @@ def _described(
     unit = problem.tolerance
     scaled = here.information * unit * unit[:, None] / scale**2
     catalogue = problem.machine.catalogue
-    last = len(problem.campaigns) - 1
-    parts, weights = problem.elementary(last)
+    parts, weights = problem.elementary(problem.last)
     of_machine = [k for k, p in enumerate(parts) if not catalogue.effect_of(p).of_dial]
-    values = problem.values(last, at.x)
+    values = problem.values(problem.last, at.x)
     return Explanation(
         name,
         {n: v for n, v in values.items() if not catalogue.effect_of(n).of_dial},
@@ -99,7 +97,7 @@ def _problem(name: str, values: Values, like: Problem) -> Problem:
     except InputError:  # a name for people: what has a value is free
         own = set()
     kept = tuple(u for u in like.unknowns if catalogue.effect_of(u.name).name in catalogue.base)
-    covered = {p for u in kept for p in u.parts[len(like.campaigns) - 1]} | own
+    covered = {p for u in kept for p in u.parts[like.last]} | own
     others = [n for n, v in values.items() if v and n not in covered]
     added = [name, *others] if own else others
     held: tuple[dict[str, float], ...] = tuple({} for _ in like.held)

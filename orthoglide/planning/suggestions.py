@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -14,7 +15,7 @@ from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
-from orthoglide.planning.choosing import choose, replayed
+from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import LeastVariance, RivalSeparation
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool, sheet
@@ -159,7 +160,8 @@ def _to_separate(
         count: readings at most.
     """
     spread = np.stack([e.spread(names) for e in several])
-    most = _by_everything(readings, spread)
+    every = RivalSeparation.between(spread, np.array([*combinations(range(len(several)), 2)]))
+    most = replace(every, information=readings.information()).sigmas
     never = {pair: sigmas for pair, sigmas in most.items() if sigmas < _NEVER}
     rows, end, weak = _for_pairs(readings, spread, [p for p in most if p not in never], count)
     pool, level = readings.campaign, float(readings.sigma.max())
@@ -182,22 +184,6 @@ def _to_separate(
     return [Suggestion(reason, "separate", gain, pool, rows), *found]
 
 
-def _by_everything(readings: LinearReadings, spread: Array) -> Pairs:
-    """Sigmas between rivals after every reading of the pool, the smaller of the two ways round."""
-    W, size = readings.information(), spread.shape[1]
-    found: Pairs = {}
-    for b in range(len(spread)):
-        # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
-        absorbing = spread[b] @ np.linalg.inv(np.eye(size) + W[:size, :size] @ spread[b])
-        left = W[size:, size:] - W[size:, :size] @ absorbing @ W[:size, size:]
-        for a in range(len(spread)):
-            if a != b:
-                chi2 = left[a, a] + left[b, b] - left[a, b] - left[b, a]
-                pair = (min(a, b), max(a, b))
-                found[pair] = min(found.get(pair, np.inf), float(np.sqrt(max(chi2, 0.0))))
-    return found
-
-
 def _for_pairs(
     readings: LinearReadings, spread: Array, pairs: Sequence[tuple[int, int]], count: int
 ) -> tuple[tuple[int, ...], RivalSeparation | None, Pairs]:
@@ -205,7 +191,7 @@ def _for_pairs(
     weak: Pairs = {}
     pairs = list(pairs)
     while pairs:
-        start = _separation(spread, pairs)
+        start = RivalSeparation.between(spread, np.array(pairs), ENOUGH**2)
         rows, end = choose(readings, start, count, mounting=_MOUNTING)
         low = [pair for pair, sigmas in end.sigmas.items() if sigmas < _HINTS]
         # A pair may have come off badly for the sake of others: it counts alone.
@@ -218,17 +204,11 @@ def _for_pairs(
     return (), None, weak
 
 
-def _separation(spread: Array, pairs: Sequence[tuple[int, int]]) -> RivalSeparation:
-    both = np.array([*pairs, *((b, a) for a, b in pairs)])
-    nothing = np.zeros((len(both), spread.shape[1]))
-    return RivalSeparation(spread, both, nothing, np.zeros(len(both)), ENOUGH**2)
-
-
 def _alone(readings: LinearReadings, spread: Array, pair: tuple[int, int], count: int) -> float:
     """Sigmas between two rivals by the best readings for them alone."""
     size = spread.shape[1]
     here = readings.with_columns(readings.columns[:, [*range(size), *(size + k for k in pair)]])
-    start = _separation(spread[list(pair)], [(0, 1)])
+    start = RivalSeparation.between(spread[list(pair)], np.array([(0, 1)]), ENOUGH**2)
     return choose(here, start, count, mounting=_MOUNTING)[1].sigmas[0, 1]
 
 
@@ -244,7 +224,7 @@ def _twice(
     if len(rows) + len(alone) > count or not alone:
         return rows, end
     more = (*rows, *alone)
-    return more, replayed(readings, start, more)
+    return more, start.with_rows(readings, [*more])
 
 
 def _to_narrow(
@@ -258,11 +238,11 @@ def _to_narrow(
     """Readings for one weak direction of the fit, in its own unknowns, each in its tolerance."""
     shares = direction.parameters
     d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
-    most = max(shares, key=lambda n: abs(shares[n]))
-    unit = estimate.problem.machine.catalogue.effect_of(most).unit
+    unit = estimate.unit(max(shares, key=lambda n: abs(shares[n])))
     tolerance = estimate.problem.tolerance
     here = readings.with_columns(readings.columns @ (own.weights_of(names) * tolerance))
-    start = LeastVariance(own.covariance / tolerance / tolerance[:, None], d * tolerance)
+    information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
+    start = LeastVariance(np.asarray(information), d * tolerance)
     rows, end = choose(here, start, count, mounting=_MOUNTING)
     before, after = (np.sqrt(o.variance) / unit.si for o in (start, end))
     along = " ".join(f"{share:+.2f} {name}" for name, share in shares.items())
