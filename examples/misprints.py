@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -354,22 +355,6 @@ def _sign_slip(experiment: str, which: str, row: str) -> Misprint:
     )
 
 
-def sign_slip_full() -> Misprint:
-    return _sign_slip(*SLIPS[0])
-
-
-def sign_slip_offsets() -> Misprint:
-    return _sign_slip(*SLIPS[1])
-
-
-def sign_slip_lengths() -> Misprint:
-    return _sign_slip(*SLIPS[2])
-
-
-def sign_slip_experiment3() -> Misprint:
-    return _sign_slip(*SLIPS[3])
-
-
 def _worst(data: dict[str, float]) -> float:
     """Largest difference of Experiment 3's 36 fitted entries from the printed, slip mended."""
     worst = 0.0
@@ -460,10 +445,7 @@ MISPRINTS: tuple[Callable[[], Misprint], ...] = (
     accuracy,
     noise_13,
     expected_improvement,
-    sign_slip_full,
-    sign_slip_offsets,
-    sign_slip_lengths,
-    sign_slip_experiment3,
+    *(partial(_sign_slip, *slip) for slip in SLIPS),
     entry_experiment3,
     entry_experiment1,
     tables_1_and_2,

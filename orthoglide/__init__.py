@@ -23,6 +23,14 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         export_files as export_files,
         read_path as read_path,
     )
+    from orthoglide.effects import (
+        Effect as Effect,
+        Motion as Motion,
+        Parameter as Parameter,
+        Words as Words,
+        once as once,
+        sideways as sideways,
+    )
     from orthoglide.errors import (
         ClosureError as ClosureError,
         CrossCheckError as CrossCheckError,
@@ -67,6 +75,7 @@ _WHERE = {
         "Compensation ControllerNumbers calibrated_urdf compensate controller_numbers "
         "export_files read_path"
     ),
+    "effects": "Effect Motion Parameter Words once sideways",
     "errors": (
         "ClosureError CrossCheckError FileError InputError NumericsError OrthoglideError "
         "SolverError UnidentifiableError UnreachableError"

@@ -32,8 +32,8 @@ def workspace(geometry: Geometry, count: int = GRID) -> Array:
 def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
     """TCP by parameter ``(g, 3, P)``, SI, in the conditions given or over the workspace."""
     where = Conditions.at(workspace(machine.geometry)) if at is None else at
-    known = machine.catalogue.motions
-    values = {n: v for n, v in machine.values.items() if n in known}
+    motions = machine.catalogue.motions
+    values = {n: v for n, v in machine.values.items() if n in motions}
     _, slopes = machine.model.sensitivities(values, where, tuple(names))
     return slopes[:, :3]
 
@@ -78,21 +78,21 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
         commands: ``(g, 3)``; the grid of :func:`workspace` where absent.
     """
     where = workspace(machine.geometry) if commands is None else commands
-    known = machine.posterior
-    slopes = without_place(tcp_slopes(machine, known.names, Conditions.at(where)))
-    variance = np.einsum("gip,pq,giq->gi", slopes, known.covariance, slopes)
+    posterior = machine.posterior
+    slopes = without_place(tcp_slopes(machine, posterior.names, Conditions.at(where)))
+    variance = np.einsum("gip,pq,giq->gi", slopes, posterior.covariance, slopes)
     nominal = machine.with_only({}).forward(where)
     return Map(where, nominal, machine.forward(where), np.sqrt(np.maximum(variance, 0.0)))
 
 
 def variance_by_effect(machine: Machine) -> dict[str, float]:
     """Variance of the TCP's shape over the workspace from each effect alone, square metres."""
-    known, shares = machine.posterior, {}
-    slopes = without_place(tcp_slopes(machine, known.names))
-    effects = [machine.catalogue.effect_of(n).name for n in known.names]
+    posterior, shares = machine.posterior, {}
+    slopes = without_place(tcp_slopes(machine, posterior.names))
+    effects = [machine.catalogue.effect_of(n).name for n in posterior.names]
     for effect in dict.fromkeys(effects):
-        own = np.flatnonzero([e == effect for e in effects])
-        block, part = known.covariance[np.ix_(own, own)], slopes[:, :, own]
+        members = np.flatnonzero([e == effect for e in effects])
+        block, part = posterior.covariance[np.ix_(members, members)], slopes[:, :, members]
         shares[effect] = float(np.einsum("gip,pq,giq->", part, block, part)) / len(slopes)
     return shares
 
@@ -132,17 +132,21 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
         settings: parameters that the commands allow for, SI; the machine's own are compensation,
             none are a controller that knows of no error.
     """
-    known, wanted = machine.posterior, machine.with_only({}).forward(workspace(machine.geometry))
+    posterior, wanted = machine.posterior, _wanted(machine)
     commands = machine.with_only(settings).inverse(wanted)
     mean = machine.forward(commands) - wanted
-    slopes = tcp_slopes(machine, known.names, Conditions.at(commands))
-    draws = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names))) @ known.root.T
-    errors = mean + np.einsum("gip,np->ngi", slopes, draws)
+    slopes = tcp_slopes(machine, posterior.names, Conditions.at(commands))
+    draws = np.random.default_rng(0).standard_normal((_DRAWS, len(posterior.names)))
+    errors = mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.root.T)
     place = errors.mean(axis=1)
     shape = np.linalg.norm(errors - place[:, None], axis=2).mean(axis=1)
     distance = np.linalg.norm(place, axis=1)
     found = (shape.mean(), shape.std(), distance.mean(), distance.std())
     return ExpectedError(*map(float, found))
+
+
+def _wanted(machine: Machine) -> Array:
+    return machine.with_only({}).forward(workspace(machine.geometry))
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
@@ -162,7 +166,7 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     zeros = [p for e in machine.catalogue.values() if e.controller == "zero" for p in e.motions]
     identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
-    wanted = machine.with_only({}).forward(workspace(machine.geometry))
+    wanted = _wanted(machine)
     for _ in range(_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
         left = without_place(machine.forward(commands) - wanted)

@@ -228,4 +228,4 @@ def _word(effects: Sequence[Effect], test: Detection) -> Word:
     # explain counts against noise alone.
     if test.p_value < DETECTION or test.bare_lack_of_fit_p < SIGNIFICANT_AFTER:
         return "partial"
-    return "ambiguous" if any(e.rivals for e in effects) else "explained"
+    return "ambiguous" if any(e.different for e in effects) else "explained"

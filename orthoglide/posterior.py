@@ -50,25 +50,25 @@ def full_posterior(estimate: Estimate) -> FullPosterior:
     that, were not added and are as small as all others.
     """
     problem = estimate.problem
-    seen = _Seen.of(estimate)
-    kept = [np.isin(np.arange(len(seen.sd)), seen.base)]
-    if len(problem.unknowns) > len(seen.base):
-        kept.append(np.arange(len(seen.sd)) < len(problem.unknowns))
+    linear = _Linear.of(estimate)
+    kept = [np.isin(np.arange(len(linear.sd)), linear.base)]
+    if len(problem.unknowns) > len(linear.base):
+        kept.append(np.arange(len(linear.sd)) < len(problem.unknowns))
     cases = [(at_tolerance, share) for at_tolerance in kept for share in SHARES]
-    moments, evidence = zip(*(seen.moment(*case) for case in cases), strict=True)
+    moments, evidence = zip(*(linear.moment(*case) for case in cases), strict=True)
     # Every effect added was chosen among many: with one to a thousandth less is gained than seems.
-    added = [int(at_tolerance.sum()) > len(seen.base) for at_tolerance, _ in cases]
-    odds = np.array(evidence) - np.log(4 * len(seen.sd)) * np.array(added)
+    added = [int(at_tolerance.sum()) > len(linear.base) for at_tolerance, _ in cases]
+    odds = np.array(evidence) - np.log(4 * len(linear.sd)) * np.array(added)
     weight = np.exp(odds - odds.max())
     weight /= weight.sum()
-    unknowns = Posterior(seen.names, seen.x, np.einsum("k,kpq->pq", weight, moments))
+    unknowns = Posterior(linear.names, linear.x, np.einsum("k,kpq->pq", weight, moments))
     share = float(sum(w * share for w, (_, share) in zip(weight, cases, strict=True)))
-    names, matrix = seen.machine
+    names, matrix = linear.machine
     return FullPosterior(unknowns, unknowns.mapped(names, matrix), share)
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Linear:
     """The readings, linearised about the fit by all unknowns ``P`` that there could be.
 
     Attributes:
@@ -92,7 +92,7 @@ class _Seen:
     machine: tuple[tuple[str, ...], Array]
 
     @classmethod
-    def of(cls, estimate: Estimate) -> _Seen:
+    def of(cls, estimate: Estimate) -> _Linear:
         problem = estimate.problem
         wide, free = _with_everything(problem), len(problem.unknowns)
         x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - free)])
@@ -145,8 +145,8 @@ def _inverse(matrix: Array) -> tuple[Array, float]:
 def _machine_parameters(problem: Problem) -> tuple[tuple[str, ...], Array]:
     """The machine's parameters that the last campaign sets, and their weights by unknown."""
     names, matrix = problem.elementary(problem.last)
-    known = problem.machine.catalogue.motions
-    kept = [k for k, name in enumerate(names) if name in known]
+    motions = problem.machine.catalogue.motions
+    kept = [k for k, name in enumerate(names) if name in motions]
     return tuple(names[k] for k in kept), matrix[kept]
 
 

@@ -65,6 +65,16 @@ class Effect:
         return self.trial.candidate.parameters
 
     @property
+    def same(self) -> tuple[Rival, ...]:
+        """Rivals that move the tool alike: one cause with this, under another name."""
+        return tuple(r for r in self.rivals if r.same)
+
+    @property
+    def different(self) -> tuple[Rival, ...]:
+        """Rivals that move the tool otherwise."""
+        return tuple(r for r in self.rivals if not r.same)
+
+    @property
     def indistinguishable_from(self) -> tuple[str, ...]:
         """Names of its rivals."""
         return tuple(r.trial.candidate.name for r in self.rivals)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +29,7 @@ NOT_COVERED = (
 """What the expected accuracy does not cover."""
 
 _ROUNDS = 12
+_FAR = 0.02  # metres, more than any effect moves a command
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,47 +147,47 @@ def compensate(
     if bad.size:
         raise InputError(f"row {bad[0] + 1} of the path is not finite: give numbers in metres")
     given = {"time": time, "warming": warming, "load": load}
-    seen = {k: np.broadcast_to(np.asarray(v, float), len(goal)) for k, v in given.items()}
+    conditions = {k: np.broadcast_to(np.asarray(v, float), len(goal)) for k, v in given.items()}
     nominal = _nominal_commands(machine, goal)
     before = None if start is None else _nominal_commands(machine, np.reshape(start, (1, 3)))
-    rho, approach = _settled(machine, goal, before, seen)
+    rho, approach = _settled(machine, goal, before, conditions)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
     rho = machine.spec.controller.to_rho(travel, machine.geometry)
     _check_stroke(machine, rho)
-    conditions = {"approach": approach, **seen}
+    arriving = {"approach": approach, **conditions}
     return Compensation(
         goal,
         rho,
         travel,
         approach,
-        machine.forward(rho, **conditions),
-        machine.forward(nominal, **{**conditions, "approach": _approach(nominal, before)}),
-        *_shape_and_place(machine, Conditions.at(rho, **conditions)),
+        machine.forward(rho, **arriving),
+        machine.forward(nominal, **{**arriving, "approach": _approach(nominal, before)}),
+        *_shape_and_place(machine, Conditions.at(rho, **arriving)),
         machine.spec.posterior is None,
     )
 
 
-def tcp_sigma(machine: Machine, rho: ArrayLike, **seen: ArrayLike) -> Array:
+def tcp_sigma(machine: Machine, rho: ArrayLike, **conditions: ArrayLike) -> Array:
     """``sqrt(diag(J C J^T))``: standard deviation of the TCP along each axis, by the covariance.
 
     Args:
         machine: calibrated.
         rho: commands ``(n, 3)``, metres.
-        seen: conditions, as for ``Machine.pose``.
+        conditions: as for ``Machine.pose``.
 
     Returns:
         ``(n, 3)``, metres; where the machine as a whole sits is in it.
     """
-    known, at = machine.posterior, Conditions.at(rho, **seen)
-    return _spread(tcp_slopes(machine, known.names, at), known.covariance)
+    posterior, at = machine.posterior, Conditions.at(rho, **conditions)
+    return _spread(tcp_slopes(machine, posterior.names, at), posterior.covariance)
 
 
 def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
     """Sigmas after the best translation over the workspace ``(n, 3)``, and of that ``(3,)``."""
-    known = machine.posterior
-    slopes, place = tcp_slopes(machine, known.names, at), tcp_slopes(machine, known.names).mean(0)
-    return _spread(slopes - place, known.covariance), _spread(place, known.covariance)
+    names, covariance = machine.posterior.names, machine.posterior.covariance
+    slopes, place = tcp_slopes(machine, names, at), tcp_slopes(machine, names).mean(axis=0)
+    return _spread(slopes - place, covariance), _spread(place, covariance)
 
 
 def _spread(slopes: Array, covariance: Array) -> Array:
@@ -197,6 +197,13 @@ def _spread(slopes: Array, covariance: Array) -> Array:
 
 def _nominal_commands(machine: Machine, goal: Array) -> Array:
     return _reached(lambda rows: machine.model.mechanism.inverse(goal[rows]), len(goal))
+
+
+def _inverse(machine: Machine, goal: Array, conditions: dict[str, Array]) -> Array:
+    def solve(rows: slice) -> Array:
+        return machine.inverse(goal[rows], **{k: v[rows] for k, v in conditions.items()})
+
+    return _reached(solve, len(goal))
 
 
 def _reached(solve: Callable[[slice], Array], count: int) -> Array:
@@ -211,26 +218,22 @@ def _reached(solve: Callable[[slice], Array], count: int) -> Array:
             except (UnreachableError, ClosureError):
                 row = k
                 break
-        _refuse_reach(error, row)
+        leg, excess = getattr(error, "leg", ""), float(getattr(error, "excess", 0.0))
+        why = f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
+        raise UnreachableError(
+            f"row {row + 1} of the path is out of reach: {why}; move the point towards the middle",
+            leg=leg,
+            excess=excess,
+            index=(row,),
+        ) from error
 
 
-def _refuse_reach(error: UnreachableError | ClosureError, row: int) -> NoReturn:
-    leg = getattr(error, "leg", "")
-    excess = float(getattr(error, "excess", 0.0))
-    why = f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
-    raise UnreachableError(
-        f"row {row + 1} of the path is out of reach: {why}; move the point towards the middle",
-        leg=leg,
-        excess=excess,
-        index=(row,),
-    ) from error
-
-
-def _check_stroke(machine: Machine, rho: Array) -> None:
-    inside = machine.geometry.in_stroke(rho, STROKE_SLACK)
-    if inside.all():
+def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> None:
+    """Refuse the first command beyond the stroke by more than a slack, metres."""
+    outside = np.argwhere(~machine.geometry.in_stroke(rho, slack))
+    if not len(outside):
         return
-    row, axis = (int(k) for k in np.argwhere(~inside)[0])
+    row, axis = (int(k) for k in outside[0])
     travel, (low, high) = rho[row, axis] - machine.geometry.L, machine.geometry.stroke
     excess = float(max(low - travel, travel - high))
     raise UnreachableError(
@@ -249,35 +252,21 @@ def _approach(rho: Array, before: Array | None) -> Array:
 
 
 def _settled(
-    machine: Machine, goal: Array, before: Array | None, seen: dict[str, Array]
+    machine: Machine, goal: Array, before: Array | None, conditions: dict[str, Array]
 ) -> tuple[Array, Array]:
     """Commands and approaches that belong together."""
-    _check_stroke_roughly(machine, goal)
+    # Far outside the stroke points are refused before effects are solved for there.
+    _check_stroke(machine, _nominal_commands(machine, goal), _FAR)
     approach = np.zeros_like(goal)
-    rho = _inverse(machine, goal, {**seen, "approach": approach})
+    rho = _inverse(machine, goal, {**conditions, "approach": approach})
     for _ in range(_ROUNDS):
         way = _approach(rho, before)
         if np.array_equal(way, approach):
             return rho, approach
         changed, approach = (way != approach).any(axis=1), way
-        rho = _inverse(machine, goal, {**seen, "approach": approach})
+        rho = _inverse(machine, goal, {**conditions, "approach": approach})
     row = int(np.flatnonzero(changed)[0])
     raise InputError(
         f"row {row + 1} of the path has no consistent direction of approach: a lost motion in the "
         f"machine file is negative or longer than any drive's; identify it again"
-    )
-
-
-def _check_stroke_roughly(machine: Machine, goal: Array) -> None:
-    """Points far outside the stroke are refused as such, before effects are solved for there."""
-    rho, spare = _nominal_commands(machine, goal), 0.02
-    if not machine.geometry.in_stroke(rho, spare).all():
-        inside = machine.geometry.in_stroke(rho, spare).all(axis=1)
-        rho[inside] = machine.geometry.zero
-        _check_stroke(machine, rho)
-
-
-def _inverse(machine: Machine, goal: Array, seen: dict[str, Array]) -> Array:
-    return _reached(
-        lambda rows: machine.inverse(goal[rows], **{k: v[rows] for k, v in seen.items()}), len(goal)
     )

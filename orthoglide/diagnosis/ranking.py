@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from orthoglide.accuracy import without_place, workspace
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures, signatures
@@ -186,10 +187,12 @@ class Rival:
     Attributes:
         trial: the fit with it instead.
         weight: probability among all candidates.
+        same: whether it moves the tool alike too, so that nothing hangs on which one it is.
     """
 
     trial: Trial
     weight: float
+    same: bool = False
 
 
 def rivals(
@@ -242,9 +245,25 @@ def rivals(
             logs[name] = max(logs.get(name, -np.inf), trial.evidence)
     effects = {c.name: c.effect for c in (*scoring.candidates, *(t.candidate for t in others_bars))}
     weights = _weights(logs, effects, scale)
-    members = [Rival(t, weights[n]) for n, t in found.items()]
+    members = [
+        Rival(t, weights[n], same_tool(chosen.estimate, t.estimate)) for n, t in found.items()
+    ]
     ordered = sorted(members, key=lambda r: (-r.weight, _order(r.trial)))
     return weights[in_question.name], tuple(ordered)
+
+
+def same_tool(one: Estimate, other: Estimate) -> bool:
+    """Whether two fits put the tool in the same places, over the workspace and up to a translation.
+
+    What differs by less than half the noise of one reading, no reading on the machine would show.
+    """
+    shapes = []
+    for estimate in (one, other):
+        machine = estimate.machine
+        p = machine.forward(workspace(machine.geometry))
+        shapes.append(without_place(p))
+    apart = np.sqrt(np.mean(np.sum((shapes[0] - shapes[1]) ** 2, axis=1)))
+    return bool(apart < one.problem.noise.typical / 2)
 
 
 def _weights(

@@ -70,10 +70,12 @@ class Change:
 
     def now(self, estimate: Estimate) -> Change:
         """With the value of a later fit."""
-        if self.parameter not in estimate.values:
+        places = [k for k, name in enumerate(estimate.names) if name in self.members]
+        if len(places) < len(self.members):
             return self
-        value, sigma = estimate.values[self.parameter], estimate.sigmas[self.parameter]
-        return replace(self, after=value, sigma_after=sigma)
+        spread = estimate.covariance[np.ix_(places, places)].sum()
+        after = float(estimate.x[places].sum())
+        return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
         """With the values of a fit in which the parameter, or a member instead, is separate."""

@@ -58,8 +58,12 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
     changes = []
     for parameter, members, evidence in found:
-        before, sd = _earlier_value(start.problem, parameter)
-        sigma, unit = now.sigmas[parameter], now.unit(parameter)
+        # What the readings cannot tell apart counts as one: the sum of all that stand for it.
+        places = [now.names.index(name) for name in members]
+        sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
+        before, sd = _earlier_sum(start.problem, members)
+        after, unit = float(now.x[places].sum()), now.unit(parameter)
+        apart = float(np.hypot(sigma, sd))
         changes.append(
             Change(
                 parameter,
@@ -69,19 +73,20 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
                 evidence,
                 unit,
                 before,
-                now.values[parameter],
-                float(np.hypot(sigma, sd)),
+                after,
+                apart,
                 sigma,
             )
         )
     return replace(now, changes=tuple(changes))
 
 
-def _earlier_value(problem: Problem, parameter: Parameter) -> tuple[float, float]:
+def _earlier_sum(problem: Problem, members: tuple[Parameter, ...]) -> tuple[float, float]:
+    """Sum of what the earlier calibration said of parameters, and its standard deviation."""
     assert problem.earlier is not None
-    place = problem.earlier.names.index(parameter)
-    sd = float(np.sqrt(problem.earlier.covariance[place, place]))
-    return float(problem.earlier.mean[place]), sd
+    places = [problem.earlier.names.index(name) for name in members]
+    block = problem.earlier.covariance[np.ix_(places, places)]
+    return float(problem.earlier.mean[places].sum()), float(np.sqrt(max(block.sum(), 0.0)))
 
 
 def _most_probable(
@@ -111,8 +116,9 @@ def _most_probable(
     evidence = gains[best] - np.log(len(problem.names)) - _ODDS
     if evidence <= 0:
         return None
-    like = [problem.names[k] for k, g in zip(known, gains, strict=True) if gains[best] - g < _ALIKE]
     name = problem.names[known[best]]
+    near = [problem.names[k] for k, g in zip(known, gains, strict=True) if gains[best] - g < _ALIKE]
+    like = [n for n in near if (n.leg, n.direction) == (name.leg, name.direction)]
     return name, (name, *(n for n in like if n != name)), float(evidence)
 
 

@@ -18,6 +18,10 @@ from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 
+_UNNOTICED = 0.02
+"""Share of its tolerance by which a parameter drifts between visits without being a change: as much
+as the background of other effects that a machine with nothing wrong is allowed."""
+
 
 @dataclass(frozen=True)
 class Unknown:
@@ -55,7 +59,16 @@ def rows_about(
     spoken = np.array([u.name in place for u in unknowns], dtype=bool)
     chosen = [place[u.name] for u, s in zip(unknowns, spoken, strict=True) if s]
     matrix = np.zeros((len(chosen), len(unknowns)))
+    # What is not free stays at its mean: what is known of the rest is known given that.
+    rest = [k for k in place.values() if k not in set(chosen)]
     block = known.covariance[np.ix_(chosen, chosen)]
+    if rest:
+        scale = np.sqrt(np.diag(known.covariance)[rest])
+        among = known.covariance[np.ix_(rest, rest)] / scale / scale[:, None]
+        across = known.covariance[np.ix_(chosen, rest)] / scale
+        block = block - across @ np.linalg.pinv(among, rcond=1e-9, hermitian=True) @ across.T
+    tolerance = np.array([u.tolerance for u, s in zip(unknowns, spoken, strict=True) if s])
+    block = block + np.diag((_UNNOTICED * tolerance) ** 2)
     sd = np.sqrt(np.diag(block))
     values, vectors = np.linalg.eigh(block / sd / sd[:, None])
     root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd

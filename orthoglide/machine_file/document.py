@@ -53,7 +53,7 @@ class Document:
             self.fail(f"{'.'.join(path)} must be a table, not a single value", *path)
         return found
 
-    def known(self, names: Any, *path: str) -> None:
+    def check_keys(self, names: Any, *path: str) -> None:
         """Fails at the first key of a table that is none of ``names``."""
         for key in self.table(*path):
             if key not in names:

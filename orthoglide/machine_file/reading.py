@@ -143,7 +143,7 @@ def read_machine_file(
 def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOGUE) -> MachineFile:
     """A machine file from its text; ``file`` is its name for errors, as in `read_machine_file`."""
     document = Document(text, file)
-    document.known((*_TOP, *_KEYS, *_FREE))
+    document.check_keys((*_TOP, *_KEYS, *_FREE))
     top = document.section(_TOP, ("schema",))
     sections = {name: _section(document, name) for name in _KEYS}
     controller, stiffness = sections["controller"], sections["stiffness"]
@@ -165,7 +165,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
 
 
 def _section(document: Document, name: str) -> dict[str, Any]:
-    document.known(_KEYS[name], name)
+    document.check_keys(_KEYS[name], name)
     required = _KEYS[name] if name == "geometry_mm" else ()
     return document.section(_KEYS[name], required, name)
 
@@ -185,7 +185,7 @@ def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
 
 
 def _tolerance(document: Document, catalogue: Catalogue) -> dict[str, float]:
-    document.known(catalogue, "tolerance")
+    document.check_keys(catalogue, "tolerance")
     return {
         name: document.value(_quantity(catalogue[name].unit.si, 0, 1e6), "tolerance", name)
         for name in document.table("tolerance")
@@ -195,18 +195,18 @@ def _tolerance(document: Document, catalogue: Catalogue) -> dict[str, float]:
 def _parameter(document: Document, name: str, catalogue: Catalogue) -> ParameterValue:
     path = ("parameters", name)
     effect = name.partition(".")[0]
-    allowed = [known for known, entry in catalogue.items() if not entry.of_dial]
+    allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
         document.fail(f"there is no parameter {name!r}: {advice(effect, allowed)}", *path)
     if name not in catalogue[effect].motions and name not in catalogue.structured(effect):
         document.fail(f"{name!r} names no parameter of {effect}: correct what follows it", *path)
     keys = ("value", "sigma", "unit")
-    document.known(keys, *path)
+    document.check_keys(keys, *path)
     unit = document.section({"unit": _text}, keys, *path)["unit"]
-    known = catalogue[effect].unit
-    if unit != known.name:
-        document.fail(f"{name!r} is in {known.name}, not {unit}: convert it", *path, "unit")
-    factor = known.si
+    expected = catalogue[effect].unit
+    if unit != expected.name:
+        document.fail(f"{name!r} is in {expected.name}, not {unit}: convert it", *path, "unit")
+    factor = expected.si
     value = document.value(_quantity(factor, -1e9, 1e9), *path, "value")
     sigma = document.value(_quantity(factor, 0, 1e9, open_end=False), *path, "sigma")
     return ParameterValue(value, sigma, unit)

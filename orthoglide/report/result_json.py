@@ -146,7 +146,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
     before, after = effect.cv_rms
     return {
         **_explanation(cause.chosen),
-        "indistinguishable_from": [rival.name for rival in cause.rivals],
+        "indistinguishable_from": [rival.name for rival in (*cause.same, *cause.rivals)],
         "rivals": [
             {
                 **_explanation(rival),

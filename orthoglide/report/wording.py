@@ -100,12 +100,15 @@ def _causes(result: Result) -> str:
 def alternatives(cause: Cause) -> str:
     """Rivals of a cause with their own sizes, in brackets; empty where there are none."""
     rivals = cause.rivals
+    same = " or ".join(one.words for one in cause.same)
     if not rivals:
-        return ""
+        return f" (or {same}: the same to these readings and to the tool)" if same else ""
     text = ", or ".join(rival.words for rival in rivals[:_MOST_RIVALS])
     rest = len(rivals) - _MOST_RIVALS
     if rest > 0:
         text += f", or {rest} further cause{'s' if rest > 1 else ''} named below"
+    if same:
+        text = f"{same}, which is the same to the tool, or {text}"
     return f" (or {text}: these readings cannot tell)"
 
 

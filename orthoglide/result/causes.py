@@ -79,13 +79,15 @@ class Cause:
     Attributes:
         effect: with the tests that it passed.
         chosen: the cause itself.
-        rivals: what fits as well, most probable first.
+        rivals: what fits as well and moves the tool otherwise, most probable first.
+        same: what fits as well and moves the tool alike: the same cause under another name.
         without: the fit of everything but this cause, rivals apart.
     """
 
     effect: Effect
     chosen: Explanation
     rivals: tuple[Explanation, ...]
+    same: tuple[Explanation, ...]
     without: Estimate
 
     @property
@@ -96,7 +98,7 @@ class Cause:
     @property
     def explanations(self) -> tuple[Explanation, ...]:
         """The chosen cause and its rivals."""
-        return (self.chosen, *self.rivals)
+        return (self.chosen, *self.same, *self.rivals)
 
     def chi2_more(self, rival: Explanation) -> float:
         """By how much a rival fits worse, priors included."""
@@ -126,7 +128,8 @@ def causes(effects: Sequence[Effect], before: Estimate, after: Estimate) -> Iter
         yield Cause(
             effect,
             Explanation(effect.name, effect.parameters, effect.probability, after),
-            tuple(_explanation(r.trial, r.weight) for r in effect.rivals),
+            tuple(_explanation(r.trial, r.weight) for r in effect.different),
+            tuple(_explanation(r.trial, r.weight) for r in effect.same),
             refit(before.problem, others, after) if others else before,
         )
 

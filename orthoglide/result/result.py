@@ -102,7 +102,7 @@ class Result:
         found = []
         for effect in self.effects:
             total = effect.probability + sum(r.weight for r in effect.rivals)
-            found += [(r.weight / total, last_values(r.trial.estimate)) for r in effect.rivals]
+            found += [(r.weight / total, last_values(r.trial.estimate)) for r in effect.different]
         rest = max(1.0 - sum(share for share, _ in found), 0.0)
         return ((rest, last_values(self.after)), *found)
 

@@ -1,0 +1,62 @@
+"""A calibrated machine measured again: its file is a prior; verdicts speak of its total error."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from tests.rig import Rig
+from tests.rig_campaigns import protocol_rows, simulate
+
+SHEET = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
+ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4, "leg_length.z": 5e-5}
+TILT = "axis_tilt.y.z"
+
+
+def measured(errors: dict[str, float], seed: int, name: str) -> og.Campaign:
+    rig = Rig(errors=errors, screw_pitch=0.02)
+    rows = simulate(rig, protocol_rows("sweep"), np.random.default_rng(seed), noise=5e-6)
+    return og.Campaign.from_frame({k: [r[k] for r in rows] for k in rows[0]}, name=name)
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> og.Machine:
+    first = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 1, "first"), SHEET)
+    folder = tmp_path_factory.mktemp("first")
+    first.report(str(folder / "out"))
+    return og.Machine.load(folder / "out" / "calibrated.toml")
+
+
+def tilt_of(values: dict[str, float]) -> float:
+    """What axis and rail tilt do alike to the carriage's path."""
+    return sum(v for n, v in values.items() if n.endswith("_tilt.y.z"))
+
+
+def test_nothing_has_changed(calibrated: og.Machine) -> None:
+    again = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 2, "second"), calibrated)
+    assert again.word == "adequate"
+    assert not again.changed
+    assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=5e-5)
+
+
+def test_a_tilt_put_right_is_told_from_the_machines_total_error(calibrated: og.Machine) -> None:
+    """It was said to lean the other way by the difference."""
+    again = og.close_loop(measured({**ERRORS, TILT: 3e-4}, 2, "second"), calibrated)
+    assert tilt_of(again.values) == pytest.approx(3e-4, abs=1e-4)
+    (change,) = again.changed
+    assert change.parameter in (TILT, "rail_tilt.y.z")
+    assert change.after < change.before
+    assert again.word in ("adequate", "explained")
+    assert "−z" not in str(again)
+    assert abs(again.values["joint_offset.x"] - 8e-4) < 2e-4
+
+
+def test_zeros_entered_in_the_controller_are_changes(calibrated: og.Machine) -> None:
+    corrected = {"joint_offset.x": 0.0, "joint_offset.y": 0.0, "leg_length.z": 5e-5, TILT: 1.5e-3}
+    again = og.close_loop(measured(corrected, 3, "second"), calibrated)
+    assert {c.parameter for c in again.changed} <= {f"joint_offset.{k}" for k in "xyz"}
+    assert {c.parameter for c in again.changed} >= {"joint_offset.x", "joint_offset.y"}
+    assert abs(again.values["joint_offset.x"]) < 2e-4
+    assert again.word == "adequate"
+    assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=1e-4)
