@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from orthoglide.fit.crosscheck import CrossCheck
-from orthoglide.fit.least_squares import Linearised, Nuisances
+from orthoglide.fit.least_squares import Linearised, Nuisances, predict
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.scores import Scores
+from orthoglide.fit.scores import Scores, score
 from orthoglide.fit.weakness import WeakDirection
 from orthoglide.frames import data_frame, html_table
 from orthoglide.geometry import Array
@@ -35,7 +35,6 @@ class Estimate:
         covariance: ``(P, P)``, SI, the noise of the readings multiplied by ``sigma_scale``.
         sigma_scale: sqrt(chi2 / dof) where lack of fit remains, else 1.
         scores: of this fit.
-        nominal: scores of the machine as it was before (the unknowns at zero).
         weak: directions that the readings hardly see.
         check: against the reduction and system (11); ``None`` where they cannot represent it.
         method: ``nlp``, ``nested`` or ``reduction``.
@@ -52,7 +51,6 @@ class Estimate:
     covariance: Array
     sigma_scale: float
     scores: Scores
-    nominal: Scores
     weak: tuple[WeakDirection, ...]
     check: CrossCheck | None
     method: str
@@ -118,6 +116,14 @@ class Estimate:
     def residuals(self) -> Array:
         """Readings less fitted ``(n,)``, metres."""
         return self.problem.measured - self.predicted
+
+    @cached_property
+    def nominal(self) -> Scores:
+        """Scores of the machine as it was before (the unknowns at zero)."""
+        fixed = replace(self.problem, unknowns=(), earlier=None)
+        value = predict(self.problem, np.zeros(len(self.x)))
+        nothing = Linearised(np.zeros(0), value, np.zeros((len(value), 0)), self.at.slopes)
+        return score(fixed, self.nuisance, nothing)
 
     @cached_property
     def predicted_before(self) -> Array:

@@ -21,7 +21,7 @@ from orthoglide.fit.least_squares import (
 from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.scores import LACK_OF_FIT, Scores, score
+from orthoglide.fit.scores import LACK_OF_FIT, score
 from orthoglide.fit.weakness import sparse_basis, weak_directions
 from orthoglide.geometry import Array
 
@@ -46,7 +46,7 @@ def solve(problem: Problem, *, method: Method = "auto", start: Array | None = No
     nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
-    return _estimate(problem, nuisance, at, first, used, iterations, optimality)
+    return _estimate(problem, nuisance, at, used, iterations, optimality)
 
 
 def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array:
@@ -163,7 +163,6 @@ def _estimate(
     problem: Problem,
     nuisance: Nuisances,
     at: Linearised,
-    first: Linearised,
     method: str,
     iterations: int,
     optimality: float,
@@ -178,16 +177,7 @@ def _estimate(
     check = cross_check(problem, nuisance, at.x, at.value)
     weak = weak_directions(problem, here.jacobian, spread, scale=scale)
     estimate = Estimate(
-        problem, at.x, spread, scale, scores, _nominal_scores(problem, nuisance, first),
-        weak, check, method, iterations, optimality, (), at, nuisance,
+        problem, at.x, spread, scale, scores, weak, check, method, iterations, optimality, (), at,
+        nuisance,
     )  # fmt: skip
     return replace(estimate, warnings=notes(estimate))
-
-
-def _nominal_scores(problem: Problem, nuisance: Nuisances, first: Linearised) -> Scores:
-    """Of the machine without what is identified."""
-    count = len(problem.unknowns)
-    zero = linearise(problem, np.zeros(count)) if first.x.any() else first
-    fixed = replace(problem, unknowns=(), earlier=None)
-    nothing = replace(zero, x=np.zeros(0), jacobian=np.zeros((len(zero.value), 0)))
-    return score(fixed, nuisance, nothing)

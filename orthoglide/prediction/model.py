@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -236,15 +237,33 @@ class Model:
         Returns:
             The distinct ones, and the place among them of each ``(n,)``.
         """
-        used = {self.catalogue.effect_of(name) for name in names}
-        needs = frozenset().union(*(e.needs for e in used if not e.of_dial))
+        return conditions.merged(self._needs(names))
+
+    def _needs(self, names: Iterable[str]) -> frozenset[str]:
+        """What tells conditions apart besides the command."""
+        used = {name: self.catalogue.effect_of(name) for name in names}
+        needs = frozenset[str]().union(*(e.needs for e in used.values() if not e.of_dial))
         # Forces cost a closure of their own: no load where nothing gives way to it.
         soft = frozenset() if self.stiffness.bar is None else frozenset({"load"})
-        return conditions.merged(needs | soft)
+        return needs | soft
+
+    @cached_property
+    def _prepared(self) -> WeakKeyDictionary[Campaign, dict[Any, Any]]:
+        """What is the same for every set of parameters: merged conditions, mountings."""
+        return WeakKeyDictionary()
+
+    def _merged(
+        self, campaign: Campaign, names: Iterable[str]
+    ) -> tuple[Conditions, np.ndarray[Any, Any]]:
+        kept, needs = self._prepared.setdefault(campaign, {}), self._needs(names)
+        if needs not in kept:
+            kept[needs] = Conditions.of(campaign).merged(needs)
+        found: tuple[Conditions, np.ndarray[Any, Any]] = kept[needs]
+        return found
 
     def readings(self, values: Mapping[str, float], campaign: Campaign) -> Array:
         """Readings ``(n,)``, datums apart, metres."""
-        conditions, place = self.merged(Conditions.of(campaign), values)
+        conditions, place = self._merged(campaign, values)
         lines = self.outputs(values, conditions).lines
         return self._reading(*self._dial_arguments(values, campaign, lines[place]))[0][:, 0]
 
@@ -253,7 +272,10 @@ class Model:
     ) -> tuple[Array, Array, Array]:
         touched = lines[np.arange(len(campaign)), campaign.leg].reshape(len(campaign), 12)
         dials = dial_values(campaign, values, self.catalogue.of_dials)
-        return touched, mountings(campaign, self.geometry.r), dials
+        kept = self._prepared.setdefault(campaign, {})
+        if "mountings" not in kept:
+            kept["mountings"] = mountings(campaign, self.geometry.r)
+        return touched, kept["mountings"], dials
 
     def linearised(
         self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
@@ -272,7 +294,7 @@ class Model:
             for name in effect.parameters((setup.name,))
         }
         machine = [name for name in names if name in self._place]
-        conditions, place = self.merged(Conditions.of(campaign), [*values, *names])
+        conditions, place = self._merged(campaign, [*values, *names])
         outputs, by_name = self.sensitivities(values, conditions, machine)
         shown, by_ends, by_mounting, by_dial = self._reading_tangent(
             *self._dial_arguments(values, campaign, outputs.lines[place])
