@@ -222,6 +222,8 @@ def test_no_offsets_no_numbers_for_the_controller() -> None:
     page = report_files(result)["report.html"]
     assert "Numbers for the controller" not in page
     assert "Numbers for the controller" in files_of()["report.html"]
+    # No cause was looked for: what was identified stands for itself.
+    assert "No numbers are given to enter" not in files_of()["report.html"]
 
 
 # --- result.json and its neighbours ---------------------------------------------------------

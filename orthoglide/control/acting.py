@@ -15,7 +15,7 @@ def withheld(machine: Machine) -> str:
     """Why the numbers of a machine should not be put to use, as a clause; empty where they may."""
     kept = machine.spec.provenance
     verdict = str(kept.get("verdict", ""))
-    if verdict in _WHY:
+    if verdict in _WHY and kept.get("command") != "identify":  # which looks for no cause
         return f"the verdict on this machine is {verdict}: {_WHY[verdict]}"
     cautions = kept.get("cautions", ())
     return f"the verdict on this machine warns: {cautions[0]}" if cautions else ""

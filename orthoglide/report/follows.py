@@ -26,6 +26,9 @@ Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
 
 
+_WHY = "What speaks against acting on them is said at the top."
+
+
 def controller(result: Result) -> Data:
     """Numbers for the controller; withheld where the verdict says not to act on them."""
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
@@ -45,7 +48,7 @@ def controller(result: Result) -> Data:
     ]
     return {
         "rows": rows if zeros else [],
-        "withheld": sentence(why) if why else "",
+        "withheld": _WHY if result.cautions else sentence(why) if why else "",
         "rule": RULE,
         "worked": numbers.drives[0].worked(),
         "checks": [sentence(str(check)) for check in numbers.checks],

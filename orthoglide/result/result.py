@@ -134,7 +134,7 @@ class Result:
 
         The verdict and its cautions are kept with it.
         """
-        kept: dict[str, Any] = {"verdict": self.word}
+        kept: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
         if self.cautions:
             kept["cautions"] = list(self.cautions)
         return self._machine.with_provenance(kept)
@@ -290,7 +290,7 @@ class Result:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Of the final fit, lack of fit apart: the verdict's word says it already."""
-        return tuple(w for w in self.after.warnings if not w.startswith("the residuals are"))
+        return tuple(w for w in self.after.warnings if w.kind != "lack_of_fit")
 
 
 def last_values(estimate: Estimate) -> dict[str, float]:
