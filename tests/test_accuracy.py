@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from orthoglide.closing import Verdict, close_loop
 from orthoglide.control import compensate
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import Posterior
+from orthoglide.report import result_text
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
 
@@ -84,6 +86,19 @@ def test_compensate_states_shape_and_place_apart() -> None:
 def test_the_radius_stated_afterwards_is_below_the_error_now(which: str) -> None:
     stated = tcp_map(verdict_of(which).machine)
     assert stated.uncertainty.mean() < 0.5 * stated.error.mean()
+
+
+def test_the_result_states_them_by_what_the_controller_is_given() -> None:
+    verdict = verdict_of("tilted")
+    stated = json.loads(result_text(verdict))["tool"]
+    assert list(stated) == ["now", "zeros", "zeros_and_lengths", "compensated"]
+    for entry in stated.values():
+        assert list(entry) == ["shape_mm", "shape_sigma_mm", "place_mm", "place_sigma_mm"]
+    shapes = [entry["shape_mm"] for entry in stated.values()]
+    assert shapes[0] > 5 * shapes[1]
+    assert shapes[1] > 2 * shapes[3]
+    compensated = expected_error(verdict.machine, verdict.machine.values)
+    assert shapes[3] == pytest.approx(compensated.shape * 1e3, rel=1e-5)
 
 
 # -- the covariance beside the machine file ------------------------------------------------------
