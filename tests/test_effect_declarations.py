@@ -2,15 +2,19 @@
 
 import ast
 import copy
+import json
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import orthoglide as og
+from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
+from orthoglide.effects.loading import load_effects
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words
 from orthoglide.errors import InputError
 from orthoglide.prediction import Conditions, Model
@@ -56,10 +60,6 @@ def test_no_effect_is_known_by_name_outside_its_declaration() -> None:
 # -- effects of a user's own --------------------------------------------------------------------
 
 
-def _play(c):
-    return -c.approach / 2
-
-
 def _sine(c):
     return 0.0 if c.pitch is None else sin(4 * np.pi * c.nominal_travel / c.pitch)
 
@@ -68,15 +68,7 @@ def _cosine(c):
     return 0.0 if c.pitch is None else cos(4 * np.pi * c.nominal_travel / c.pitch)
 
 
-CARRIAGE_PLAY = Effect(
-    "carriage_play",
-    MM,
-    0.05,
-    because="a worn carriage tips by a few hundredths",
-    sentence="the carriage has play beside its rail",
-    look_at="the carriage's bearings",
-    members=lambda leg: {"b": (Motion("lateral_b", _play),), "c": (Motion("lateral_c", _play),)},
-)
+(CARRIAGE_PLAY,) = load_effects(PACKAGE.parent / "examples" / "carriage_play.py")
 SECOND_HARMONIC = Effect(
     "encoder_second",
     MM,
@@ -198,3 +190,28 @@ def test_words_say_sign_size_and_part(name: str, sign: int) -> None:
 
 def test_words_default_to_words(machine: og.Machine) -> None:
     assert Words().one is None
+
+
+def test_the_documented_example_is_short() -> None:
+    text = (PACKAGE.parent / "examples" / "carriage_play.py").read_text(encoding="utf-8")
+    lines = text[text.index("def play") :].splitlines()
+    assert len([line for line in lines if line.strip()]) < 15
+
+
+def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path) -> None:
+    worn = machine.with_parameters({"carriage_play.y.b": 1.5e-4})
+    campaign, out = tmp_path / "play.csv", tmp_path / "out"
+    og.write_campaign(og.simulate(worn, sheet(machine), noise=5e-6, seed=4), campaign)
+    effects = ["--effects-file", str(PACKAGE.parent / "examples" / "carriage_play.py")]
+    given = ["--machine", str(Path(__file__).parent / "data" / "rig" / "machine.toml"), *effects]
+    done = CliRunner().invoke(
+        cli, ["close-loop", str(campaign), "--out", str(out), "--quiet", *given]
+    )
+    assert done.exit_code == 0, done.output
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert result["effects"][0]["name"].startswith("carriage_play")
+    without = CliRunner().invoke(cli, ["rerun", str(out / "result.json")])
+    assert without.exit_code == 2
+    assert "--effects-file" in without.output
+    again = CliRunner().invoke(cli, ["rerun", str(out / "result.json"), *effects])
+    assert again.exit_code == 0, again.output
