@@ -18,10 +18,11 @@ from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import OrthoglideError
 from orthoglide.fit import identify
 from orthoglide.judging import tcp_errors
-from orthoglide.machine import Machine, elementary
+from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -283,7 +284,7 @@ def _covered(rig: Rig, verdict: Verdict) -> list[list[Any]]:
         share = sigma / unknown.tolerance
         if share > SEEN:
             continue
-        weights = elementary(unknown.name, setups)
+        weights = CATALOGUE.elementary(unknown.name, setups)
         true = float(np.mean([w * rig.error(n) for n, w in weights.items()]))
         found.append([unknown.name, (values[unknown.name] - true) / sigma, share])
     return found
