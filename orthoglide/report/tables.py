@@ -41,7 +41,7 @@ def calibrated_machine(result: Result) -> MachineFile:
     }
     if result.effects:
         provenance["effects"] = [e.name for e in result.effects]
-    rivals = {name for e in result.effects for name in e.indistinguishable_from}
+    rivals = {r.trial.candidate.name for e in result.effects for r in e.different}
     if rivals:
         provenance["averaged_over"] = sorted(rivals)
     nominal = spec.name == nominal_machine_file().name
