@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.accuracy import tcp_map
-from orthoglide.diagnosis.ranking import Round, budget, look
+from orthoglide.diagnosis.ranking import Diagnosis, budget, diagnose
 from orthoglide.diagnosis.significance import Detection
 from orthoglide.effects import Effect as Declared
 from orthoglide.errors import InputError
@@ -31,9 +31,18 @@ from orthoglide.posterior import full_posterior
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word, by_lack_of_fit
-from orthoglide.searching import DETECTION, NAMING, Effect, Search, Tried
+from orthoglide.searching import DETECTION, NAMING, CandidateScore, Effect, Search
 
-__all__ = ["DETECTION", "NAMING", "Effect", "Tried", "Verdict", "close_loop", "judge", "run"]
+__all__ = [
+    "DETECTION",
+    "NAMING",
+    "CandidateScore",
+    "Effect",
+    "Verdict",
+    "close_loop",
+    "judge",
+    "run",
+]
 
 SIGNIFICANT = 0.003
 """Probability of calling what is left significant, whatever its shape, where nothing is."""
@@ -210,11 +219,11 @@ def _search(request: Request, search: Search, before: Estimate) -> Verdict:
     return Verdict(request, word, before, after, effects, tried, left, stopped, known)
 
 
-def _left(estimate: Estimate, seed: int) -> Round | None:
+def _left(estimate: Estimate, seed: int) -> Diagnosis | None:
     """What a fit leaves, tested against the catalogue; ``None`` where all of it is free."""
     rng = np.random.default_rng([max(seed, 0), 1])
     try:
-        return look(estimate, max(budget(look(estimate, 0, rng).signatures), 1), rng)
+        return diagnose(estimate, max(budget(diagnose(estimate, 0, rng).signatures), 1), rng)
     except InputError:
         return None
 

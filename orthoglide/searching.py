@@ -9,16 +9,16 @@ import numpy as np
 
 from orthoglide.diagnosis.evidence import best_pairs
 from orthoglide.diagnosis.ranking import (
+    CandidateFit,
+    Diagnosis,
     Rival,
-    Round,
-    Trial,
-    attempt,
     budget,
+    diagnose,
+    fit_candidate,
+    fit_candidates,
     log_evidence,
-    look,
     refit,
     rivals,
-    try_out,
 )
 from orthoglide.fit import Estimate, Problem
 from orthoglide.progress import Progress, Step
@@ -47,7 +47,7 @@ class Effect:
         cv_rms: of stations left out, before and after it was added, metres.
     """
 
-    trial: Trial
+    trial: CandidateFit
     probability: float
     rivals: tuple[Rival, ...]
     detection_p: float
@@ -81,7 +81,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Tried:
+class CandidateScore:
     """A candidate that was identified, whether it was added or not.
 
     Attributes:
@@ -121,7 +121,7 @@ class Search:
     progress: Progress
     rng: np.random.Generator
     effects: list[Effect] = field(default_factory=list)
-    tried: list[Tried] = field(default_factory=list)
+    tried: list[CandidateScore] = field(default_factory=list)
     limit: int = 0
     changed: Sequence[str] = ()
 
@@ -129,14 +129,14 @@ class Search:
         """What is freed for the effects, one of them left out where asked."""
         return [p for e in self.effects if e is not but for p in e.parameters]
 
-    def run(self, base: Estimate) -> tuple[Estimate, Round, str]:
+    def run(self, base: Estimate) -> tuple[Estimate, Diagnosis, str]:
         """Search from the base fit.
 
         Returns:
             The last fit, what it leaves, and why the search ended, in a sentence.
         """
         self.progress(Step("testing"))
-        self.limit = budget(look(base, 0, self.rng).signatures)
+        self.limit = budget(diagnose(base, 0, self.rng).signatures)
         fit, stopped = base, ""
         for name in self.changed:
             fit = self._begin_with(name, fit)
@@ -144,15 +144,15 @@ class Search:
             fit, stopped = self._step(fit)
         self._settle()
         fit = refit(self.problem, self.added(), fit) if self.effects else base
-        return fit, look(fit, max(self.limit - len(self.added()), 1), self.rng), stopped
+        return fit, diagnose(fit, max(self.limit - len(self.added()), 1), self.rng), stopped
 
     def _begin_with(self, name: str, fit: Estimate) -> Estimate:
         """Add a cause that is known already."""
-        found = look(fit, self.limit, self.rng)
+        found = diagnose(fit, self.limit, self.rng)
         candidate = next((c for c in found.scoring.candidates if c.name == name), None)
         if candidate is None:
             return fit
-        trial = attempt(self.problem, self.added(), candidate, fit)
+        trial = fit_candidate(self.problem, self.added(), candidate, fit)
         if trial is None:
             return fit
         self._note([trial], found)
@@ -165,12 +165,12 @@ class Search:
     def _step(self, fit: Estimate) -> tuple[Estimate, str]:
         """Add one more cause, or say why not."""
         room = self.limit - len(self.added())
-        found = look(fit, max(room, 1), self.rng)
+        found = diagnose(fit, max(room, 1), self.rng)
         if found.detection.p_value >= DETECTION:
             return fit, "nothing in the catalogue explains more of the residual than chance"
         if room < 1 or len(self.effects) >= _MOST_EFFECTS:
             return fit, "these readings are too few to tell a further cause"
-        trials = try_out(self.problem, self.added(), found, self.progress, least=3)
+        trials = fit_candidates(self.problem, self.added(), found, self.progress, least=3)
         if not trials:
             return fit, "no further cause could be identified"
         best = self._unmasked(trials, found, room)
@@ -188,7 +188,7 @@ class Search:
         self.effects.append(Effect(best, 1.0, (), found.detection.p_value, naming, scores))
         return best.estimate, ""
 
-    def _unmasked(self, trials: list[Trial], found: Round, room: int) -> Trial:
+    def _unmasked(self, trials: list[CandidateFit], found: Diagnosis, room: int) -> CandidateFit:
         """The best cause, unless two small ones together do better without it.
 
         Taken one at a time, a cause between two that act together, or a family whole, beats each.
@@ -205,16 +205,16 @@ class Search:
         self.progress(Step("trying", "two causes at once"))
         first, second = sorted(pair.members, key=lambda k: -found.evidences[k])
         one, other = (found.scoring.candidates[k] for k in (first, second))
-        trial = attempt(self.problem, self.added(), one, found.estimate)
+        trial = fit_candidate(self.problem, self.added(), one, found.estimate)
         if trial is None:
             return best
-        both = attempt(self.problem, [*self.added(), *one.parameters], other, trial.estimate)
+        both = fit_candidate(self.problem, [*self.added(), *one.parameters], other, trial.estimate)
         if both is None or both.evidence < best.evidence + _PAIRS:
             return best
         trials.insert(0, trial)
         return trial
 
-    def _note(self, trials: list[Trial], found: Round) -> None:
+    def _note(self, trials: list[CandidateFit], found: Diagnosis) -> None:
         from scipy.special import chdtrc
 
         names = [c.name for c in found.scoring.candidates]
@@ -223,7 +223,7 @@ class Search:
             # Wilks: the fall of chi2 of a candidate alone, not corrected for the search.
             p_value = chdtrc(trial.candidate.size, max(float(found.gains[place]), 0.0))
             self.tried.append(
-                Tried(
+                CandidateScore(
                     trial.candidate.name,
                     trial.candidate.parameters,
                     float(p_value),
@@ -245,7 +245,7 @@ class Search:
         effect = self.effects[k]
         others = self.added(but=effect)
         fit = refit(self.problem, [*others, *effect.parameters], effect.trial.estimate)
-        trial = Trial(effect.trial.candidate, fit, log_evidence(fit))
+        trial = CandidateFit(effect.trial.candidate, fit, log_evidence(fit))
         probability, near = rivals(self.problem, others, trial, self.progress)
         # A rival that needs another bar than the one taken for touched is none to exchange for.
         better = [

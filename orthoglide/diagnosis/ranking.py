@@ -35,7 +35,7 @@ _PLAUSIBLE = 4.0  # tolerances
 
 
 @dataclass(frozen=True)
-class Trial:
+class CandidateFit:
     """A candidate identified properly, with everything else freed again.
 
     Attributes:
@@ -86,7 +86,7 @@ def refit(base: Problem, added: Sequence[str], like: Estimate | None = None) -> 
 
 
 @dataclass(frozen=True)
-class Round:
+class Diagnosis:
     """What one fit leaves, and how each candidate would explain it.
 
     Attributes:
@@ -117,12 +117,12 @@ class Round:
         return name_p_value(self.signatures, self.scoring, place, rng)
 
 
-def look(estimate: Estimate, budget: int, rng: np.random.Generator) -> Round:
+def diagnose(estimate: Estimate, budget: int, rng: np.random.Generator) -> Diagnosis:
     """Score every candidate of at most ``budget`` parameters at a fit, and test what is left."""
     seen = signatures(estimate)
     chosen = [c for c in seen.candidates if c.size <= budget]
     scoring = Scoring.of(seen, chosen)
-    return Round(estimate, seen, scoring, detect(seen, scoring, rng))
+    return Diagnosis(estimate, seen, scoring, detect(seen, scoring, rng))
 
 
 def budget(seen: Signatures) -> int:
@@ -133,13 +133,13 @@ def budget(seen: Signatures) -> int:
     return max(int(np.ceil(station_degrees(seen) / 3)) - 1, 0)
 
 
-def try_out(
+def fit_candidates(
     base: Problem,
     added: Sequence[str],
-    found: Round,
+    found: Diagnosis,
     progress: Progress,
     least: int = 1,
-) -> list[Trial]:
+) -> list[CandidateFit]:
     """Identify the most promising candidates in the general mechanism, best first.
 
     Args:
@@ -157,24 +157,24 @@ def try_out(
     for k in near[:_REFITS]:
         candidate = found.scoring.candidates[k]
         progress(Step("trying", candidate.name))
-        trial = attempt(base, added, candidate, found.estimate)
+        trial = fit_candidate(base, added, candidate, found.estimate)
         if trial is not None:
             trials.append(trial)
     return sorted(trials, key=_order)
 
 
-def attempt(
+def fit_candidate(
     base: Problem, added: Sequence[str], candidate: Candidate, like: Estimate
-) -> Trial | None:
+) -> CandidateFit | None:
     """A candidate identified with the rest; ``None`` where that fails."""
     try:
         estimate = refit(base, [*added, *candidate.parameters], like)
     except (NumericsError, InputError):
         return None
-    return Trial(candidate, estimate, log_evidence(estimate))
+    return CandidateFit(candidate, estimate, log_evidence(estimate))
 
 
-def _order(trial: Trial) -> tuple[float, int, str]:
+def _order(trial: CandidateFit) -> tuple[float, int, str]:
     # Equal but for rounding: the order of the catalogue decides, so that answers are repeatable.
     place = list(trial.estimate.problem.machine.catalogue).index(trial.candidate.effect)
     return (-round(trial.evidence, 2), place, trial.candidate.name)
@@ -190,7 +190,7 @@ class Rival:
         same: whether it moves the tool alike too, so that nothing hangs on which one it is.
     """
 
-    trial: Trial
+    trial: CandidateFit
     weight: float
     same: bool = False
 
@@ -198,7 +198,7 @@ class Rival:
 def rivals(
     base: Problem,
     others: Sequence[str],
-    chosen: Trial,
+    chosen: CandidateFit,
     progress: Progress,
 ) -> tuple[float, tuple[Rival, ...]]:
     """Which candidates could stand in the place of an added one, and how probable each is.
@@ -225,10 +225,10 @@ def rivals(
     own = 0
     margin = (_MARGIN + CLASS_WIDTH) * scale**2 + _RELATIVE_MARGIN * gains[own]
     near = [k for k in np.argsort(-gains) if k != own and gains[own] - gains[k] <= margin]
-    trials: dict[int, Trial] = {own: chosen}
+    trials: dict[int, CandidateFit] = {own: chosen}
     for k in near[: 2 * _REFITS]:
         progress(Step("comparing", names[k]))
-        trial = attempt(base, others, scoring.candidates[k], without)
+        trial = fit_candidate(base, others, scoring.candidates[k], without)
         if trial is not None:
             trials[k] = trial
     limit = chosen.chi2 + CLASS_WIDTH * scale**2
@@ -289,17 +289,17 @@ def lack_scale(estimate: Estimate) -> float:
 def _under_other_bars(
     base: Problem,
     others: Sequence[str],
-    chosen: Trial,
+    chosen: CandidateFit,
     limit: float,
     progress: Progress,
-) -> list[Trial]:
+) -> list[CandidateFit]:
     """Causes that would fit as well with every dial on bar 1, or on bar 2, where none is recorded.
 
     A recorded bar is taken at its word. An effect of the dial is the same on either bar.
     """
     if any(s.bar for c in base.campaigns for s in c.setups):
         return []
-    found: list[Trial] = []
+    found: list[CandidateFit] = []
     for bar in (1, 2):
         progress(Step("comparing", f"causes with the dials on bar {bar}"))
         other = replace(base, campaigns=tuple(_touching(c, bar) for c in base.campaigns))
@@ -310,7 +310,7 @@ def _under_other_bars(
         left = float(seen.residual @ seen.residual) - gains
         for k in np.argsort(left)[:_REFITS]:
             if left[k] <= limit + _MARGIN + _RELATIVE_MARGIN * gains[k]:
-                trial = attempt(other, others, small[k], without)
+                trial = fit_candidate(other, others, small[k], without)
                 if trial is not None and trial.chi2 <= limit:
                     found.append(trial)
     return found

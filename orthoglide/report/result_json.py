@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from orthoglide.judging import TcpErrors
     from orthoglide.request import Request
     from orthoglide.result import Cause, Explanation, Result
-    from orthoglide.searching import Tried
+    from orthoglide.searching import CandidateScore
 
 SCHEMA = 2
 _DIGITS = 10  # what differs behind these is rounding
@@ -208,7 +208,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
     return found
 
 
-def _tried(tried: Tried) -> dict[str, Any]:
+def _tried(tried: CandidateScore) -> dict[str, Any]:
     return {
         "name": tried.name,
         "parameters": list(tried.parameters),

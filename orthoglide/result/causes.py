@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from orthoglide.diagnosis.ranking import CLASS_WIDTH, Trial, lack_scale, log_evidence, refit
+from orthoglide.diagnosis.ranking import CLASS_WIDTH, CandidateFit, lack_scale, log_evidence, refit
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_words
 from orthoglide.fit import Estimate
-from orthoglide.searching import Effect, Tried
+from orthoglide.searching import CandidateScore, Effect
 
 
 @dataclass(frozen=True)
@@ -134,12 +134,14 @@ def causes(effects: Sequence[Effect], before: Estimate, after: Estimate) -> Iter
         )
 
 
-def _explanation(trial: Trial, probability: float) -> Explanation:
+def _explanation(trial: CandidateFit, probability: float) -> Explanation:
     candidate = trial.candidate
     return Explanation(candidate.name, candidate.parameters, probability, trial.estimate)
 
 
-def candidates(tried: Sequence[Tried], found: Sequence[Cause]) -> tuple[Tried, ...]:
+def candidates(
+    tried: Sequence[CandidateScore], found: Sequence[Cause]
+) -> tuple[CandidateScore, ...]:
     """All candidates that were identified, rivals that were found last among them.
 
     Args:
@@ -157,7 +159,7 @@ def candidates(tried: Sequence[Tried], found: Sequence[Cause]) -> tuple[Tried, .
                 continue
             fall = max(one.without.scores.cost - trial.chi2, 0.0)
             every.append(
-                Tried(
+                CandidateScore(
                     trial.candidate.name,
                     trial.candidate.parameters,
                     float(chdtrc(trial.candidate.size, fall)),

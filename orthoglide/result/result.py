@@ -12,7 +12,7 @@ from orthoglide.accuracy import Map, tcp_map
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
-from orthoglide.diagnosis.ranking import Round
+from orthoglide.diagnosis.ranking import Diagnosis
 from orthoglide.diagnosis.significance import Detection
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -26,7 +26,7 @@ from orthoglide.posterior import FullPosterior
 from orthoglide.request import Request
 from orthoglide.result.causes import Cause, candidates, causes
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
-from orthoglide.searching import Effect, Tried
+from orthoglide.searching import CandidateScore, Effect
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,8 +65,8 @@ class Result:
     before: Estimate
     after: Estimate
     effects: tuple[Effect, ...]
-    tried: tuple[Tried, ...]
-    left: Round | None
+    tried: tuple[CandidateScore, ...]
+    left: Diagnosis | None
     stopped: str
     posterior: FullPosterior | None = None
     blunders: tuple[Blunder, ...] = ()
@@ -190,7 +190,7 @@ class Result:
         return tuple(causes(self.effects, self.before, self.after))
 
     @cached_property
-    def candidates(self) -> tuple[Tried, ...]:
+    def candidates(self) -> tuple[CandidateScore, ...]:
         """All candidates that were identified, rivals that were found last among them."""
         return candidates(self.tried, self.causes)
 
