@@ -31,7 +31,7 @@ from orthoglide.posterior import full_posterior
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word, by_lack_of_fit
-from orthoglide.searching import DETECTION, NAMING, CandidateScore, Effect, Search
+from orthoglide.searching import DETECTION, NAMING, Effect, Search
 
 __all__ = [
     "DETECTION",
