@@ -36,7 +36,6 @@ from orthoglide.searching import DETECTION, NAMING, Effect, Search
 __all__ = [
     "DETECTION",
     "NAMING",
-    "CandidateScore",
     "Effect",
     "Verdict",
     "close_loop",
