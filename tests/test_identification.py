@@ -559,10 +559,11 @@ def test_deviations_are_system_11_to_second_order(family: str, number: int) -> N
     system = reduction.system11().select(
         {"joint_offset": "offsets", "leg_length": "lengths"}[family]
     )
+    setups = [campaign.setups[k] for k in campaign.setup]
     row = {
-        f"{s.setup.direction}_{LEGS[s.setup.leg]}{'+' if s.posture == 'max' else '-'}": s.reading
-        for s in campaign.rows
-        if s.posture != "zero"
+        f"{s.direction}_{LEGS[s.leg]}{'+' if posture == 'max' else '-'}": reading
+        for s, posture, reading in zip(setups, campaign.posture, campaign.reading, strict=True)
+        if posture != "zero"
     }
     linear = reduction.solve(system, system.ordered(row))
     found = identify(campaign, free=[family], priors=False, weighting="deviations")

@@ -30,7 +30,7 @@ from orthoglide.report.found import tiles
 from orthoglide.report.wording import headline
 from tests.test_report import DATA, RIG, Balanced, opened, words
 
-CASES = ("ambiguous", "partial", "unexplained", "faulty")
+CASES = ("explained", "partial", "unexplained", "faulty")
 
 
 @cache
@@ -70,7 +70,7 @@ def verdict_of(which: str) -> Verdict:
         two, three = (og.read_campaign(DATA / f"experiment{k}.csv") for k in (2, 3))
         return close_loop(two, holdout=three, own=["joint_offset"])
     machine = rig_machine()
-    if which == "ambiguous":
+    if which == "explained":
         points = og.read_tcp(RIG / "rig-2.tcp.csv", machine.spec)
         return close_loop(og.read_campaign(RIG / "rig-2.csv", machine.spec), machine, tcp=points)
     return close_loop(odd() if which == "unexplained" else faulty(), machine)
@@ -137,7 +137,7 @@ def test_the_same_bytes_again(which: str) -> None:
 
 
 SECTIONS = {
-    "ambiguous": {"look", "causes", "apart", "next"},
+    "explained": {"look", "causes", "apart", "next"},
     "partial": {"look", "causes", "apart", "left", "next"},
     "unexplained": {"causes", "left", "next"},
     "faulty": {"faults", "look", "causes", "apart"},
@@ -190,7 +190,7 @@ def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) 
 
 
 def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
-    text = headline(verdict_of("ambiguous"))
+    text = headline(verdict_of("explained"))
     assert text.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
     said = "(or the y rail leans toward z by 2.4 mrad (0.24 mm over 100 mm) and its carriage with"
     assert said in text
@@ -237,7 +237,7 @@ def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
 
 
 def test_the_tcp_tile_says_what_was_removed() -> None:
-    tile = next(t for t in tiles(verdict_of("ambiguous")) if t.what.startswith("TCP"))
+    tile = next(t for t in tiles(verdict_of("explained")) if t.what.startswith("TCP"))
     assert tile.what == "TCP, best shift removed"
 
 
@@ -246,7 +246,7 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     section = words(page[page.index('id="controller"') : page.index('id="judged"')])
     assert "No numbers are given to enter" in section
     assert "add to every command" not in section
-    assert "add to every command" in words(files_of("ambiguous")["report.html"])
+    assert "add to every command" in words(files_of("explained")["report.html"])
 
 
 def test_a_machine_with_nothing_wrong() -> None:
@@ -345,8 +345,8 @@ def test_judges_are_reported() -> None:
     assert held["holdout"]["after_rms_mm"] == pytest.approx(verdict.hold_out.after_rms * 1e3)
     assert held["tcp"] is None
     assert [i.get("role", "campaign") for i in held["inputs"]] == ["campaign", "holdout"]
-    judged = json.loads(files_of("ambiguous")["result.json"])
-    errors = verdict_of("ambiguous").tcp
+    judged = json.loads(files_of("explained")["result.json"])
+    errors = verdict_of("explained").tcp
     assert errors is not None
     assert judged["holdout"] is None
     assert set(judged["tcp"]) == {"none", "translation", "rigid"}
@@ -374,7 +374,7 @@ def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
 
 
 def test_what_stands_is_not_warned_of() -> None:
-    assert verdict_of("ambiguous").cautions == ()
+    assert verdict_of("explained").cautions == ()
     assert verdict_of("unexplained").cautions == ()
 
 
@@ -410,7 +410,7 @@ def test_residuals_add_up(which: str) -> None:
         assert value == pytest.approx(residual[0], abs=2e-6)
 
 
-@pytest.mark.parametrize("which", ["ambiguous", "partial"])
+@pytest.mark.parametrize("which", ["explained", "partial"])
 def test_the_calibrated_machine_is_averaged_over_the_class(which: str, tmp_path: Path) -> None:
     text, verdict = files_of(which)["calibrated.toml"], verdict_of(which)
     provenance = tomllib.loads(text)["provenance"]
@@ -462,9 +462,9 @@ def test_a_verdict_writes_its_report(tmp_path: Path) -> None:
 
 
 def test_a_verdict_shows_itself() -> None:
-    verdict = verdict_of("ambiguous")
+    verdict = verdict_of("explained")
     assert len(repr(verdict)) < 100
-    assert "ambiguous" in repr(verdict)
+    assert "explained" in repr(verdict)
     assert "axis_tilt.y.z" in repr(verdict)
     assert headline(verdict)[:60] in " ".join(str(verdict).split())
     assert "axis_tilt.y.z" in verdict._repr_html_()
@@ -478,12 +478,12 @@ def test_a_verdict_shows_itself() -> None:
 
 
 def test_the_workspace_is_told_before_and_after() -> None:
-    space = verdict_of("ambiguous").workspace
+    space = verdict_of("explained").workspace
     assert np.all(space.sure > space.alone)
     assert space.before.mean() < space.nominal.mean()
     assert np.all(space.before > 0)
     assert not verdict_of("unexplained").workspace.before.any()
-    families = verdict_of("ambiguous").uncertain_effects
+    families = verdict_of("explained").uncertain_effects
     assert 0.3 < sum(share for _, share in families) <= 1
     assert [s for _, s in families] == sorted((s for _, s in families), reverse=True)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide.accuracy import without_place, workspace
+from orthoglide.accuracy import workspace
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures, signatures
@@ -253,17 +253,13 @@ def rivals(
 
 
 def same_tool(one: Estimate, other: Estimate) -> bool:
-    """Whether two fits put the tool in the same places, over the workspace and up to a translation.
+    """Whether two fits put the tool in the same places, over the workspace.
 
     What differs by less than half the noise of one reading, no reading on the machine would show.
     """
-    shapes = []
-    for estimate in (one, other):
-        machine = estimate.machine
-        p = machine.forward(workspace(machine.geometry))
-        shapes.append(without_place(p))
-    apart = np.sqrt(np.mean(np.sum((shapes[0] - shapes[1]) ** 2, axis=1)))
-    return bool(apart < one.problem.noise.typical / 2)
+    where = workspace(one.problem.machine.geometry)
+    apart = one.machine.forward(where) - other.machine.forward(where)
+    return bool(np.sqrt(np.mean(np.sum(apart**2, axis=1))) < one.problem.noise.typical / 2)
 
 
 def _weights(
