@@ -204,6 +204,11 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert faults.endswith("1 fault in the data had to be dealt with first.")
 
 
+@pytest.mark.parametrize("which", CASES)
+def test_sentences_end_once(which: str) -> None:
+    assert not re.search(r"[a-z]\.\.(?!\.)", words(files_of(which)["report.html"]))
+
+
 def test_a_rival_is_said_with_its_own_value_and_sign() -> None:
     """Fitted in the cause's place, it may have the other sign."""
     machine = rig_machine()

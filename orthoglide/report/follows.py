@@ -51,7 +51,7 @@ def controller(result: Result) -> Data:
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
         "rule": RULE,
         "worked": numbers.drives[0].worked(),
-        "checks": [sentence(str(check)) for check in numbers.checks],
+        "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "left_over": listed(numbers.left_over),
         "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
