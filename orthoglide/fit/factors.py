@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,46 +54,6 @@ class Block:
     columns: Array
     sd: Array
     placement: NDArray[np.bool_]
-
-
-class Rows(Protocol):
-    """Rows that were read together."""
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-
-    @property
-    def setup_names(self) -> tuple[str, ...]:
-        """Labels whose parameters a dial may have; each has a datum of its own."""
-
-    @property
-    def measured(self) -> Array:
-        """What was read ``(n,)``, metres."""
-
-    @property
-    def setup(self) -> Ints:
-        """Whose datum each row has ``(n,)``."""
-
-    @property
-    def stations(self) -> Array:
-        """What makes visits the same ``(n, k)``: rows that are equal are repeats."""
-
-    @property
-    def places(self) -> Array:
-        """The same without the side from which a place was reached ``(n, k)``."""
-
-    def conditions(self) -> Conditions:
-        """Of its postures."""
-
-    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Rows ``(n,)`` of a machine, metres."""
-
-    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
-        """Rows of a machine and their derivatives."""
-
-    def nuisances(self, slopes: Array) -> Block:
-        """Its nuisances, given ``slopes`` of a linearisation."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +223,7 @@ class TcpReadings:
 
 
 Factor = DialReadings | TcpReadings
-"""All kinds of readings; each owes what `Rows` names."""
+"""All kinds of readings: each predicts its rows, differentiates them, and has its nuisances."""
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
