@@ -14,9 +14,10 @@ class Parameter(str):
 
     Attributes:
         effect: name of its effect.
-        leg: ``"x"``, ``"y"`` or ``"z"``; empty for dials and structured members.
-        direction: what stands behind the leg: a base axis, ``"a"``, ``"sin"`` ...; often empty.
-        setup: of a dial's parameter, else empty.
+        leg: ``"x"``, ``"y"`` or ``"z"`` on the Orthoglide; empty for dials and structured members.
+        direction: what stands behind the leg or setup: a base axis, ``"radial"``, ``"a"``,
+            ``"sin"`` ...; often empty.
+        setup: of a dial's or plate's parameter, else empty.
         member: of a structured member: ``"cyclic"``, ``"xy.symmetric"`` ..., else empty.
         campaign: the campaign that has it for itself, else empty.
     """
@@ -38,8 +39,8 @@ class Parameter(str):
         campaign: str = "",
     ) -> Parameter:
         """Put a name together from its parts."""
-        parts = (effect, leg, direction, setup, member)
-        text = ".".join(part for part in parts if part)
+        behind = (setup, direction) if setup else (leg, direction)
+        text = ".".join(part for part in (effect, *behind, member) if part)
         made = super().__new__(cls, f"{text}@{campaign}" if campaign else text)
         made.effect, made.leg, made.direction = effect, leg, direction
         made.setup, made.member, made.campaign = setup, member, campaign
