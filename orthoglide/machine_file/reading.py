@@ -85,8 +85,8 @@ def _text(value: Any) -> str:
 
 
 def _schema(value: Any) -> int:
-    if isinstance(value, bool) or value not in (SCHEMA, 2):
-        raise ValueError(f"must be {SCHEMA}, the version that this program writes")
+    if isinstance(value, bool) or value != SCHEMA:
+        raise ValueError(f"must be {SCHEMA}, the only version this program knows")
     return SCHEMA
 
 
