@@ -12,23 +12,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide import __version__
-from orthoglide.geometry import LEGS
+from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.observations import ToolCampaign
 
 if TYPE_CHECKING:
     from orthoglide.observations import Campaign
     from orthoglide.request import Request
     from orthoglide.result import Result
 
-_PLACES = (
-    "campaign", "line", "setup", "leg", "direction", "posture",
-    *(f"rho_{leg}_mm" for leg in LEGS), "gauge_mm", "repeat", "order",
-)  # fmt: skip
 _FIGURES = (
     "reading_mm", "sigma_mm",
     "predicted_nominal_mm", "predicted_before_mm", "predicted_after_mm",
     "residual_nominal_mm", "residual_before_mm", "residual_after_mm",
 )  # fmt: skip
+
+
+def _places(geometry: Geometry) -> tuple[str, ...]:
+    names = geometry.leg_names
+    counted = "rho" if names == LEGS else "travel"
+    commands = tuple(f"{counted}_{leg}_mm" for leg in names)
+    before = ("campaign", "line", "setup", "leg", "direction", "posture")
+    return (*before, *commands, "gauge_mm", "repeat", "order")
 
 
 def calibrated_machine(result: Result) -> MachineFile:
@@ -71,13 +76,17 @@ def residual_table(result: Result) -> str:
     figures = np.column_stack(columns)
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*_PLACES, *_FIGURES, "set_aside"])
+    writer.writerow([*_places(problem.machine.geometry), *_FIGURES, "set_aside"])
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
         for row, values in enumerate(figures[part]):
             writer.writerow([*_cells(campaign, row), *map(_mm, values), ""])
     for points, part in zip(
         problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
     ):
+        if isinstance(points.points, ToolCampaign):
+            for row, values in enumerate(figures[part]):
+                writer.writerow([*_tool_cells(points.points, row), *map(_mm, values), ""])
+            continue
         for values, point, axis in zip(figures[part], points.point, points.setup, strict=True):
             places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
             places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
@@ -103,6 +112,14 @@ def _cells(campaign: Campaign, row: int) -> list[Any]:
         campaign.name, campaign.line[row], setup.name, LEGS[setup.leg], setup.direction,
         campaign.posture[row], *map(_mm, campaign.command[row]), _mm(setup.gauge),
         campaign.repeat[row], campaign.order[row],
+    ]  # fmt: skip
+
+
+def _tool_cells(tool: ToolCampaign, row: int) -> list[Any]:
+    setup = tool.setups[tool.setup[row]]
+    return [
+        tool.name, tool.line[row], setup.name, "", setup.kind, tool.posture[row],
+        *map(_mm, tool.command[row]), "", tool.repeat[row], tool.order[row],
     ]  # fmt: skip
 
 
