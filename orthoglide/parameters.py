@@ -6,7 +6,24 @@ so that nothing cuts names apart. Catalogues parse names (`Catalogue.parameter`)
 
 from __future__ import annotations
 
+import re
 from typing import Any
+
+_SETUP = re.compile(r'"((?:[^"]|"")*)"(?:@(.*))?', re.DOTALL)
+
+
+def quoted(setup: str) -> str:
+    """A setup's name as it stands in a parameter's: in quotes where it may be taken for syntax."""
+    syntax = setup == "common" or "@" in setup or '"' in setup
+    return '"{}"'.format(setup.replace('"', '""')) if syntax else setup
+
+
+def setup_and_campaign(text: str) -> tuple[str, str]:
+    """What stands behind a dial's effect, taken apart: see :func:`quoted`."""
+    if found := _SETUP.fullmatch(text):
+        return found[1].replace('""', '"'), found[2] or ""
+    setup, _, campaign = text.partition("@")
+    return setup, campaign
 
 
 class Parameter(str):
@@ -38,7 +55,7 @@ class Parameter(str):
         campaign: str = "",
     ) -> Parameter:
         """Put a name together from its parts."""
-        parts = (effect, leg, direction, setup, member)
+        parts = (effect, leg, direction, quoted(setup), member)
         text = ".".join(part for part in parts if part)
         made = super().__new__(cls, f"{text}@{campaign}" if campaign else text)
         made.effect, made.leg, made.direction = effect, leg, direction

@@ -15,7 +15,7 @@ from orthoglide.effects import bars, dials, drives, rails
 from orthoglide.effects.effect import Effect, Motion
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, setup_and_campaign
 
 _PAIRS = (("x", "y"), ("y", "z"), ("z", "x"))
 
@@ -115,12 +115,12 @@ class Catalogue(Mapping[str, Effect]):
         effect, setups = self.effect_of(name), tuple(setups)
         plain, _, campaign = name.partition("@")
         if effect.of_dial:
-            setup = name[len(effect.name) + 1 :]
+            setup, own = setup_and_campaign(name[len(effect.name) + 1 :])
             for known in effect.parameters(setups):
                 if name == known or name.startswith(f"{known}@"):
                     return known.at(name[len(known) + 1 :])
             if setup and plain != f"{effect.name}.common" and not setups:
-                return Parameter(effect.name, setup=setup)
+                return Parameter(effect.name, setup=setup, campaign=own)
         else:
             for known in effect.motions:
                 if plain == known:
