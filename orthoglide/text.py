@@ -6,7 +6,7 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 _ECHOED = 40  # characters of a file's text that a message repeats
@@ -25,8 +25,8 @@ def unseen(text: str) -> str:
     return f"U+{ord(found[0]):04X}" if found else ""
 
 
-def unseen_in(data: Any) -> str:
-    """What is wrong with the first text in nested mappings and lists that cannot be shown."""
+def leaves(data: Any) -> Iterator[Any]:
+    """Every value in nested mappings and lists, and every key."""
     waiting = [data]
     while waiting:
         value = waiting.pop()
@@ -34,7 +34,14 @@ def unseen_in(data: Any) -> str:
             waiting += [*value, *value.values()]
         elif isinstance(value, list):
             waiting += value
-        elif isinstance(value, str) and (found := unseen(value)):
+        else:
+            yield value
+
+
+def unseen_in(data: Any) -> str:
+    """What is wrong with the first text in nested mappings and lists that cannot be shown."""
+    for value in leaves(data):
+        if isinstance(value, str) and (found := unseen(value)):
             readable = brief(_UNSEEN.sub("", value))
             return f"holds the character {found}, which cannot be shown, in {readable!r}: remove it"
     return ""

@@ -10,9 +10,10 @@ from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from orthoglide.errors import FileError
-from orthoglide.text import brief, unseen_in
+from orthoglide.text import brief, leaves, unseen_in
 
 _LONGEST_REASON = 120
+_MOST_BITS = 1024  # of a whole number: as far as floats go
 
 Parser = Callable[[Any], Any]
 """Turns a value of the file into SI, or raises ValueError with what would be right."""
@@ -33,6 +34,8 @@ class Document:
         self.text, self.file = text, file
         try:
             self.data = tomllib.loads(text, parse_float=Decimal)
+            if any(type(v) is int and v.bit_length() > _MOST_BITS for v in leaves(self.data)):
+                raise OverflowError
         except tomllib.TOMLDecodeError as error:
             reason, line = _toml_trouble(str(error), text)
             raise FileError(
