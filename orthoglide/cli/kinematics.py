@@ -149,17 +149,17 @@ def _within(machine: Machine, rho: Array, fail: Fail) -> Array:
     """The commands, where the stroke allows them."""
     import numpy as np
 
-    from orthoglide.geometry import LEGS
     from orthoglide.observations.checks import STROKE_SLACK
 
     inside = machine.geometry.in_stroke(rho, STROKE_SLACK)
     if inside.all():
         return rho
     row, axis = np.argwhere(~inside)[0]
-    low, high = ((machine.geometry.L + limit) * 1e3 for limit in machine.geometry.stroke)
+    low, high = ((machine.geometry.zero[axis] + limit) * 1e3 for limit in machine.geometry.stroke)
     fail(
-        f"the point needs carriage {LEGS[axis]} at {rho[row, axis] * 1e3:.6f} mm, outside its "
-        f"stroke of {low:g} to {high:g} mm: give a point nearer to the middle",
+        f"the point needs carriage {machine.geometry.leg_names[axis]} at "
+        f"{rho[row, axis] * 1e3:.6f} mm, outside its stroke of {low:g} to {high:g} mm: "
+        "give a point nearer to the middle",
         int(row),
     )
 

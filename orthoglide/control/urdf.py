@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from orthoglide.effects import Effect, LegConditions, Motion
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions
@@ -36,7 +36,7 @@ def calibrated_urdf(machine: Machine) -> str:
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
     axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
-    for leg, (moves, slope) in zip(LEGS, _moves(machine), strict=True):
+    for leg, (moves, slope) in zip(machine.geometry.leg_names, _moves(machine), strict=True):
         slide = origins[f"{leg}_slide"]
         turn = _rotation(_attribute(slide, "rpy"))
         path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
