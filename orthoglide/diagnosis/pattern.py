@@ -109,7 +109,7 @@ class _Rest:
     def travel(self) -> Array:
         """Of the touched leg's carriage from mechanical zero ``(n,)``, metres."""
         command = np.concatenate([c.command for c in self.problem.campaigns])
-        return command[np.arange(len(self.leg)), self.leg] - self.problem.machine.geometry.L
+        return command[np.arange(len(self.leg)), self.leg] - self.problem.machine.geometry.zero[0]
 
     @cached_property
     def dominant(self) -> NDArray[np.int64]:

@@ -124,7 +124,7 @@ class Nlp:
             moves = model.displacement.map(count)(
                 ca.repmat(theta, 1, count), ca.DM(model.seen(layout.conditions).T)
             )
-            travel = ca.DM((layout.conditions.command - model.geometry.L).T)
+            travel = ca.DM((layout.conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]
             closures.append(self._functions.residual.map(count)(own, given))

@@ -81,7 +81,7 @@ def displacement_by_command(function: Any) -> Any:
 def _leg_conditions(
     geometry: Geometry, pitch: float | None, seen: Any, leg: int, driven: Any
 ) -> LegConditions:
-    command = seen[leg]
+    command, zero = seen[leg], geometry.layout.zero(geometry.L)
     return LegConditions(
         command=command,
         length=geometry.L,
@@ -91,5 +91,6 @@ def _leg_conditions(
         time=seen[6],
         warming=seen[7],
         force=seen[8 + leg],
-        travel=None if driven is None else command - geometry.L + driven,
+        travel=None if driven is None else command - zero + driven,
+        zero=zero,
     )

@@ -57,7 +57,7 @@ def workspace_of(before: Estimate, after: Estimate, calibrated: Map) -> Workspac
     start, posterior = before.problem.machine, full_posterior(before)
     base = tcp_map(start.with_posterior(before.machine.values, posterior.machine))
     return Workspace(
-        calibrated.commands - start.geometry.L,
+        calibrated.commands - start.geometry.zero,
         calibrated.error,
         np.linalg.norm(without_place(calibrated.p - base.p), axis=1),
         base.uncertainty,
