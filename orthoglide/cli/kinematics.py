@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from orthoglide.cli.options import PATH, effects_option, load_machine, machine_option
-from orthoglide.cli.writing import write_file
+from orthoglide.cli.terminal import say
+from orthoglide.cli.writing import write_texts
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def _run(
     if table is None or out is None:
         machine = load_machine(machine_path, effects_file)
         found = solve(machine, _vector(numbers), False, _refuse)
-        click.echo(" ".join(_number(value) for value in found[0]))
+        say(" ".join(_number(value) for value in found[0]), needed=True)
         return
     from orthoglide.observations.columns import POINT, RHO, TRAVEL
     from orthoglide.observations.table import read_table
@@ -170,12 +171,7 @@ def _number(metres: float) -> str:
 
 def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> None:
     """The rows as they came, with the new columns behind."""
-    import csv
-    import io
+    from orthoglide.text import csv_text
 
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*table.names, *names])
-    for row, found in zip(table.rows, values, strict=True):
-        writer.writerow([*row, *map(_number, found)])
-    write_file(out, stream.getvalue())
+    rows = ([*row, *map(_number, found)] for row, found in zip(table.rows, values, strict=True))
+    write_texts({out: csv_text((*table.names, *names), rows)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -115,7 +116,8 @@ def _comment(machine: Machine) -> str:
             "bars' torsion at bar 1's tip and a turn about the short link at bar 2's root."
         )
     lines.append("The loops are those of the nominal machine; masses and shapes are nominal.")
-    return "\n     ".join(lines).replace("--", "- -")  # XML allows no double hyphen in comments
+    # XML allows no double hyphen in comments
+    return re.sub("-(?=-)", "- ", "\n     ".join(lines))
 
 
 def _attribute(element: ET.Element | None, name: str) -> Array:

@@ -15,7 +15,7 @@ from orthoglide.effects import bars, dials, drives, plates, rails
 from orthoglide.effects.effect import Effect, Motion
 from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, setup_parts
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,12 @@ class Catalogue(Mapping[str, Effect]):
         effect, setups = self.effect_of(name), tuple(setups)
         plain, _, campaign = name.partition("@")
         if effect.of_dial:
-            setup = name[len(effect.name) + 1 :]
+            setup, shape, own = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
             for known in effect.parameters(setups):
                 if name == known or name.startswith(f"{known}@"):
                     return known.at(name[len(known) + 1 :])
             if setup and plain != f"{effect.name}.common" and not setups:
-                return _of_setup(effect, setup)
+                return Parameter(effect.name, setup=setup, direction=shape, campaign=own)
         else:
             for known in effect.motions:
                 if plain == known:
@@ -221,14 +221,6 @@ class Catalogue(Mapping[str, Effect]):
     def _cyclic_sign(self, parameter: Parameter) -> float:
         first, _ = self.legs.across[self.legs.index(parameter.leg)]
         return 1.0 if parameter.direction == first else -1.0
-
-
-def _of_setup(effect: Effect, setup: str) -> Parameter:
-    """A parameter of a dial or plate by what stands behind its effect's name."""
-    name, _, part = setup.rpartition(".")
-    if part in effect.shapes and name:
-        return Parameter(effect.name, setup=name, direction=part)
-    return Parameter(effect.name, setup=setup)
 
 
 CATALOGUE = Catalogue((*drives.EFFECTS, *rails.EFFECTS, *bars.EFFECTS, *dials.EFFECTS))

@@ -24,6 +24,7 @@ from orthoglide.machine_file.model import (
     Stiffness,
 )
 from orthoglide.machine_file.posterior import posterior_path, read_posterior
+from orthoglide.text import brief, shown
 
 
 def _number(value: Any) -> Decimal:
@@ -117,7 +118,7 @@ _KEYS: dict[str, dict[str, Parser]] = {
     },
     "dial_mm": {
         "resolution": _quantity(1e-3, 5e-5, 10),
-        "repeatability": _quantity(1e-3, 0, 10),
+        "repeatability": _quantity(1e-3, 1e-7, 10),
         "placement": _quantity(1e-3, 0, 100, open_end=False),
     },
     "drive": {"screw_pitch_mm": _quantity(1e-3, 0.1, 1000)},
@@ -162,12 +163,12 @@ def read_machine_file(
         FileError: naming the line and what would be right, or a covariance of another file.
     """
     content = files.read_bytes(path)
-    machine = parse_machine_file(files.decode(content, path), str(path), catalogue)
+    machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
     warnings: tuple[str, ...] = ()
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
-        beside = posterior_path(path).name
+        beside = shown(posterior_path(path).name)
         warnings = (
             f"{machine.file}: there is no {beside} beside it with the covariance of its "
             f"parameters: their sigmas are taken as independent",
@@ -272,15 +273,19 @@ def _parameter(document: Document, name: str, catalogue: Catalogue) -> Parameter
     effect = name.partition(".")[0]
     allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
-        document.fail(f"there is no parameter {name!r}: {advice(effect, allowed)}", *path)
+        document.fail(f"there is no parameter {brief(name)!r}: {advice(effect, allowed)}", *path)
     if name not in catalogue[effect].motions and name not in catalogue.structured(effect):
-        document.fail(f"{name!r} names no parameter of {effect}: correct what follows it", *path)
+        document.fail(
+            f"{brief(name)!r} names no parameter of {effect}: correct what follows it", *path
+        )
     keys = ("value", "sigma", "unit")
     document.check_keys(keys, *path)
     unit = document.section({"unit": _text}, keys, *path)["unit"]
     expected = catalogue[effect].unit
     if unit != expected.name:
-        document.fail(f"{name!r} is in {expected.name}, not {unit}: convert it", *path, "unit")
+        document.fail(
+            f"{name!r} is in {expected.name}, not {brief(unit)}: convert it", *path, "unit"
+        )
     factor = expected.si
     value = document.value(_quantity(factor, -1e9, 1e9), *path, "value")
     sigma = document.value(_quantity(factor, 0, 1e9, open_end=False), *path, "sigma")
