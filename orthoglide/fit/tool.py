@@ -30,6 +30,7 @@ SCALE_SD, OFFSET_SD = 0.01, 2e-4
 """What is known of a setup of distances: a printed part's shrinkage, the width of its pillars."""
 
 _FEWEST_REPEATS = 6
+_DEGREE, _FEWEST_ROUGH = 4, 12
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class ToolReadings:
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
             found = _centre(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
-        sigma = _sigma(campaign, machine.spec.instruments, noise)
+        height = p[:, 2] - campaign.reading
+        sigma = _sigma(campaign, machine.spec.instruments, noise, place, height)
         return cls(campaign, sigma, place, np.array(ball))
 
     @property
@@ -240,7 +242,11 @@ class ToolReadings:
 
 
 def _sigma(
-    campaign: ToolCampaign, instruments: Mapping[str, Instrument], noise: float | None
+    campaign: ToolCampaign,
+    instruments: Mapping[str, Instrument],
+    noise: float | None,
+    place: Array,
+    height: Array,
 ) -> Array:
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
@@ -248,8 +254,34 @@ def _sigma(
         own = instruments.get(kind, Instrument())
         level = own.repeatability or _of_repeats(campaign, rows) or REPEATABILITY[kind]
         found[rows] = noise or np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
+    if noise is None:
+        for k, setup in enumerate(campaign.setups):
+            if setup.kind == "plate":
+                rows = campaign.setup == k
+                rough = roughness(place[rows], height[rows])
+                found[rows] = np.maximum(found[rows], rough)
     declared = campaign.sigma if noise is None else np.full(len(campaign), np.nan)
     return np.where(np.isfinite(declared), declared, found)
+
+
+def roughness(place: Array, height: Array) -> float:
+    """Standard deviation of heights about the smoothest surface, metres; 0 where there are too few.
+
+    A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
+    more than any rigid cause makes, counts as noise of its touches.
+
+    Args:
+        place: on the plate over its radius ``(n, 2)``.
+        height: ``(n,)``, metres.
+    """
+    x, y = place.T
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    columns = np.stack([x**i * y**j for i, j in powers], axis=1)
+    found, _, rank, _ = np.linalg.lstsq(columns, height, rcond=1e-9)
+    dof = len(height) - int(rank)
+    if dof < _FEWEST_ROUGH:
+        return 0.0
+    return float(np.sqrt(np.sum((height - columns @ found) ** 2) / dof))
 
 
 def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.effects import catalogue_of
+from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.klipper.config import Config, Section, read_config
@@ -23,13 +25,6 @@ from orthoglide.observations import ToolCampaign, ToolSetup
 PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 """What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
 nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
-
-TOLERANCE = {
-    "joint_offset": 2e-3, "leg_length": 5e-5, "axis_offset": 1e-3, "axis_tilt": 3e-3,
-    "rail_tilt": 3e-3, "rail_bow": 1e-4, "mount_tilt": 1e-2, "bar_mismatch": 2e-4,
-    "parallelogram_width": 3e-4, "encoder_scale": 1e-3, "backlash": 5e-5,
-}  # fmt: skip
-"""Standard deviations to expect of a printer bolted together from extrusions, SI."""
 
 PROBE, CALLIPER = 1.8e-5, 5e-5
 """Repeatability of a touch of the probe and of a calliper's distance, metres."""
@@ -308,8 +303,10 @@ def _machine(
         (round(float(low), 6), round(float(high), 6)),
         LinearDelta((radius,) * 3, firmware.angle, (0.0, 0.0, -DROP)),
     )
+    catalogue = catalogue_of(LinearDelta.names)
+    length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
     lengths = {
-        f"leg_length.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
+        f"{length}.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
         for name, own in zip(TOWERS, firmware.arm, strict=True)
         if abs(own - arm) > 1e-9
     }
@@ -320,7 +317,7 @@ def _machine(
             "plate": Instrument(repeatability=PROBE),
             "distance": Instrument(repeatability=CALLIPER),
         },
-        tolerance=TOLERANCE,
+        tolerance=of_printers(catalogue),
         parameters=lengths,
         provenance={
             "klipper": {
