@@ -62,9 +62,9 @@ class CandidateFit:
 
 
 def log_evidence(estimate: Estimate) -> float:
-    """Laplace's approximation of the log marginal likelihood, unknowns in tolerances."""
+    """Laplace's approximation of the log marginal likelihood, unknowns in prior widths."""
     here = normal(estimate.problem, estimate.at, estimate.nuisance)
-    scale = estimate.problem.tolerance
+    scale = np.minimum(estimate.problem.prior_sd, 1e3 * estimate.problem.tolerance)
     info = here.information * scale * scale[:, None]
     return float(-here.cost / 2 - np.linalg.slogdet(info)[1] / 2)
 

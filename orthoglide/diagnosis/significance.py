@@ -18,12 +18,14 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import normal
-from orthoglide.fit.noise import repeat_variance
+from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
+
+_OFF_GRID = 1e-6  # of a step
 
 BACKGROUND = 0.02
 """Share of its tolerance that every other effect has on a machine with nothing wrong."""
@@ -73,9 +75,14 @@ def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) ->
     rows, within = signatures.whiten(readings), about_means(signatures, readings)
     if problem.noise.source == "repeats":
         variance = np.array([repeat_variance(_with_noise(problem, r))[0] for r in readings.T])
-        floor = problem.machine.spec.dial.resolution**2 / 12
-        factor = problem.noise.typical / np.sqrt(np.maximum(variance, floor))
+        total = total_variance(variance, problem.machine.spec.dial.resolution)
+        factor = problem.noise.typical / np.sqrt(np.maximum(total, 1e-300))
         rows, within = rows * factor, within * factor**2
+    # A prior that holds an unknown back leaves something of it in the readings.
+    known = len(problem.prior_rows[0])
+    padded = np.zeros((len(signatures.fitted), draws))
+    padded[signatures.count :][:known] = rng.standard_normal((known, draws))
+    rows += signatures.project(padded)
     little = rng.standard_normal((len(signatures.names), draws))
     little *= BACKGROUND * signatures.tolerance[:, None]
     return Draws(rows, signatures.columns @ little, within)
@@ -104,13 +111,18 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
-    exact = np.all(problem.measured == np.round(problem.measured / resolution) * resolution)
-    if resolution > 0 and exact:
+    if on_grid(problem.measured, resolution):
         value = signatures.estimate.at.value[:, None]
         datum = rng.uniform(0, resolution, (problem.setup_count, draws))[problem.setup_of_row]
         shown = np.round((value + datum + noise) / resolution) * resolution
         return np.asarray(shown - value - datum)
     return noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution
+
+
+def on_grid(readings: Array, resolution: float) -> bool:
+    """Whether readings, metres, are all multiples of a dial's step, but for binary fractions."""
+    steps = readings / resolution if resolution > 0 else np.full(1, np.nan)
+    return bool(np.all(np.abs(steps - np.round(steps)) < _OFF_GRID))
 
 
 def detect(
@@ -137,8 +149,9 @@ def detect(
 
 
 def _lack_of_fit(signatures: Signatures, rows: Array, within: Array) -> float:
-    left = float(signatures.residual @ signatures.residual)
-    chi2 = np.sum(rows**2, axis=0)
+    """The smaller of two tests, doubled: of all readings, and of the station means."""
+    # What tolerances ask of the unknowns is no question to the readings.
+    left, chi2 = signatures.square(signatures.residual), signatures.square(rows)
     whole = _p_value(chi2, left)
     means = _p_value(chi2 - within, left - within_groups(signatures))
     return min(1.0, 2 * min(whole, means))
@@ -167,7 +180,7 @@ def name_p_value(
     effect = signatures.estimate.problem.machine.catalogue[candidate.effect]
     by_reading = bool(effect.needs & {"time", "temperature"})
     groups = np.arange(signatures.count) if by_reading else signatures.groups
-    left = float(signatures.residual @ signatures.residual)
+    left = float(signatures.square(signatures.residual))
     size = left - (0.0 if by_reading else within_groups(signatures))
     if size <= 0:
         return 1.0
@@ -205,5 +218,5 @@ def station_degrees(signatures: Signatures) -> float:
     return stations - estimate.nuisance.free - here.determined
 
 
-def _p_value(draws: Array, seen: float) -> float:
+def _p_value(draws: Array, seen: float | Array) -> float:
     return float((1 + np.sum(draws >= seen)) / (len(draws) + 1))

@@ -1,7 +1,7 @@
 """What was read, as factors: each predicts its rows, differentiates them, and has its nuisances.
 
 A *nuisance* is a number that the rows contain besides the machine: a dial's datum, where it stands,
-the rounding that repeats share, the frame of a tracker. Nuisances enter linearly and are fitted
+the frame of a tracker. Nuisances enter linearly and are fitted
 with everything else.
 """
 
@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, TcpPoints
 from orthoglide.prediction import Conditions, Model
@@ -63,12 +64,10 @@ class DialReadings:
     Attributes:
         campaign: the readings.
         placement: standard deviation of a dial's place along its leg, metres; 0: exact.
-        common: standard deviation of what a dial rounds away alike at every visit, metres.
     """
 
     campaign: Campaign
     placement: float = 0.0
-    common: float = 0.0
 
     @property
     def name(self) -> str:
@@ -79,6 +78,10 @@ class DialReadings:
     def setup_names(self) -> tuple[str, ...]:
         """The mountings."""
         return tuple(s.name for s in self.campaign.setups)
+
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """Mountings of which an instrument's effect has parameters."""
+        return self.setup_names if effect.dial is not None else ()
 
     @property
     def measured(self) -> Array:
@@ -115,7 +118,7 @@ class DialReadings:
         return Linear(found.value, found.jacobian, found.by_gauge[:, None])
 
     def nuisances(self, slopes: Array) -> Block:
-        """A datum a setup, a placement a setup, and where readings repeat a rounding a station."""
+        """A datum and a placement for each setup."""
         setups = len(self.campaign.setups)
         datum = np.eye(setups)[self.setup]
         columns, sd = [datum], [np.full(setups, np.inf)]
@@ -123,13 +126,7 @@ class DialReadings:
             columns.append(datum * slopes)
             sd.append(np.full(setups, self.placement))
         placed = np.arange(setups * len(columns)) >= setups
-        if self.common > 0:
-            station = np.unique(self.stations, axis=0, return_inverse=True)[1].reshape(-1)
-            count = int(station.max(initial=-1)) + 1
-            columns.append(np.eye(count)[station])
-            sd.append(np.full(count, self.common))
-        every = np.hstack(columns)
-        return Block(every, np.concatenate(sd), np.pad(placed, (0, every.shape[1] - len(placed))))
+        return Block(np.hstack(columns), np.concatenate(sd), placed)
 
 
 @dataclass(frozen=True)
@@ -153,6 +150,10 @@ class TcpReadings:
     @property
     def setup_names(self) -> tuple[str, ...]:
         """No dial has parameters here."""
+        return ()
+
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """No instrument's effect has parameters here."""
         return ()
 
     @cached_property
@@ -220,10 +221,6 @@ class TcpReadings:
         kept = np.abs(columns).max(axis=0, initial=0.0) > 0
         count = int(kept.sum())
         return Block(columns[:, kept], np.full(count, np.inf), np.zeros(count, dtype=bool))
-
-
-Factor = DialReadings | TcpReadings
-"""All kinds of readings: each predicts its rows, differentiates them, and has its nuisances."""
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:

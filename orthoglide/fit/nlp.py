@@ -18,6 +18,7 @@ from orthoglide.errors import SolverError
 from orthoglide.fit.factors import DialReadings, TcpReadings
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
+from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.mechanism.functions import LINES, TCP, closure_functions
 from orthoglide.prediction import Conditions, Model
@@ -96,7 +97,7 @@ class Nlp:
         columns = np.full(nuisance.count, self._unit)
         columns[known] = nuisance.precision[known] ** -0.5
         fitted = predicted + ca.DM(nuisance.columns * columns) @ z
-        left = (measured - fitted) * nuisance.weight
+        left = _weighed(measured - fitted, nuisance.weighing)
         matrix, target = problem.prior_rows
         prior = ca.DM(matrix * self._scale) @ x - ca.DM(target)
         placed = z * (columns * np.sqrt(nuisance.precision))
@@ -130,7 +131,7 @@ class Nlp:
             outputs = self._functions.outputs.map(count)(own, given)
             if isinstance(factor, DialReadings):
                 rows.append(_dials(model, factor, outputs, layout.place, values))
-            else:
+            elif isinstance(factor, TcpReadings):
                 rows.append(_coordinates(factor, outputs, layout.place))
             first += count
         return ca.horzcat(*closures), ca.vertcat(*rows)
@@ -185,6 +186,16 @@ class Nlp:
             given = model.mechanism.given(layout.conditions.command, moves)
             found.append(model.mechanism.batch.close(given))
         return np.concatenate(found)
+
+
+def _weighed(rows: Any, weighing: Weighing) -> Any:
+    """Rows ``(n, 1)`` as MX in units of their noise."""
+    n, station = len(weighing.station), weighing.station
+    shared = np.flatnonzero(np.bincount(station)[station] > 1)
+    if not weighing.common[shared].any():
+        return rows * np.sqrt(weighing.weight**-2 + weighing.common**2) ** -1
+    matrix = ca.DM(weighing.whiten(np.eye(n)))
+    return ca.sparsify(matrix) @ rows
 
 
 def _layout(problem: Problem, factor: int) -> _Layout:
