@@ -333,3 +333,10 @@ def test_the_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with pytest.raises(PermissionError):
         compiled._own_folder()
     assert compiled.compiled([]) is None
+
+
+@pytest.mark.parametrize("name", ["../theirs.csv", "a/../../theirs.csv", "/theirs.csv"])
+def test_a_folder_holds_what_is_written_into_it(name: str, here: Path) -> None:
+    with pytest.raises(FileError, match="no place within"):
+        write_folder(here / "out", {"a.csv": "", name: "ours"})
+    assert os.listdir(here) == ["c.csv"]
