@@ -31,10 +31,16 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
     runs = [(s, run) for s in range(problem.setup_count) for run in _runs(problem, s)]
     scale = noise_scale(problem, setups)
     found = []
+    residual = base.estimate.nuisance.weighing.metres(base.residual[: base.count])
     for setup, run in runs:
-        missed = float(np.ptp(_left_by_others(base, run)))
         step, sigma = problem.machine.spec.dial.resolution, float(problem.sigma[run].max())
-        if missed < max(_STEPS * step, _SIGMAS * sigma):
+        least = max(_STEPS * step, _SIGMAS * sigma)
+        # What a fit without the run leaves of it is no longer than this, and most runs are short.
+        share = float(np.sum(base.fitted[run] ** 2))
+        if share < 1 and np.sqrt(2) * np.linalg.norm(residual[run]) < least * (1 - share):
+            continue
+        missed = float(np.ptp(_left_by_others(base, run)))
+        if missed < least:
             continue
         repeats = _by_repeats(setups[setup], run, scale) - np.log(len(runs))
         fit = _by_fit(means, np.unique(problem.station[run])) - np.log(len(runs))

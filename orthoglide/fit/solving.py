@@ -33,7 +33,7 @@ NLP_POSTURES = 200
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
 
-_WIDENINGS = 3
+_WIDENINGS, _WIDER = 8, 1.2  # rounds, and the growth of a value that asks for one more
 
 
 def solve(
@@ -56,16 +56,17 @@ def _widened(found: Estimate, method: Method) -> Estimate:
     """A fit again with the priors of values beyond their tolerances as wide as these are far."""
     for _ in range(_WIDENINGS):
         problem = found.problem
-        far = problem.far(found.x) & np.array([u.width == 1.0 for u in problem.unknowns])
-        if not far.any():
-            break
+        width = np.array([u.width for u in problem.unknowns])
         size = np.abs(found.x) / problem.tolerance
-        wide = [
-            replace(u, width=float(s)) if f else u
-            for u, s, f in zip(problem.unknowns, size, far, strict=True)
+        wider = problem.far(found.x) & (size > _WIDER * width)
+        if not wider.any():
+            break
+        unknowns = [
+            replace(u, width=float(w)) if more else u
+            for u, w, more in zip(problem.unknowns, size, wider, strict=True)
         ]
         try:
-            found = _solve(replace(problem, unknowns=tuple(wide)), method, found.x)
+            found = _solve(replace(problem, unknowns=tuple(unknowns)), method, found.x)
         except NumericsError:
             break
     return found
