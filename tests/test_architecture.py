@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"accuracy"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"posterior", "judging", "searching", "simulation"}),
+    frozenset({"posterior", "judging", "searching", "simulation", "klipper"}),
     frozenset({"planning", "request"}),
     frozenset({"result"}),
     frozenset({"report"}),

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, TcpPoints
 from orthoglide.prediction import Conditions, Model
@@ -77,6 +78,10 @@ class DialReadings:
     def setup_names(self) -> tuple[str, ...]:
         """The mountings."""
         return tuple(s.name for s in self.campaign.setups)
+
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """Mountings of which an instrument's effect has parameters."""
+        return self.setup_names if effect.dial is not None else ()
 
     @property
     def measured(self) -> Array:
@@ -147,6 +152,10 @@ class TcpReadings:
         """No dial has parameters here."""
         return ()
 
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """No instrument's effect has parameters here."""
+        return ()
+
     @cached_property
     def known(self) -> NDArray[np.bool_]:
         """Which coordinates were measured ``(n, 3)``."""
@@ -212,10 +221,6 @@ class TcpReadings:
         kept = np.abs(columns).max(axis=0, initial=0.0) > 0
         count = int(kept.sum())
         return Block(columns[:, kept], np.full(count, np.inf), np.zeros(count, dtype=bool))
-
-
-Factor = DialReadings | TcpReadings
-"""All kinds of readings: each predicts its rows, differentiates them, and has its nuisances."""
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:

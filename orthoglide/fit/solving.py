@@ -22,6 +22,7 @@ from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import LACK_OF_FIT, score
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weakness import sparse_basis, weak_directions
 from orthoglide.geometry import Array
 
@@ -131,11 +132,13 @@ def _solved(
     if method == "reduction":
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
-    elastic = _elastic(problem)
+    elastic, tool = _elastic(problem), any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
         raise InputError("the programme closes unloaded loops: take the nested method under load")
+    if tool and method == "nlp":
+        raise InputError("the programme reads dials and coordinates only: take the nested method")
     large = posture_count(problem) > NLP_POSTURES
-    if method == "nested" or (method == "auto" and (large or elastic)):
+    if method == "nested" or (method == "auto" and (large or elastic or tool)):
         nested = solve_nested(problem, nuisance, near)
         return nested.at, nested.iterations + 1, "nested"
     from orthoglide.fit.nlp import Nlp
