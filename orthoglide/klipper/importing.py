@@ -21,6 +21,7 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign, ToolSetup
+from orthoglide.text import shown
 
 PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 """What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
@@ -74,7 +75,7 @@ def import_printer(path: str | os.PathLike[str]) -> Imported:
         raise FileError(
             "holds no readings: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and SAVE_CONFIG, and "
             "take the file that the firmware saved",
-            file=str(path),
+            file=shown(path),
         )
     machine = _machine(config, firmware, arm, stored)
     return Imported(machine, tuple(stored), tuple(_notes(firmware, stored)))
