@@ -25,6 +25,7 @@ from orthoglide.observations import Campaign
 from orthoglide.posterior import FullPosterior
 from orthoglide.request import Request
 from orthoglide.result.causes import Cause, candidates, causes
+from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
 from orthoglide.searching import CandidateScore, Effect
 
@@ -267,6 +268,12 @@ class Result:
         they are to be shown.
         """
         return controller_numbers(self.machine, force=True)
+
+    @cached_property
+    def firmware(self) -> FirmwareAdvice | None:
+        """Numbers for the firmware of a machine that was imported from it; ``None`` for others."""
+        causes = self.causes if self.request.searches else ()
+        return firmware_advice(self.request.machine, self.machine, self.after, causes)
 
     @property
     def cautions(self) -> tuple[str, ...]:
