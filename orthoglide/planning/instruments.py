@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -46,8 +45,7 @@ def deciding(rivals: Sequence[tuple[str, Estimate]]) -> tuple[tuple[str, float],
     Args:
         rivals: names with their fits, the chosen one first.
     """
-    shown = [_shown(name, fit) for name, fit in rivals]
-    found = []
+    pairs, found = _pairs(rivals), []
     for what, unit, sigma, of in (
         ("distances between holes or pillars around the rim and across it, each with its own width "
          "and the part's shrinkage", "mm", REPEATABILITY["distance"], _distances),
@@ -56,7 +54,7 @@ def deciding(rivals: Sequence[tuple[str, Estimate]]) -> tuple[tuple[str, float],
         ("a mesh with the plate turned by 60 degrees on its seat, as a setup of its own", "mm",
          REPEATABILITY["plate"], _turned),
     ):  # fmt: skip
-        best = max(combinations(shown, 2), key=lambda pair: _apart(of(*pair)), default=None)
+        best = max(pairs, key=lambda pair: _apart(of(*pair)), default=None)
         if best is None:
             continue
         apart = _apart(of(*best))
@@ -72,6 +70,17 @@ def deciding(rivals: Sequence[tuple[str, Estimate]]) -> tuple[tuple[str, float],
             )
         )
     return tuple(sorted(found, key=lambda item: -item[1]))
+
+
+def _pairs(rivals: Sequence[tuple[str, Estimate]]) -> list[tuple[Shown, Shown]]:
+    """Each rival with the cause that was chosen: every cause comes with the final fit first."""
+    final, found, chosen = rivals[0][1], list[tuple[Shown, Shown]](), None
+    for name, fit in rivals:
+        if fit is final:
+            chosen = _shown(name, fit)
+        elif chosen is not None:
+            found.append((chosen, _shown(name, fit)))
+    return found
 
 
 def _apart(difference: Array) -> float:
