@@ -293,7 +293,7 @@ def _under_other_bars(
 
     A recorded bar is taken at its word. An effect of the dial is the same on either bar.
     """
-    if any(s.bar for c in base.campaigns for s in c.setups):
+    if not base.campaigns or any(s.bar for c in base.campaigns for s in c.setups):
         return []
     found: list[CandidateFit] = []
     for bar in (1, 2):
