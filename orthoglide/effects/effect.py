@@ -42,6 +42,7 @@ class LegConditions:
         warming: kelvin above the campaign's first row.
         force: on the carriage along its own axis under the load, newtons.
         travel: the carriage's true travel from mechanical zero, metres.
+        commands: rho of all drives, metres.
     """
 
     command: Any
@@ -53,6 +54,7 @@ class LegConditions:
     warming: Any
     force: Any
     travel: Any = None
+    commands: tuple[Any, ...] = ()
 
     @property
     def nominal_travel(self) -> Any:
@@ -122,7 +124,7 @@ class Motion:
     @property
     def needs(self) -> frozenset[Condition]:
         """Conditions that the basis looks at, found by evaluating it."""
-        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01)
+        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, (0.3,) * 3)
         probe.__dict__["used"] = set()
         self.basis(probe)
         return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])

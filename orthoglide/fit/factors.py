@@ -114,6 +114,10 @@ class DialReadings:
         found = model.linearised(values, self.campaign, names)
         return Linear(found.value, found.jacobian, found.by_gauge[:, None])
 
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Derivative of the rows by the virtual joints ``(n, 30)``."""
+        return model.readings_by_joints(values, self.campaign)
+
     def nuisances(self, slopes: Array) -> Block:
         """A datum a setup, a placement a setup, and where readings repeat a rounding a station."""
         setups = len(self.campaign.setups)
@@ -210,6 +214,10 @@ class TcpReadings:
         p = out.p
         turn = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)  # (n, xyz, axis)
         return Linear(np.asarray(p[self.known]), jacobian, turn[self.known])
+
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Derivative of the rows by the virtual joints ``(n, 30)``."""
+        return np.asarray(model.by_joints(values, self.conditions())[:, :3][self.known])
 
     def nuisances(self, slopes: Array) -> Block:
         """A datum a coordinate, and three turns, as far as the frame is free."""

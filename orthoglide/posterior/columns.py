@@ -1,0 +1,197 @@
+"""The readings about a machine, linear in everything that could be wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.diagnosis.candidates import Candidate, candidates
+from orthoglide.effects import Effect, LegConditions
+from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
+from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.factors import Factor
+from orthoglide.fit.least_squares import linearise
+from orthoglide.geometry import Array
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.posterior.mixture import Group, Linear, whole
+from orthoglide.posterior.places import Place, places
+
+_UNTIED = 1e3
+"""Tolerances: the prior of a coefficient that rows of its own speak of."""
+
+_VISIBLE = 0.3
+"""A cause is weighed if one tolerance lifts it this far above the noise, in all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Everything:
+    """All that could be wrong, with what the readings say of it about one point.
+
+    Attributes:
+        problem: with every parameter of the catalogue that could matter free.
+        x: where it was linearised ``(P,)``, SI.
+        scale: SI of one unit of each coefficient ``(C,)``: the parameters, then the places'.
+        places: with their coefficients behind the parameters, in order.
+        candidates: causes that the readings could show, in the order of the linear groups.
+        linear: for the mixture.
+    """
+
+    problem: Problem
+    x: Array
+    scale: Array
+    places: tuple[Place, ...]
+    candidates: tuple[Candidate, ...]
+    linear: Linear
+
+    @property
+    def known(self) -> int:
+        """Number of the catalogue's coefficients, which come first."""
+        return len(self.problem.unknowns)
+
+
+def with_everything(problem: Problem) -> Problem:
+    """All other parameters of the catalogue freed, seen or not, that could move readings or TCP."""
+    excited = {effect.name for effect in excited_effects(problem)}
+
+    def counts(effect: Effect) -> bool:
+        if "pitch" in effect.needs and problem.machine.spec.screw_pitch is None:
+            return False
+        at_hand = effect.at_rest or (effect.of_dial and bool(problem.campaigns))
+        return at_hand or effect.name in excited
+
+    effects = [effect.name for effect in problem.machine.catalogue.effects if counts(effect)]
+    return with_free(problem, elementary_beyond(problem, effects), release=False)
+
+
+def places_of(problem: Problem) -> tuple[Place, ...]:
+    """Places that these readings could show."""
+    sessions: list[tuple[int, float, float]] = []
+    if len(problem.campaigns) == 1 and not problem.points:
+        (campaign,) = problem.campaigns
+        leg = campaign.leg
+        for k in range(3):
+            time = campaign.time[leg == k]
+            if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
+                sessions.append((k, float(time.min()), float(time.max())))
+    return places(sessions)
+
+
+def everything(estimate: Estimate, at: Array | None = None) -> Everything:
+    """Linearise the readings by everything that could be wrong.
+
+    Args:
+        estimate: a fit of the base; gives the problem and its nuisances.
+        at: parameters to linearise at ``(P,)``, SI; the fit's, others zero, where absent.
+    """
+    problem = estimate.problem
+    wide = with_everything(problem)
+    free = len(problem.unknowns)
+    start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - free)])
+    x = start if at is None else at
+    if at is not None:
+        # A dial that magnifies everything found so far would be one coefficient in place of many:
+        # what dials do is taken at the base fit, where it cannot stand in for the machine.
+        of_dial = [problem.machine.catalogue.effect_of(n).of_dial for n in wide.names]
+        x = np.where(of_dial, 0.0, x)
+    here = linearise(wide, x)
+    if at is not None:
+        here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
+    project = estimate.nuisance.project
+    sd = wide.tolerance.copy()
+    curves, found = _curves(wide, x)
+    columns = np.hstack([project(here.jacobian) * sd, project(curves)])
+    scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
+    residual = project(problem.measured - here.value + here.jacobian @ x)
+    base = np.zeros(len(scale), dtype=bool)
+    of = problem.machine.catalogue.effect_of
+    base[:free] = [of(n).name in problem.machine.catalogue.base for n in problem.names]
+    is_free = np.arange(len(scale)) >= len(sd)
+    columns, residual = _with_what_was_known(problem, columns, residual, sd)
+    groups, causes = _groups(wide, free, columns, found)
+    linear = Linear(columns, residual, base, is_free, groups)
+    return Everything(wide, x, scale, found, causes, _reduced(linear))
+
+
+def _with_what_was_known(
+    problem: Problem, columns: Array, residual: Array, sd: Array
+) -> tuple[Array, Array]:
+    """Rows of an earlier calibration behind those of the readings."""
+    if problem.earlier is None:
+        return columns, residual
+    matrix, target = problem.prior_rows
+    rows = np.flatnonzero(target)  # noqa: F841 - tolerances have no target
+    known = np.zeros((len(matrix), columns.shape[1]))
+    known[:, : matrix.shape[1]] = matrix * sd[: matrix.shape[1]]
+    return np.vstack([columns, known]), np.concatenate([residual, target])
+
+
+def _reduced(linear: Linear) -> Linear:
+    """The same with no more rows than coefficients: nothing is lost but a constant."""
+    rows, count = linear.columns.shape
+    if rows <= count + 1:
+        return linear
+    upper = np.linalg.qr(np.column_stack([linear.columns, linear.residual]), mode="r")
+    return replace(linear, columns=upper[:, :-1], residual=upper[:, -1])
+
+
+def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept."""
+    model = problem.machine.model
+    blocks: dict[str, list[Array]] = {}
+    kept = places_of(problem)
+    for k, factor in enumerate(problem.factors):
+        values = problem.values(k, x)
+        by_joints = factor.by_joints(model, values)
+        legs = _conditions(factor, problem, values)
+        for place in kept:
+            blocks.setdefault(place.name, []).append(_column(place, by_joints, legs[place.leg]))
+    if not kept:
+        return np.zeros((len(problem.measured), 0)), ()
+    return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
+
+
+def _conditions(
+    factor: Factor, problem: Problem, values: dict[str, float]
+) -> tuple[LegConditions, ...]:
+    return problem.machine.model.leg_conditions(values, factor.conditions())
+
+
+def _column(place: Place, by_joints: Array, conditions: LegConditions) -> Array:
+    first = place.leg * len(VIRTUAL_NAMES)
+    moved = sum(share * by_joints[:, first + VIRTUAL_NAMES.index(j)] for j, share in place.joints)
+    functions = place.functions(conditions)
+    return np.stack([f * moved * place.unit for f in functions], axis=1)
+
+
+def _groups(
+    wide: Problem, free: int, columns: Array, found: Sequence[Place]
+) -> tuple[tuple[Group, ...], tuple[Candidate, ...]]:
+    """Causes and places that the readings could show."""
+    names = [u.name for u in wide.unknowns]
+    excited = {e.name for e in excited_effects(wide)} | {
+        e.name for e in excited_effects(replace(wide, unknowns=()))
+    }
+    seen = np.linalg.norm(columns, axis=0) > _VISIBLE
+    visible = [
+        n for k, n in enumerate(names) if k >= free and seen[k] and n.effect in excited
+    ]
+    catalogue = wide.machine.catalogue
+    effects = [e for e in catalogue.effects if e.name in excited]
+    causes = candidates(visible, effects, catalogue)
+    index = {n: k for k, n in enumerate(names)}
+    groups = []
+    for cause in causes:
+        matrix = cause.columns(visible)
+        rows = np.flatnonzero(matrix.any(axis=1))
+        groups.append(
+            Group(cause.name, np.array([index[visible[k]] for k in rows]), matrix[rows], False)
+        )
+    start = len(names)
+    for place in found:
+        members = range(start, start + place.kernel.count)
+        start += place.kernel.count
+        if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
+            groups.append(whole(place.name, members, free=True))
+    return tuple(groups), causes

@@ -1,0 +1,165 @@
+"""Places: parts of the machine that may move in a way that no effect knows.
+
+A place is a smooth free function that moves virtual joints of one leg: a Gaussian process, in the
+first eigenfunctions of the Laplacian on an interval somewhat longer than its variable's
+(Solin and Sarkka 2020, *Hilbert space methods for reduced-rank Gaussian process regression*,
+eq. 17 and 56). Level and slope are left in: the effects of the catalogue compete with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from orthoglide.effects import LegConditions, sin
+from orthoglide.geometry import LEGS, Array, leg_axes
+
+Against = Literal["travel", "approach", "command", "time", "reading"]
+Part = Literal["drive", "rail", "carriage", "bar", "dial"]
+
+_ROOM = 1.25
+"""Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A Gaussian process of unit variance over [-1, 1].
+
+    Attributes:
+        length: correlation length, over half the variable's range.
+        count: of eigenfunctions.
+        smooth: Matern 3/2; else Ornstein-Uhlenbeck.
+    """
+
+    length: float
+    count: int
+    smooth: bool = True
+
+    def weights(self) -> Array:
+        """Standard deviation of each eigenfunction's coefficient ``(count,)``."""
+        frequency = np.pi * np.arange(1, self.count + 1) / (2 * _ROOM)
+        if self.smooth:
+            rate = np.sqrt(3) / self.length
+            density = 4 * rate**3 / (rate**2 + frequency**2) ** 2
+        else:
+            rate = 1 / self.length
+            density = 2 * rate / (rate**2 + frequency**2)
+        return np.asarray(np.sqrt(density / _ROOM))
+
+    def functions(self, u: Any) -> list[Any]:
+        """Eigenfunctions of a variable in [-1, 1], each times its weight."""
+        turn = np.pi * (u + _ROOM) / (2 * _ROOM)
+        return [w * sin((k + 1) * turn) for k, w in enumerate(self.weights().tolist())]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the machine may move as nothing in the catalogue does.
+
+    Attributes:
+        part: of the leg.
+        leg: 0, 1 or 2.
+        joints: virtual joints that move, each with its share.
+        direction: that it moves in or turns about, as a letter of the base; empty for none.
+        against: what it depends on.
+        by: the drive whose command it depends on, with ``against`` ``"command"``.
+        variable: in [-1, 1], of the leg's conditions.
+        kernel: how smooth it is.
+        unit: standard deviation to expect of a place that is wrong, SI.
+    """
+
+    part: Part
+    leg: int
+    joints: tuple[tuple[str, float], ...]
+    direction: str
+    against: Against
+    by: int
+    variable: Callable[[LegConditions], Any]
+    kernel: Kernel
+    unit: float
+
+    @property
+    def name(self) -> str:
+        """Unique, such as ``rail.x.y/travel``."""
+        way = f".{self.direction}" if self.direction else ""
+        by = f".{LEGS[self.by]}" if self.against == "command" else ""
+        return f"{self.part}.{LEGS[self.leg]}{way}/{self.against}{by}"
+
+    def functions(self, conditions: LegConditions) -> list[Any]:
+        """The free functions at some conditions, each for a coefficient of sd ``unit``."""
+        values = self.kernel.functions(self.variable(conditions))
+        if self.against == "approach":
+            return [value * conditions.approach / 2 for value in values]
+        return values
+
+
+def _travel(c: LegConditions) -> Any:
+    return c.u
+
+
+def _command_of(leg: int) -> Callable[[LegConditions], Any]:
+    def variable(c: LegConditions) -> Any:
+        low, high = c.stroke
+        return (c.commands[leg] - c.length - (low + high) / 2) / ((high - low) / 2)
+
+    return variable
+
+
+def _time_between(start: float, end: float) -> Callable[[LegConditions], Any]:
+    """Time within a session as -1 to 1, held outside it."""
+    half = max((end - start) / 2, 1e-9)
+
+    def variable(c: LegConditions) -> Any:
+        return np.clip((c.time - start) / half - 1, -1.0, 1.0)
+
+    return variable
+
+
+_LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
+_FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
+_OU = Kernel(1 / 3, 24, smooth=False)  # a sixth of the session
+_UM = 1e-6
+
+
+def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ...]:
+    """All places of a machine.
+
+    Args:
+        sessions: leg, first and last second in which its dials were read; none where time was not
+            recorded.
+    """
+    found: list[Place] = []
+    for leg in range(len(LEGS)):
+        a, b, c = leg_axes(leg)
+        own = LEGS[a]
+        drive, across = (("travel", 1.0),), {"b": LEGS[b], "c": LEGS[c]}
+
+        def add(part: Part, joints: Any, direction: str, against: Against, variable: Any,
+                kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
+            found.append(
+                Place(part, leg, joints, direction, against, by, variable, kernel, unit)
+            )
+
+        add("drive", drive, "", "travel", _command_of(leg), _FINE, 100 * _UM)
+        add("drive", drive, "", "approach", _command_of(leg), _COARSE, 50 * _UM)
+        for other in range(len(LEGS)):
+            if other != leg:
+                add("drive", drive, "", "command", _command_of(other), _COARSE, 50 * _UM, other)
+        for axis, letter in across.items():
+            sideways = ((f"lateral_{axis}", 1.0),)
+            add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
+            add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
+        for axis, letter in {"a": own, **across}.items():
+            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
+        for bar in "12":
+            add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
+    both = (("stretch1", 1.0), ("stretch2", 1.0))
+    for leg, start, end in sessions:
+        variable = _time_between(start, end)
+        for joints, bar in ((both[:1], "1"), (both[1:], "2"), (both, "")):
+            found.append(Place("bar", leg, joints, bar, "time", 0, variable, _OU, 50 * _UM))
+        found.append(Place("drive", leg, (("travel", 1.0),), "", "time", 0, variable, _OU, 50 * _UM))
+    return tuple(found)
