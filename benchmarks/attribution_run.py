@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from orthoglide.diagnosis.ranking import refit
 
 from benchmarks import attribution_cases as ac
 from benchmarks.attribution_cases import Array, Case, Cause
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.candidates import Candidate
-from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import OrthoglideError

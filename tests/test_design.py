@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
+from orthoglide.diagnosis.ranking import refit
 from scipy.stats import ncx2
 
 import orthoglide as og
 from orthoglide.cli.design import design as design_command
 from orthoglide.cli.sheets import protocol as protocol_command
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect, LegConditions
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.factors import Factor
-from orthoglide.fit.least_squares import linearise
+from orthoglide.fit.least_squares import linearise, predict
+from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.posterior.mixture import Group, Linear, whole
@@ -36,6 +38,11 @@ class Everything:
         places: with their coefficients behind the parameters, in order.
         candidates: causes that the readings could show, in the order of the linear groups.
         linear: for the mixture.
+        rows: readings by coefficient ``(n, C)``, metres.
+        value: readings where everything is zero, as linearised ``(n,)``, metres.
+        known_rows: what an earlier calibration says of the parameters: matrix and target.
+        invisible: parameters that these readings cannot show, whatever their size within reason.
+        apart: of the prediction from its linearisation at the mean, sigmas.
     """
 
     problem: Problem
@@ -44,11 +51,34 @@ class Everything:
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
     linear: Linear
+    rows: Array
+    value: Array
+    known_rows: tuple[Array, Array]
+    invisible: tuple[str, ...]
+    apart: float = float("nan")
 
     @property
     def known(self) -> int:
         """Number of the catalogue's coefficients, which come first."""
         return len(self.problem.unknowns)
+
+    def coefficients(self, place: Place) -> NDArray[np.intp]:
+        """Where a place's coefficients stand."""
+        first = self.known
+        for other in self.places:
+            if other.name == place.name:
+                break
+            first += other.kernel.count
+        return np.arange(first, first + place.kernel.count)
+
+    def distance(self, mean: Array, before: Estimate) -> float:
+        """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
+        linearisation.
+        """
+        at = (mean * self.scale)[: self.known]
+        linear = self.value + self.rows[:, : self.known] @ (mean[: self.known])
+        off = before.nuisance.project(predict(self.problem, at) - linear)
+        return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
 
 
 def with_everything(problem: Problem) -> Problem:
@@ -98,33 +128,38 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     here = linearise(wide, x)
     if at is not None:
         here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
-    project = estimate.nuisance.project
-    sd = wide.tolerance.copy()
+    project, sd = estimate.nuisance.project, wide.tolerance
     curves, found = _curves(wide, x)
-    columns = np.hstack([project(here.jacobian) * sd, project(curves)])
+    rows = np.hstack([here.jacobian * sd, curves])
+    value = here.value - here.jacobian @ x
+    columns, residual = project(rows), project(problem.measured - value)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
-    residual = project(problem.measured - here.value + here.jacobian @ x)
-    base = np.zeros(len(scale), dtype=bool)
-    of = problem.machine.catalogue.effect_of
-    base[:free] = [of(n).name in problem.machine.catalogue.base for n in problem.names]
-    is_free = np.arange(len(scale)) >= len(sd)
-    columns, residual = _with_what_was_known(problem, columns, residual, sd)
-    groups, causes = _groups(wide, free, columns, found)
-    linear = Linear(columns, residual, base, is_free, groups)
-    return Everything(wide, x, scale, found, causes, _reduced(linear))
+    fixed, known = _fixed(problem, len(scale))
+    if len(known[1]):
+        matrix = np.pad(known[0], [(0, 0), (0, len(scale) - known[0].shape[1])]) * scale
+        columns = np.vstack([columns, matrix])
+        residual = np.concatenate([residual, known[1]])
+    groups, causes, hidden = _groups(wide, free, columns, found)
+    linear = Linear(columns, residual, fixed, np.arange(len(scale)) >= len(sd), groups)
+    padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
+    return Everything(
+        wide, x, scale, found, causes, _reduced(linear), rows, value, (padded, known[1]), hidden
+    )
 
 
-def _with_what_was_known(
-    problem: Problem, columns: Array, residual: Array, sd: Array
-) -> tuple[Array, Array]:
-    """Rows of an earlier calibration behind those of the readings."""
+def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
+    """Prior sd of what no background has ``(C,)``, nan elsewhere; rows of what was known before.
+
+    The base stands at its tolerance. What an earlier calibration speaks of has rows instead.
+    """
+    of, base = problem.machine.catalogue.effect_of, problem.machine.catalogue.base
+    fixed = np.full(count, np.nan)
+    fixed[: len(problem.names)] = [1.0 if of(n).name in base else np.nan for n in problem.names]
     if problem.earlier is None:
-        return columns, residual
-    matrix, target = problem.prior_rows
-    rows = np.flatnonzero(target)  # noqa: F841 - tolerances have no target
-    known = np.zeros((len(matrix), columns.shape[1]))
-    known[:, : matrix.shape[1]] = matrix * sd[: matrix.shape[1]]
-    return np.vstack([columns, known]), np.concatenate([residual, target])
+        return fixed, (np.zeros((0, len(problem.names))), np.zeros(0))
+    matrix, target, spoken = rows_about(problem.earlier, problem.unknowns)
+    fixed[: len(spoken)][spoken] = _UNTIED
+    return fixed, (matrix, target)
 
 
 def _reduced(linear: Linear) -> Linear:
@@ -133,7 +168,7 @@ def _reduced(linear: Linear) -> Linear:
     if rows <= count + 1:
         return linear
     upper = np.linalg.qr(np.column_stack([linear.columns, linear.residual]), mode="r")
-    return replace(linear, columns=upper[:, :-1], residual=upper[:, -1])
+    return replace(linear, columns=np.asarray(upper)[:, :-1], residual=np.asarray(upper)[:, -1])
 
 
 def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
@@ -167,31 +202,26 @@ def _column(place: Place, by_joints: Array, conditions: LegConditions) -> Array:
 
 def _groups(
     wide: Problem, free: int, columns: Array, found: Sequence[Place]
-) -> tuple[tuple[Group, ...], tuple[Candidate, ...]]:
-    """Causes and places that the readings could show."""
-    names = [u.name for u in wide.unknowns]
-    excited = {e.name for e in excited_effects(wide)} | {
-        e.name for e in excited_effects(replace(wide, unknowns=()))
-    }
+) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[str, ...]]:
+    """Causes and places that the readings could show, and the parameters that they could not."""
+    names, catalogue = [u.name for u in wide.unknowns], wide.machine.catalogue
+    excited = {e.name for e in excited_effects(wide)}
     seen = np.linalg.norm(columns, axis=0) > _VISIBLE
-    visible = [
-        n for k, n in enumerate(names) if k >= free and seen[k] and n.effect in excited
-    ]
-    catalogue = wide.machine.catalogue
+    asked = [n for n in names[free:] if n.effect in excited]
+    index = {n: k for k, n in enumerate(names)}
+    visible = [n for n in asked if seen[index[n]]]
     effects = [e for e in catalogue.effects if e.name in excited]
     causes = candidates(visible, effects, catalogue)
-    index = {n: k for k, n in enumerate(names)}
     groups = []
     for cause in causes:
         matrix = cause.columns(visible)
         rows = np.flatnonzero(matrix.any(axis=1))
-        groups.append(
-            Group(cause.name, np.array([index[visible[k]] for k in rows]), matrix[rows], False)
-        )
+        places = np.array([index[visible[k]] for k in rows], dtype=np.intp)
+        groups.append(Group(cause.name, places, matrix[rows], False))
     start = len(names)
     for place in found:
         members = range(start, start + place.kernel.count)
         start += place.kernel.count
         if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
             groups.append(whole(place.name, members, free=True))
-    return tuple(groups), causes
+    return tuple(groups), causes, tuple(n for n in asked if n not in set(visible))

@@ -1,145 +1,176 @@
-"""What the readings say of everything at once: the fit's unknowns and all other effects.
+"""The posterior of everything about a fit: what it knows of the machine, and where it was taken.
 
-The sigmas of a fit count the noise of the readings as if nothing else were wrong. Here every other
-effect of the catalogue is allowed too. How large a share of its tolerance, the readings tell: the
-share is averaged over with the evidence of each. Where the machine as a whole sits they cannot
-tell; that is known to the full tolerances, whatever the share.
+The readings are linearised at the posterior's own mean, again until that no longer moves.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orthoglide.accuracy import tcp_slopes
-from orthoglide.effects import Effect
-from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
-from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import linearise
+from orthoglide.errors import ClosureError, SolverError
+from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.factors import Block
+from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.solving import assessed
 from orthoglide.geometry import Array
+from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+from orthoglide.posterior.columns import Everything, everything
+from orthoglide.posterior.mixture import Averaged, Mixture
+from orthoglide.posterior.places import Place
 
-SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-"""Shares of their tolerances at which all effects that the fit leaves out are weighed."""
+_LINEARISATIONS = 4
+_SETTLED = 0.1
+"""Root mean square, in sigmas of a reading, by which the prediction may still differ from its
+linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
 
-_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
-_WIDE = 1e3  # tolerances: no prior at all
+_LEAST_SHARE = 0.05
+"""Probability of a place from which it is part of the calibrated machine."""
 
 
 @dataclass(frozen=True, eq=False)
 class FullPosterior:
-    """Everything that could be wrong, seen through the readings, about the fit.
+    """Everything that could be wrong, as the readings have it.
 
     Attributes:
-        unknowns: the unknowns of the fit, then all others of the catalogue.
-        machine: the machine's parameters as the last campaign saw it.
-        share: of their tolerances that the readings leave to the effects not in the fit.
+        before: the fit of the base.
+        about: the readings linearised at the mean.
+        mixture: of the explanations.
+        known: of all coefficients, in their units.
     """
 
-    unknowns: Posterior
-    machine: Posterior
-    share: float
+    before: Estimate
+    about: Everything
+    mixture: Mixture
+    known: Averaged
 
+    @property
+    def mean(self) -> Array:
+        """Of all coefficients, in their units ``(C,)``."""
+        return self.known.mean
 
-def full_posterior(estimate: Estimate) -> FullPosterior:
-    """Allow every other effect of the catalogue, at the shares of its tolerance that fit.
+    @property
+    def covariance(self) -> Array:
+        """Of these ``(C, C)``."""
+        return self.known.covariance
 
-    The effects that were added to the base stand at their tolerance, or, with the evidence of
-    that, were not added and are as small as all others.
-    """
-    problem = estimate.problem
-    linear = _Linear.of(estimate)
-    kept = [np.isin(np.arange(len(linear.sd)), linear.base)]
-    if len(problem.unknowns) > len(linear.base):
-        kept.append(np.arange(len(linear.sd)) < len(problem.unknowns))
-    cases = [(at_tolerance, share) for at_tolerance in kept for share in SHARES]
-    moments, evidence = zip(*(linear.moment(*case) for case in cases), strict=True)
-    # Every effect added was chosen among many: with one to a thousandth less is gained than seems.
-    added = [int(at_tolerance.sum()) > len(linear.base) for at_tolerance, _ in cases]
-    odds = np.array(evidence) - np.log(4 * len(linear.sd)) * np.array(added)
-    weight = np.exp(odds - odds.max())
-    weight /= weight.sum()
-    unknowns = Posterior(linear.names, linear.x, np.einsum("k,kpq->pq", weight, moments))
-    share = float(sum(w * share for w, (_, share) in zip(weight, cases, strict=True)))
-    names, matrix = linear.machine
-    return FullPosterior(unknowns, unknowns.mapped(names, matrix), share)
+    @property
+    def share(self) -> float:
+        """Of their tolerances, by which effects that do not stand out are off."""
+        return self.mixture.shares[0]
 
+    @cached_property
+    def unknowns(self) -> Posterior:
+        """All parameters of the catalogue, in the campaigns' own copies, SI."""
+        count, scale = self.about.known, self.about.scale
+        spread = self.covariance[:count, :count] * scale[:count] * scale[:count, None]
+        return Posterior(self.about.problem.names, (self.mean * scale)[:count], spread)
 
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """The readings, linearised about the fit by all unknowns ``P`` that there could be.
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        """Places that belong to the machine and are probable enough to be part of it."""
+        likely = {
+            g.name
+            for g, p in zip(self.mixture.linear.groups, self.mixture.inclusion, strict=True)
+            if g.free and p > _LEAST_SHARE
+        }
+        return tuple(p for p in self.about.places if p.name in likely and p.of_machine)
 
-    Attributes:
-        names: of the unknowns.
-        x: the fit, the others at zero ``(P,)``, SI.
-        sd: tolerances ``(P,)``, SI.
-        base: places of the unknowns that every identification starts with.
-        residual: whitened, nuisances projected out ``(m,)``.
-        jacobian: the same by the unknowns in tolerances ``(m, P)``.
-        translations: orthonormal directions ``(P, 3)`` that move the machine as a whole.
-        machine: names of the machine's parameters, and their weights by unknown.
-    """
-
-    names: tuple[str, ...]
-    x: Array
-    sd: Array
-    base: list[int]
-    residual: Array
-    jacobian: Array
-    translations: Array
-    machine: tuple[tuple[str, ...], Array]
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> _Linear:
-        problem = estimate.problem
-        wide, free = _with_everything(problem), len(problem.unknowns)
-        x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - free)])
-        sd = wide.tolerance.copy()
-        sd[:free] = np.minimum(problem.prior_sd, _WIDE * problem.tolerance)
-        at, catalogue = linearise(wide, x), problem.machine.catalogue
-        # Where the fit lacks something, the readings are worse witnesses of all else as well.
-        project, noise = estimate.nuisance.project, estimate.sigma_scale
-        machine = _machine_parameters(wide)
-        return cls(
-            wide.names,
-            x,
-            sd,
-            [
-                k
-                for k, n in enumerate(problem.names)
-                if catalogue.effect_of(n).name in catalogue.base
-            ],
-            project(wide.measured - at.value) / noise,
-            project(at.jacobian) / noise * sd,
-            _translations(tcp_slopes(estimate.machine, machine[0]) @ machine[1] * sd),
-            machine,
-        )
-
-    def moment(self, at_tolerance: NDArray[np.bool_], share: float) -> tuple[Array, float]:
-        """Second moment about the fit ``(P, P)``, SI, and log evidence.
+    def machine_with(self, mean: Array) -> tuple[tuple[str, ...], Array, Array]:
+        """Names of the last campaign's machine parameters, values SI, and weights by coefficient.
 
         Args:
-            at_tolerance: which of the unknowns are allowed their full tolerance ``(P,)``.
-            share: that all others are allowed, but for where the machine sits.
+            mean: of all coefficients ``(C,)``.
         """
-        scale = np.where(at_tolerance, 1.0, share)
-        missing = np.einsum("pk,p,pk->k", self.translations, 1 - scale**2, self.translations)
-        columns = np.hstack([np.diag(scale), self.translations * np.sqrt(missing)])
-        start = np.concatenate([self.x / self.sd / scale, np.zeros(len(missing))])
-        by_column = self.jacobian @ columns
-        gradient = by_column.T @ self.residual - start
-        inverse, log_det = _inverse(by_column.T @ by_column + np.eye(len(start)))
-        gained = gradient @ inverse @ gradient - start @ start
-        shift = columns @ inverse @ gradient
-        moment = columns @ inverse @ columns.T + np.outer(shift, shift)
-        return moment * self.sd * self.sd[:, None], float(gained - log_det) / 2
+        names, matrix = _machine_parameters(self.about.problem)
+        scale, start = self.about.scale, self.about.known
+        weights = np.hstack([matrix, np.zeros((len(names), len(scale) - start))])
+        found = list(names)
+        for place in self.places:
+            at = self.about.coefficients(place)
+            rows = np.zeros((len(at), len(scale)))
+            rows[np.arange(len(at)), at] = 1.0
+            weights, found = np.vstack([weights, rows]), [*found, *place.effect.motions]
+        weights = weights * scale
+        return tuple(found), weights @ mean, weights
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The calibrated machine: its mean, with its covariance."""
+        start = self.before.problem.machine.with_effects([p.effect for p in self.places])
+        names, values, weights = self.machine_with(self.mean)
+        spread = weights @ self.covariance @ weights.T
+        kept = dict(zip(names, values.tolist(), strict=True))
+        return start.with_posterior(kept, Posterior(names, values, spread))
+
+    @cached_property
+    def after(self) -> Estimate:
+        """The readings as the mean has them, scored; what was learned in place of tolerances."""
+        about, mixture, prior = self.about, self.mixture, self.known.prior
+        count, scale = about.known, about.scale
+        known = _rows(prior[:count, :count]) / scale[:count]
+        earlier = self.before.problem
+        rows, target = [known], [np.zeros(len(known))]
+        if earlier.earlier is not None:
+            matrix, goal = about.known_rows
+            rows, target = [*rows, matrix], [*target, goal]
+        problem = replace(
+            about.problem,
+            prior=(np.vstack(rows), np.concatenate(target)),
+            curves=self._curves(prior),
+        )
+        x = (self.mean * scale)[:count]
+        at = linearise(problem, x)
+        estimate = assessed(problem, nuisances(problem, at.slopes), at, "posterior",
+                            len(mixture.children), self.about.apart)  # fmt: skip
+        return replace(estimate, covariance=self.unknowns.covariance, weak=self.before.weak)
+
+    def _curves(self, prior: Array) -> Block | None:
+        """Rows by the places that stand out, as nuisances of the fit."""
+        out = [self.mixture.linear.groups[g] for g, _ in self.mixture.best]
+        at = np.concatenate([np.zeros(0, np.intp), *(g.places for g in out if g.free)])
+        if not len(at):
+            return None
+        sd = np.sqrt(np.diag(prior)[at])
+        return Block(self.about.rows[:, at], sd, np.zeros(len(at), dtype=bool))
 
 
-def _inverse(matrix: Array) -> tuple[Array, float]:
-    values, vectors = np.linalg.eigh(matrix)
-    return (vectors / values) @ vectors.T, float(np.log(values).sum())
+def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior:
+    """Weigh everything that could be wrong against the readings.
+
+    Args:
+        before: the fit of the base.
+        given: causes that stand out whatever the readings say.
+
+    Raises:
+        SolverError: where the mean does not settle.
+    """
+    at = None
+    for _ in range(_LINEARISATIONS):
+        about = everything(before, at)
+        mixture = Mixture(about.linear, given)
+        found = FullPosterior(before, about, mixture, mixture.averaged())
+        at = (found.mean * about.scale)[: about.known]
+        try:
+            apart = about.distance(found.mean, before)
+        except ClosureError as error:
+            raise SolverError(
+                "the machine found does not close: the readings, or their units, are not those "
+                "of this machine"
+            ) from error
+        if apart < _SETTLED:
+            return replace(found, about=replace(about, apart=apart))
+    return replace(found, about=replace(about, apart=apart))
+
+
+def _rows(covariance: Array) -> Array:
+    """Rows ``W`` with ``W^T W`` the inverse of a covariance ``(P, P)``."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T)
 
 
 def _machine_parameters(problem: Problem) -> tuple[tuple[str, ...], Array]:
@@ -148,29 +179,3 @@ def _machine_parameters(problem: Problem) -> tuple[tuple[str, ...], Array]:
     motions = problem.machine.catalogue.motions
     kept = [k for k, name in enumerate(names) if name in motions]
     return tuple(names[k] for k in kept), matrix[kept]
-
-
-def _translations(slopes: Array) -> Array:
-    """Orthonormal directions ``(P, 3)`` of the unknowns that move the machine as a whole.
-
-    Args:
-        slopes: TCP by unknown over the workspace, in tolerances ``(g, 3, P)``, metres.
-    """
-    mean = slopes.mean(axis=0)
-    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
-    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
-    return np.asarray(np.linalg.qr(directions)[0])
-
-
-def _with_everything(problem: Problem) -> Problem:
-    """All other parameters of the catalogue freed, seen or not, that could move readings or TCP."""
-    excited = {effect.name for effect in excited_effects(problem)}
-
-    def counts(effect: Effect) -> bool:
-        if "pitch" in effect.needs and problem.machine.spec.screw_pitch is None:
-            return False
-        at_hand = effect.at_rest or (effect.of_dial and bool(problem.campaigns))
-        return at_hand or effect.name in excited
-
-    effects = [effect.name for effect in problem.machine.catalogue.effects if counts(effect)]
-    return with_free(problem, elementary_beyond(problem, effects), release=False)

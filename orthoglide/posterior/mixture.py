@@ -17,14 +17,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 
-SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Scales of the effects of the catalogue that no slab lets out, in tolerances."""
 
 FREE_SHARES = (0.003, 0.03, 0.1, 0.3)
@@ -71,20 +71,36 @@ class Linear:
     Attributes:
         columns: whitened, nuisances projected out, by coefficient in tolerances ``(m, C)``.
         residual: what the readings say of the sum ``(m,)``.
-        base: which coefficients stand at their tolerance always ``(C,)``.
+        fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
         free: which belong to free functions ``(C,)``.
         groups: that may stand out.
     """
 
     columns: Array
     residual: Array
-    base: NDArray[np.bool_]
+    fixed: Array
     free: NDArray[np.bool_]
     groups: tuple[Group, ...]
 
     def spike(self, share: float, free_share: float) -> Array:
         """Prior variance of each coefficient without slabs ``(C,)``."""
-        return np.where(self.base, 1.0, np.where(self.free, free_share, share) ** 2)
+        background = np.where(self.free, free_share, share)
+        return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """Coefficients over all explanations.
+
+    Attributes:
+        mean: ``(C,)``.
+        covariance: ``(C, C)``.
+        prior: covariance before the readings, by the same weights ``(C, C)``.
+    """
+
+    mean: Array
+    covariance: Array
+    prior: Array
 
 
 class _Scale:
@@ -125,16 +141,17 @@ class _Visited:
 class Mixture:
     """The states that explain the readings, with their weights."""
 
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
         self.linear = linear
+        self._given_names = frozenset(given)
         self.scales = tuple(_Scale(linear, *s) for s in product(SHARES, FREE_SHARES))
         ends = np.cumsum([0, *(g.size for g in linear.groups)])
-        self._span = [np.arange(a, b) for a, b in zip(ends, ends[1:], strict=False)]
+        self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
         for k, group in enumerate(linear.groups):
             self._by_size.setdefault(group.size, []).append(k)
         # Each slab is one of so many, at one of so many scales.
-        self._cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(SLABS)))
+        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(SLABS)))
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self.best = self._search()
@@ -143,6 +160,9 @@ class Mixture:
 
     def _search(self) -> State:
         state: State = ()
+        names = [g.name for g in self.linear.groups]
+        for name in sorted(self._given_names & set(names)):
+            state = self.child(state, names.index(name))
         while len(state) < _MOST:
             child = self._best_child(state)
             if child is None or self._total(child) < self._total(state):
@@ -153,11 +173,12 @@ class Mixture:
     def _exchanged(self, state: State) -> State:
         """Each group exchanged against the best of all others, as long as that is better."""
         for _ in range(4):
-            rivals = [self._best_child(tuple(s for s in state if s is not out)) for out in state]
+            own = [s for s in state if self.linear.groups[s[0]].name not in self._given_names]
+            if not own:
+                break
+            rivals = [self._best_child(tuple(s for s in state if s is not out)) for out in own]
             better = max((r for r in rivals if r), key=self._total, default=state)
-            fewer = max(
-                (tuple(s for s in state if s is not out) for out in state), key=self._total
-            )
+            fewer = max((tuple(s for s in state if s is not out) for out in own), key=self._total)
             better = max(better, fewer, key=self._total)
             if self._total(better) <= self._total(state) + 1e-9:
                 break
@@ -181,6 +202,21 @@ class Mixture:
         group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
         return self._child(state, int(group), int(tau))
 
+    def child(self, state: State, group: int) -> State:
+        """The state with one more group out, at its likeliest scale."""
+        self._best_child(state)
+        table = self.children[state][:, group]
+        return self._child(state, group, int(np.argmax(np.exp(table - table.max()).sum(axis=0))))
+
+    def next_odds(self) -> Array:
+        """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
+        self._best_child(self.best)
+        table = self.children[self.best]
+        top = self._total(self.best)
+        with np.errstate(divide="ignore"):
+            pooled = np.log(np.exp(table - top).sum(axis=(0, 2)))
+        return np.asarray(pooled + self.cost)
+
     def _child(self, state: State, group: int, tau: int) -> State:
         child = tuple(sorted((*state, (group, SLABS[tau]))))
         self.visited[child] = self.children[state][:, group, tau]
@@ -190,14 +226,14 @@ class Mixture:
         """Log weights ``(scales, groups, taus)`` of the state with one more group out."""
         if state not in self.visited:
             self.visited[state] = np.array(
-                [self._log_z(s, state) - len(state) * self._cost for s in self.scales]
+                [self._log_z(s, state) - len(state) * self.cost for s in self.scales]
             )
         taken = {k for k, _ in state}
         groups = self.linear.groups
         table = np.full((len(self.scales), len(groups), len(SLABS)), -np.inf)
         for k, scale in enumerate(self.scales):
             columns, along = self._given(scale, state)
-            for size, members in self._by_size.items():
+            for members in self._by_size.values():
                 span = np.array([self._span[g] for g in members])
                 blocks = columns[:, span].transpose(1, 0, 2)
                 gram = blocks.transpose(0, 2, 1) @ blocks
@@ -208,33 +244,35 @@ class Mixture:
                     grown = 1 + tau**2 * values
                     gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
                     table[k, members, t] = gain
-            table[k] += self.visited[state][k] - self._cost
+            table[k] += self.visited[state][k] - self.cost
         table[:, sorted(taken)] = -np.inf
         return table
 
-    def _slab(self, scale: _Scale, state: State) -> tuple[Array, Array]:
-        """Columns ``(m, q)`` of what is out, each times its tau, and the Cholesky factor."""
+    def _out(self, scale: _Scale, state: State) -> tuple[Array, Array]:
+        """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
+
+        With these, ``rows - (left * shrink) @ left.T @ rows`` whitens what is out as well.
+        """
+        if not state:
+            return np.zeros((len(scale.residual), 0)), np.zeros(0)
         columns = np.hstack([scale.by_group[:, self._span[g]] * tau for g, tau in state])
-        return columns, np.linalg.cholesky(columns.T @ columns + np.eye(columns.shape[1]))
+        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+        return left, 1 - 1 / np.sqrt(1 + singular**2)
 
     def _given(self, scale: _Scale, state: State) -> tuple[Array, Array]:
-        """All groups' columns, what is out projected out (with its prior), and the residual."""
+        """All groups' columns with what is out whitened, and the residual along them."""
         if not state:
             return scale.by_group, scale.along
-        out, factor = self._slab(scale, state)
-        # (1 + F F^T)^-1 = R R with R = 1 - Q (1 - c) Q^T along the left singular vectors of F.
-        left, singular, _ = np.linalg.svd(out, full_matrices=False)
-        shrink = 1 - 1 / np.sqrt(1 + singular**2)
+        left, shrink = self._out(scale, state)
         columns = scale.by_group - (left * shrink) @ (left.T @ scale.by_group)
         residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
-        return columns, columns.T @ residual
+        return columns, np.asarray(columns.T @ residual)
 
     def _log_z(self, scale: _Scale, state: State) -> float:
-        if not state:
-            return scale.log_z
-        out, factor = self._slab(scale, state)
-        along = np.linalg.solve(factor, out.T @ scale.residual)
-        return scale.log_z + 0.5 * float(along @ along) - float(np.log(np.diag(factor)).sum())
+        left, shrink = self._out(scale, state)
+        along = left.T @ scale.residual
+        gain = along @ ((1 - (1 - shrink) ** 2) * along)
+        return scale.log_z + 0.5 * float(gain) + float(np.log1p(-shrink).sum())
 
     # --- What follows -----------------------------------------------------------------------
 
@@ -283,38 +321,34 @@ class Mixture:
         named, free = by_scale @ pairs
         return float(named), float(free)
 
-    def chi2(self, state: State | None = None) -> float:
-        """Marginal chi2 of the residual at the best scales of a state: about ``m`` where it fits."""
-        state = self.best if state is None else state
-        best = self.scales[int(np.argmax(self.visited[state]))]
-        _, _, residual = self._solved(best, state)
-        return float(residual @ residual)
+    def _spread(self, state: State) -> Array:
+        """What is out by coefficient ``(C, q)``, each times its tau."""
+        count = len(self.linear.fixed)
+        spread = np.zeros((count, 0))
+        for group, tau in state:
+            g = self.linear.groups[group]
+            part = np.zeros((count, g.size))
+            part[g.places] = g.weights * tau
+            spread = np.hstack([spread, part])
+        return spread
 
-    def _solved(self, scale: _Scale, state: State) -> tuple[Array, Array, Array]:
-        if not state:
-            return np.zeros((len(scale.residual), 0)), np.zeros(0), scale.residual
-        out, _ = self._slab(scale, state)
-        left, singular, _ = np.linalg.svd(out, full_matrices=False)
-        shrink = 1 - 1 / np.sqrt(1 + singular**2)
-        return left, shrink, scale.residual - (left * shrink) @ (left.T @ scale.residual)
+    def likeliest(self, state: State) -> tuple[Array, Array]:
+        """Mean ``(C,)`` and covariance ``(C, C)`` in a state at its likeliest scales."""
+        return self.moments(state, self.scales[int(np.argmax(self.visited[state]))])
 
     def moments(self, state: State, scale: _Scale) -> tuple[Array, Array]:
         """Mean ``(C,)`` and covariance ``(C, C)`` of the coefficients in a state."""
-        left, shrink, residual = self._solved(scale, state)
+        left, shrink = self._out(scale, state)
+        residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
         columns = scale.columns - (left * shrink) @ (left.T @ scale.columns)
-        spread = np.zeros((len(scale.spike), 0))
-        for group, tau in state:
-            g = self.linear.groups[group]
-            part = np.zeros((len(scale.spike), g.size))
-            part[g.places] = g.weights * tau
-            spread = np.hstack([spread, part])
+        spread = self._spread(state)
         # Prior covariance: the spike's diagonal and what is out.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
         prior = np.diag(scale.spike) + spread @ spread.T
         return seen.T @ residual, prior - seen.T @ seen
 
-    def averaged(self) -> tuple[Array, Array]:
-        """Mean ``(C,)`` and covariance ``(C, C)`` over all states and scales that count."""
+    def averaged(self) -> Averaged:
+        """Everything over all states and scales that count."""
         flat = [
             (float(w), state, self.scales[k])
             for state, weights in self.weights.items()
@@ -324,13 +358,15 @@ class Mixture:
         flat.sort(key=lambda entry: -entry[0])
         flat = flat[:_KEPT]
         total = sum(w for w, _, _ in flat)
-        size = len(self.linear.base)
-        mean, second = np.zeros(size), np.zeros((size, size))
+        size = len(self.linear.fixed)
+        mean, second, prior = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
         for weight, state, scale in flat:
             m, cov = self.moments(state, scale)
             mean += weight / total * m
             second += weight / total * (cov + np.outer(m, m))
-        return mean, second - np.outer(mean, mean)
+            spread = self._spread(state)
+            prior += weight / total * (np.diag(scale.spike) + spread @ spread.T)
+        return Averaged(mean, second - np.outer(mean, mean), prior)
 
 
 def whole(name: str, places: Sequence[int], *, free: bool) -> Group:

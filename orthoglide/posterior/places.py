@@ -10,15 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.effects import LegConditions, sin
+from orthoglide.effects import Effect, LegConditions, Motion, sin
 from orthoglide.geometry import LEGS, Array, leg_axes
+from orthoglide.units import MM, RAD
 
-Against = Literal["travel", "approach", "command", "time", "reading"]
-Part = Literal["drive", "rail", "carriage", "bar", "dial"]
+Against = Literal["travel", "approach", "command", "time"]
+Part = Literal["drive", "rail", "carriage", "bar"]
+Joints = tuple[tuple[str, float], ...]
 
 _ROOM = 1.25
 """Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
@@ -69,17 +72,19 @@ class Place:
         variable: in [-1, 1], of the leg's conditions.
         kernel: how smooth it is.
         unit: standard deviation to expect of a place that is wrong, SI.
+        span: first and last second of a session; ``None``: the stroke.
     """
 
     part: Part
     leg: int
-    joints: tuple[tuple[str, float], ...]
+    joints: Joints
     direction: str
     against: Against
     by: int
     variable: Callable[[LegConditions], Any]
     kernel: Kernel
     unit: float
+    span: tuple[float, float] | None = None
 
     @property
     def name(self) -> str:
@@ -87,6 +92,71 @@ class Place:
         way = f".{self.direction}" if self.direction else ""
         by = f".{LEGS[self.by]}" if self.against == "command" else ""
         return f"{self.part}.{LEGS[self.leg]}{way}/{self.against}{by}"
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns a part; else it moves or stretches one."""
+        return self.part == "carriage"
+
+    @property
+    def of_machine(self) -> bool:
+        """Whether a calibrated machine keeps it: what changes with time is the campaign's."""
+        return self.against != "time"
+
+    @cached_property
+    def effect(self) -> Effect:
+        """The same as an effect, for a machine that has it: a parameter a coefficient."""
+
+        def motions(k: int) -> tuple[Motion, ...]:
+            return tuple(Motion(j, self._basis(k, share)) for j, share in self.joints)
+
+        members = {str(k + 1): motions(k) for k in range(self.kernel.count)}
+        unit = RAD if self.turns else MM
+        words = self.words
+        return Effect(
+            self.name.replace(".", "_").replace("/", "_"),
+            unit,
+            self.unit / unit.si,
+            because="what no known shape explains is a few hundredths",
+            sentence=words,
+            look_at=self.look_at,
+            members=lambda leg: members if leg == self.leg else {},
+            paired=True,
+        )
+
+    def _basis(self, k: int, share: float) -> Callable[[LegConditions], Any]:
+        return lambda conditions: share * self.functions(conditions)[k]
+
+    @property
+    def words(self) -> str:
+        """Where and how, as a clause."""
+        leg = LEGS[self.leg]
+        how = {
+            "travel": "by its travel",
+            "approach": "by the side it is approached from",
+            "command": f"by the command of drive {LEGS[self.by]}",
+            "time": "with time",
+        }[self.against]
+        what = {
+            "drive": f"drive {leg} goes wrong along its axis",
+            "rail": f"the path of the {leg} carriage leaves its line toward {self.direction}",
+            "carriage": f"the {leg} carriage turns about {self.direction}",
+            "bar": f"bar {self.direction} of leg {leg} changes its length"
+            if self.direction
+            else f"both bars of leg {leg} change their length",
+        }[self.part]
+        return f"{what} {how}"
+
+    @property
+    def look_at(self) -> str:
+        """What to look at on the machine."""
+        leg = LEGS[self.leg]
+        return {
+            "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
+            "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
+            "carriage": f"the carriage of axis {leg}: its bearings and preload",
+            "bar": f"the bars of leg {leg}, their pivots and their warmth",
+        }[self.part]
 
     def functions(self, conditions: LegConditions) -> list[Any]:
         """The free functions at some conditions, each for a coefficient of sd ``unit``."""
@@ -137,11 +207,9 @@ def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ..
         own = LEGS[a]
         drive, across = (("travel", 1.0),), {"b": LEGS[b], "c": LEGS[c]}
 
-        def add(part: Part, joints: Any, direction: str, against: Against, variable: Any,
+        def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
                 kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
-            found.append(
-                Place(part, leg, joints, direction, against, by, variable, kernel, unit)
-            )
+            found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
 
         add("drive", drive, "", "travel", _command_of(leg), _FINE, 100 * _UM)
         add("drive", drive, "", "approach", _command_of(leg), _COARSE, 50 * _UM)
@@ -158,8 +226,12 @@ def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ..
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
     both = (("stretch1", 1.0), ("stretch2", 1.0))
     for leg, start, end in sessions:
-        variable = _time_between(start, end)
-        for joints, bar in ((both[:1], "1"), (both[1:], "2"), (both, "")):
-            found.append(Place("bar", leg, joints, bar, "time", 0, variable, _OU, 50 * _UM))
-        found.append(Place("drive", leg, (("travel", 1.0),), "", "time", 0, variable, _OU, 50 * _UM))
+        variable, span = _time_between(start, end), (start, end)
+        moving: tuple[tuple[Part, Joints, str], ...] = (
+            ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
+            ("drive", (("travel", 1.0),), ""),
+        )  # fmt: skip
+        for part, joints, way in moving:
+            unit = 50 * _UM
+            found.append(Place(part, leg, joints, way, "time", 0, variable, _OU, unit, span))
     return tuple(found)
