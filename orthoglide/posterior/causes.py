@@ -269,13 +269,13 @@ class _Reader:
 
     def _explanation(self, member: int, k: int, probability: float) -> Explanation:
         posterior, group = self.posterior, self.groups[k]
-        mean, covariance = posterior.mixture.likeliest(self._state(member, k))
+        mean, covariance = posterior.mixture.likeliest(self._state(member, k), group.places)
         about = posterior.about
         candidate = about.candidates[k]
         # Its own coefficients by those that it moves: the mean of a pattern is its projection.
         own = np.linalg.pinv(group.weights)
         value = own @ mean[group.places]
-        spread = own @ covariance[np.ix_(group.places, group.places)] @ own.T
+        spread = own @ covariance @ own.T
         unit = np.array([self._tolerance(group, c) for c in range(group.size)])
         names, values, _ = posterior.machine_with(mean)
         return Explanation(
@@ -332,10 +332,9 @@ class _Reader:
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
         about, group = self.posterior.about, self.groups[k]
-        mean, covariance = self.posterior.mixture.likeliest(self._state(member, k))
+        mean, spread = self.posterior.mixture.likeliest(self._state(member, k), group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
-        spread = covariance[np.ix_(group.places, group.places)]
         low, high = place.span or self.posterior.before.problem.machine.geometry.stroke
         return Curve(
             place,

@@ -23,6 +23,9 @@ from orthoglide.posterior.places import Place, places
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
 
+_UNNOTICED = 1e-3
+"""Sigmas: directions of the readings that all coefficients together move by less are left out."""
+
 _VISIBLE = 0.3
 """A cause is weighed if one tolerance lifts it this far above the noise, in all."""
 
@@ -163,12 +166,15 @@ def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
 
 
 def _reduced(linear: Linear) -> Linear:
-    """The same with no more rows than coefficients: nothing is lost but a constant."""
+    """The same in the few directions of the readings in which anything could show."""
     rows, count = linear.columns.shape
-    if rows <= count + 1:
-        return linear
-    upper = np.linalg.qr(np.column_stack([linear.columns, linear.residual]), mode="r")
-    return replace(linear, columns=np.asarray(upper)[:, :-1], residual=np.asarray(upper)[:, -1])
+    columns, residual = linear.columns, linear.residual
+    if rows > count + 1:
+        upper = np.linalg.qr(np.column_stack([columns, residual]), mode="r")
+        columns, residual = np.asarray(upper)[:, :-1], np.asarray(upper)[:, -1]
+    values, vectors = np.linalg.eigh(columns @ columns.T)
+    kept = vectors[:, values > _UNNOTICED**2]
+    return replace(linear, columns=kept.T @ columns, residual=kept.T @ residual)
 
 
 def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:

@@ -20,16 +20,13 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.posterior.columns import Everything, everything
-from orthoglide.posterior.mixture import Averaged, Mixture
+from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
 from orthoglide.posterior.places import Place
 
 _LINEARISATIONS = 4
 _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
 linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
-
-_LEAST_SHARE = 0.05
-"""Probability of a place from which it is part of the calibrated machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +73,7 @@ class FullPosterior:
         likely = {
             g.name
             for g, p in zip(self.mixture.linear.groups, self.mixture.inclusion, strict=True)
-            if g.free and p > _LEAST_SHARE
+            if g.free and p > LEAST_SHARE
         }
         return tuple(p for p in self.about.places if p.name in likely and p.of_machine)
 
@@ -153,7 +150,7 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     for _ in range(_LINEARISATIONS):
         about = everything(before, at)
         mixture = Mixture(about.linear, given)
-        found = FullPosterior(before, about, mixture, mixture.averaged())
+        found = FullPosterior(before, about, mixture, mixture.averaged(about.known))
         at = (found.mean * about.scale)[: about.known]
         try:
             apart = about.distance(found.mean, before)

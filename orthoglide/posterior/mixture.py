@@ -37,6 +37,9 @@ _MOST = 6  # groups that stand out together
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
 _KEPT = 60  # of them at most
 
+LEAST_SHARE = 0.05
+"""Probability of a place from which it is part of the calibrated machine."""
+
 
 @dataclass(frozen=True, eq=False)
 class Group:
@@ -94,8 +97,8 @@ class Averaged:
 
     Attributes:
         mean: ``(C,)``.
-        covariance: ``(C, C)``.
-        prior: covariance before the readings, by the same weights ``(C, C)``.
+        covariance: ``(C, C)``; zero for places that hardly stand out.
+        prior: covariance before the readings, by the same weights ``(C, C)``; the same.
     """
 
     mean: Array
@@ -332,23 +335,31 @@ class Mixture:
             spread = np.hstack([spread, part])
         return spread
 
-    def likeliest(self, state: State) -> tuple[Array, Array]:
-        """Mean ``(C,)`` and covariance ``(C, C)`` in a state at its likeliest scales."""
-        return self.moments(state, self.scales[int(np.argmax(self.visited[state]))])
+    def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""
+        return self.moments(state, self.scales[int(np.argmax(self.visited[state]))], at)
 
-    def moments(self, state: State, scale: _Scale) -> tuple[Array, Array]:
-        """Mean ``(C,)`` and covariance ``(C, C)`` of the coefficients in a state."""
+    def moments(self, state: State, scale: _Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
         left, shrink = self._out(scale, state)
         residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
         columns = scale.columns - (left * shrink) @ (left.T @ scale.columns)
         spread = self._spread(state)
         # Prior covariance: the spike's diagonal and what is out.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
-        prior = np.diag(scale.spike) + spread @ spread.T
-        return seen.T @ residual, prior - seen.T @ seen
+        prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
+        return seen.T @ residual, prior - seen[:, at].T @ seen[:, at]
 
-    def averaged(self) -> Averaged:
-        """Everything over all states and scales that count."""
+    def averaged(self, known: int) -> Averaged:
+        """Everything over all states and scales that count.
+
+        Args:
+            known: the first so many coefficients have their covariance in any case, others where
+                their group stands out with some probability.
+        """
+        likely = [g.places for g, p in zip(self.linear.groups, self.inclusion, strict=True)
+                  if p > LEAST_SHARE]  # fmt: skip
+        at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
         flat = [
             (float(w), state, self.scales[k])
             for state, weights in self.weights.items()
@@ -360,13 +371,15 @@ class Mixture:
         total = sum(w for w, _, _ in flat)
         size = len(self.linear.fixed)
         mean, second, prior = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
+        block = np.ix_(at, at)
         for weight, state, scale in flat:
-            m, cov = self.moments(state, scale)
+            m, cov = self.moments(state, scale, at)
             mean += weight / total * m
-            second += weight / total * (cov + np.outer(m, m))
-            spread = self._spread(state)
-            prior += weight / total * (np.diag(scale.spike) + spread @ spread.T)
-        return Averaged(mean, second - np.outer(mean, mean), prior)
+            second[block] += weight / total * (cov + np.outer(m[at], m[at]))
+            spread = self._spread(state)[at]
+            prior[block] += weight / total * (np.diag(scale.spike[at]) + spread @ spread.T)
+        second[block] -= np.outer(mean[at], mean[at])
+        return Averaged(mean, second, prior)
 
 
 def whole(name: str, places: Sequence[int], *, free: bool) -> Group:

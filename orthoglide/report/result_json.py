@@ -226,7 +226,7 @@ def _calibrated(result: Result) -> dict[str, Any]:
     """Parameters of ``calibrated.toml``: the posterior's mean."""
     found = {}
     for name, entry in result.machine.spec.parameters.items():
-        unit = result.catalogue.effect_of(name).unit
+        unit = result.machine.catalogue.effect_of(name).unit
         value, sigma = number(entry.value / unit.si), number(entry.sigma / unit.si)
         found[name] = {"value": value, "sigma": sigma, "unit": unit.name}
     return found
