@@ -15,12 +15,12 @@ import numpy as np
 
 from orthoglide.accuracy import workspace
 from orthoglide.effects import Catalogue
+from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_words
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.geometry import Array
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.mixture import Group, State
-from orthoglide.posterior.places import Place
 from orthoglide.prediction import Conditions
 
 CREDIBLE = 0.95

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect, LegConditions
+from orthoglide.effects.places import Place, places
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.factors import Factor
@@ -18,7 +19,6 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.posterior.mixture import Group, Linear, whole
-from orthoglide.posterior.places import Place, places
 
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from orthoglide.effects.places import Place
 from orthoglide.errors import ClosureError, SolverError
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.factors import Block
@@ -21,7 +22,6 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.posterior.columns import Everything, everything
 from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
-from orthoglide.posterior.places import Place
 
 _LINEARISATIONS = 4
 _SETTLED = 0.1
@@ -98,7 +98,9 @@ class FullPosterior:
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine: its mean, with its covariance."""
-        start = self.before.problem.machine.with_effects([p.effect for p in self.places])
+        start = self.before.problem.machine
+        known = start.catalogue
+        start = start.with_effects(p.effect for p in self.places if p.effect.name not in known)
         names, values, weights = self.machine_with(self.mean)
         spread = weights @ self.covariance @ weights.T
         kept = dict(zip(names, values.tolist(), strict=True))

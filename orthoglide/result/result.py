@@ -77,8 +77,9 @@ class Result:
 
     @property
     def catalogue(self) -> Catalogue:
-        """Of the machine: the effects that were weighed."""
-        return self.request.machine.catalogue
+        """Of the calibrated machine: the effects that were weighed, and the places found."""
+        machine = self.request.machine if self.posterior is None else self.posterior.machine
+        return machine.catalogue
 
     def short(self, name: str) -> str:
         """A candidate's cause without its size, as a clause."""
@@ -207,7 +208,7 @@ class Result:
         from orthoglide.fit.excited import excited_effects
 
         excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
-        return tuple(name for name in self.catalogue if name not in excited)
+        return tuple(name for name in self.request.machine.catalogue if name not in excited)
 
     @cached_property
     def pattern(self) -> tuple[str, ...]:

@@ -8,14 +8,15 @@ eq. 17 and 56). Level and slope are left in: the effects of the catalogue compet
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.effects import Effect, LegConditions, Motion, sin
+from orthoglide.effects.catalogue import Catalogue
+from orthoglide.effects.effect import Effect, LegConditions, Motion, sin
 from orthoglide.geometry import LEGS, Array, leg_axes
 from orthoglide.units import MM, RAD
 
@@ -106,11 +107,6 @@ class Place:
     @cached_property
     def effect(self) -> Effect:
         """The same as an effect, for a machine that has it: a parameter a coefficient."""
-
-        def motions(k: int) -> tuple[Motion, ...]:
-            return tuple(Motion(j, self._basis(k, share)) for j, share in self.joints)
-
-        members = {str(k + 1): motions(k) for k in range(self.kernel.count)}
         unit = RAD if self.turns else MM
         words = self.words
         return Effect(
@@ -120,12 +116,9 @@ class Place:
             because="what no known shape explains is a few hundredths",
             sentence=words,
             look_at=self.look_at,
-            members=lambda leg: members if leg == self.leg else {},
+            members=partial(_members, self),
             paired=True,
         )
-
-    def _basis(self, k: int, share: float) -> Callable[[LegConditions], Any]:
-        return lambda conditions: share * self.functions(conditions)[k]
 
     @property
     def words(self) -> str:
@@ -166,26 +159,33 @@ class Place:
         return values
 
 
+def _members(place: Place, leg: int) -> Mapping[str, tuple[Motion, ...]]:
+    """A place as the members of an effect: a parameter a coefficient."""
+    if leg != place.leg:
+        return {}
+    return {
+        str(k + 1): tuple(Motion(j, partial(_basis, place, k, share)) for j, share in place.joints)
+        for k in range(place.kernel.count)
+    }
+
+
+def _basis(place: Place, k: int, share: float, conditions: LegConditions) -> Any:
+    return share * place.functions(conditions)[k]
+
+
 def _travel(c: LegConditions) -> Any:
     return c.u
 
 
-def _command_of(leg: int) -> Callable[[LegConditions], Any]:
-    def variable(c: LegConditions) -> Any:
-        low, high = c.stroke
-        return (c.commands[leg] - c.length - (low + high) / 2) / ((high - low) / 2)
-
-    return variable
+def _command_of(leg: int, c: LegConditions) -> Any:
+    low, high = c.stroke
+    return (c.commands[leg] - c.length - (low + high) / 2) / ((high - low) / 2)
 
 
-def _time_between(start: float, end: float) -> Callable[[LegConditions], Any]:
+def _time_between(start: float, end: float, c: LegConditions) -> Any:
     """Time within a session as -1 to 1, held outside it."""
     half = max((end - start) / 2, 1e-9)
-
-    def variable(c: LegConditions) -> Any:
-        return np.clip((c.time - start) / half - 1, -1.0, 1.0)
-
-    return variable
+    return np.clip((c.time - start) / half - 1, -1.0, 1.0)
 
 
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
@@ -211,11 +211,20 @@ def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ..
                 kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
             found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
 
-        add("drive", drive, "", "travel", _command_of(leg), _FINE, 100 * _UM)
-        add("drive", drive, "", "approach", _command_of(leg), _COARSE, 50 * _UM)
+        add("drive", drive, "", "travel", partial(_command_of, leg), _FINE, 100 * _UM)
+        add("drive", drive, "", "approach", partial(_command_of, leg), _COARSE, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
-                add("drive", drive, "", "command", _command_of(other), _COARSE, 50 * _UM, other)
+                add(
+                    "drive",
+                    drive,
+                    "",
+                    "command",
+                    partial(_command_of, other),
+                    _COARSE,
+                    50 * _UM,
+                    other,
+                )
         for axis, letter in across.items():
             sideways = ((f"lateral_{axis}", 1.0),)
             add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
@@ -226,7 +235,7 @@ def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ..
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
     both = (("stretch1", 1.0), ("stretch2", 1.0))
     for leg, start, end in sessions:
-        variable, span = _time_between(start, end), (start, end)
+        variable, span = partial(_time_between, start, end), (start, end)
         moving: tuple[tuple[Part, Joints, str], ...] = (
             ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
             ("drive", (("travel", 1.0),), ""),
@@ -235,3 +244,16 @@ def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ..
             unit = 50 * _UM
             found.append(Place(part, leg, joints, way, "time", 0, variable, _OU, unit, span))
     return tuple(found)
+
+
+def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:
+    """A catalogue with the places to which some of the parameters belong.
+
+    Args:
+        catalogue: that may lack them.
+        names: of parameters.
+    """
+    wanted = {name.partition(".")[0] for name in names} - set(catalogue)
+    if not wanted:
+        return catalogue
+    return catalogue.with_effects(p.effect for p in places() if p.effect.name in wanted)
