@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from orthoglide.diagnosis.ranking import refit
 
 from benchmarks import attribution_cases as ac
 from benchmarks.attribution_cases import Array, Case, Cause

@@ -14,6 +14,7 @@ import numpy as np
 
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
+from orthoglide.mechanism.seed import commands as commands_of
 from orthoglide.prediction import Conditions
 
 GRID = 5
@@ -24,8 +25,11 @@ _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
 def workspace(geometry: Geometry, count: int = GRID) -> Array:
-    """Commands ``(count^3, 3)`` that fill the stroke evenly, metres."""
-    travel = geometry.L + np.linspace(*geometry.stroke, count)
+    """Commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the stroke."""
+    layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
+    if (points := layout.points(*sizes, count)) is not None:
+        return commands_of(geometry, points)
+    travel = geometry.zero[0] + np.linspace(*geometry.stroke, count)
     return np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

@@ -1,31 +1,92 @@
-"""Files read and written whole: content and digest on the way in, all or nothing on the way out."""
+"""Files: read once and whole, and written whole or not at all."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import select
+import stat
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 from orthoglide.errors import FileError
+from orthoglide.text import shown
+
+LIMIT = 128 * 2**20
+"""Largest file that is read, bytes: a result with some hundred thousand readings has less."""
+
+SILENCE = 5.0
+"""How long a pipe may say nothing before it is given up, seconds."""
+
+_PIECE = 2**20
+_BOM = b"\xef\xbb\xbf"
+
+Commit = Callable[[], AbstractContextManager[None]]
+"""Surrounds the moment at which files appear: what is entered last may still refuse."""
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """A file's content; a missing, empty or unreadable one is a `FileError`."""
+    """A file's content, or that of a pipe, read once.
+
+    Raises:
+        FileError: where it is missing, empty, unreadable, larger than `LIMIT`, or a pipe into which
+            nobody writes for `SILENCE` seconds.
+    """
     try:
-        content = Path(path).read_bytes()
+        content = _content(path)
     except FileNotFoundError:
-        raise FileError("there is no such file: check the name", file=str(path)) from None
+        raise FileError("there is no such file: check the name", file=shown(path)) from None
+    except TimeoutError:
+        raise FileError(
+            f"is a pipe that says nothing for {SILENCE:g} seconds: give a file", file=shown(path)
+        ) from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(
-            f"cannot be read ({reason}): give a readable file", file=str(path)
+            f"cannot be read ({reason}): give a readable file", file=shown(path)
         ) from None
-    if not content.strip():
-        raise FileError("is empty: give a file with content", file=str(path))
+    if len(content) > LIMIT:
+        raise FileError(
+            f"is larger than {LIMIT // 2**20} MB: give a file of readings", file=shown(path)
+        )
+    if not content.removeprefix(_BOM).strip():
+        raise FileError("is empty: give a file with content", file=shown(path))
     return content
+
+
+def _content(path: str | os.PathLike[str]) -> bytes:
+    """At most one byte more than is allowed."""
+
+    def opener(name: str, flags: int) -> int:  # a pipe without a writer is not waited for here
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+    with open(path, "rb", buffering=0, opener=opener) as stream:
+        if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) or os.name == "nt":
+            return _up_to_limit(stream.read)
+        silent_since = time.monotonic()
+
+        def read(count: int) -> bytes | None:
+            nonlocal silent_since
+            left = silent_since + SILENCE - time.monotonic()
+            if left <= 0 or not select.select([stream], [], [], left)[0]:
+                raise TimeoutError
+            silent_since = time.monotonic()
+            return stream.read(count)
+
+        return _up_to_limit(read)
+
+
+def _up_to_limit(read: Callable[[int], bytes | None]) -> bytes:
+    content = bytearray()
+    while len(content) <= LIMIT:
+        piece = read(_PIECE)
+        if piece == b"":
+            break
+        content += piece or b""  # None: another reader took it
+    return bytes(content[: LIMIT + 1])
 
 
 _BINARY = {
@@ -40,14 +101,16 @@ def decode(content: bytes, path: str | os.PathLike[str]) -> str:
     """UTF-8 text with or without byte order mark; anything else is a `FileError`."""
     for start, message in _BINARY.items():
         if content.startswith(start):
-            raise FileError(message, file=str(path))
+            raise FileError(message, file=shown(path))
     if b"\0" in content:
-        raise FileError("is not text: give a UTF-8 text file", file=str(path))
+        raise FileError("is not text: give a UTF-8 text file", file=shown(path))
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        raise FileError("is not UTF-8 text: save it as UTF-8", file=str(path), line=line) from None
+        raise FileError(
+            "is not UTF-8 text: save it as UTF-8", file=shown(path), line=line
+        ) from None
 
 
 def sha256(content: bytes) -> str:
@@ -56,37 +119,79 @@ def sha256(content: bytes) -> str:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool) -> None:
-    """Writes a file that appears whole or not at all.
+    """Writes a file that appears whole or not at all; raises as :func:`write_files`."""
+    write_files({Path(path): content}, overwrite=overwrite)
+
+
+def write_files(
+    contents: Mapping[Path, str | bytes],
+    *,
+    overwrite: bool = False,
+    commit: Commit = nullcontext,
+) -> None:
+    """Writes files that appear whole, all of them or none.
 
     Args:
-        path: where to.
-        content: what; text is encoded as UTF-8.
-        overwrite: whether an existing file may be replaced.
+        contents: by path; text is encoded as UTF-8.
+        overwrite: whether existing files may be replaced.
+        commit: surrounds the moment at which they appear.
 
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
     """
-    target = Path(path)
-    if not overwrite:
-        check_new(target)
-    with writing(path):
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=".orthoglide-")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content.encode() if isinstance(content, str) else content)
-            os.chmod(name, 0o644)  # mkstemp's file is its owner's alone
-            os.replace(name, target)
-        except BaseException:
+    waiting, put = dict[Path, str](), list[Path]()
+    try:
+        for target, content in contents.items():
+            if not overwrite:
+                check_new(target)
+            with writing(target):
+                handle, waiting[target] = tempfile.mkstemp(dir=target.parent, prefix=".orthoglide-")
+                with os.fdopen(handle, "wb") as stream:
+                    stream.write(content.encode() if isinstance(content, str) else content)
+                os.chmod(waiting[target], 0o644)  # mkstemp's file is its owner's alone
+        with commit():
+            for target, name in waiting.items():
+                with writing(target):
+                    _put(name, target, overwrite)
+                put.append(target)
+    except BaseException:
+        for target in put if not overwrite else ():
+            target.unlink(missing_ok=True)
+        raise
+    finally:
+        for name in waiting.values():
             Path(name).unlink(missing_ok=True)
-            raise
+
+
+def _put(name: str, target: Path, overwrite: bool) -> None:
+    """Give a finished file its name; another process may have taken it a moment ago."""
+    if overwrite:
+        os.replace(name, target)
+        return
+    try:
+        os.link(name, target)  # never over another, a link to nothing included
+    except FileExistsError:
+        raise _exists(target) from None
+    except OSError:  # a file system without hard links: take the name, then fill it
+        try:
+            os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        except FileExistsError:
+            raise _exists(target) from None
+        os.replace(name, target)
+
+
+def _exists(path: str | os.PathLike[str]) -> FileError:
+    return FileError("exists and is not overwritten: choose another name", file=shown(path))
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
     """Refuse a name that stands already, or that no file can have, with a `FileError`."""
     with writing(path):
-        stands = Path(path).exists()
-    if stands:
-        raise FileError("exists and is not overwritten: choose another name", file=str(path))
+        try:
+            os.lstat(path)  # a link to nothing stands as well
+        except (FileNotFoundError, NotADirectoryError):
+            return
+    raise _exists(path)
 
 
 @contextmanager
@@ -97,5 +202,5 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise FileError(
-            f"cannot be written ({reason}): choose another place or name", file=str(path)
+            f"cannot be written ({reason}): choose another place or name", file=shown(path)
         ) from None

@@ -1,26 +1,27 @@
 """The nominal machine in numbers: dimensions, legs and their frames, the named postures.
 
-Leg ``i`` carries a frame with columns ``(a, b, c)``, a cyclic permutation of the base axes: ``a``
-is its slide, ``b`` the pivots of its parallelogram, ``c`` its first and last revolute and the
-direction of its short links. For leg x: a = x, b = y, c = z.
+Leg ``i`` carries a frame with columns ``(a, b, c)``: ``a`` is its slide, ``b`` the pivots of its
+parallelogram, ``c`` its first and last revolute and the direction of its short links. On the
+Orthoglide it is a cyclic permutation of the base axes: for leg x, a = x, b = y, c = z.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orthoglide import layout as layouts
 from orthoglide.errors import InputError, UnreachableError
 
 Array = NDArray[np.float64]
 Leg = Literal["x", "y", "z"]
 
 LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
-"""The legs, and the base axes: leg i slides along base axis i."""
-
+"""The base axes, and the Orthoglide's legs: its leg i slides along base axis i."""
 
 _FAR = 100.0  # bars' lengths; the longest command within a machine's reach is two
 
@@ -77,31 +78,44 @@ class Geometry:
     Attributes:
         L: length of a parallelogram's long bars.
         d: length of its short links.
-        r: distance from the tool centre point to each leg's last revolute.
+        r: distance from the tool centre point, or the platform's middle, to each leg's last
+            revolute.
         stroke: travel of every carriage from mechanical zero, lower and upper limit.
+        layout: where the three legs stand.
     """
 
     L: float = 0.31025
     d: float = 0.080
     r: float = 0.031
     stroke: tuple[float, float] = field(default=(-0.100, 0.060))
+    layout: layouts.Layout = layouts.ORTHOGLIDE
 
     def __post_init__(self) -> None:
         for name in ("L", "d", "r"):
             value = getattr(self, name)
             if not np.isfinite(value) or value <= 0:
                 raise InputError(f"geometry: {name} must be a positive length, not {value}")
-        low, high = self.stroke
-        if not (-self.L < low < 0 < high < self.L):
+        if not self.layout.stroke_fits(self.L, self.stroke):
             raise InputError(
                 f"geometry: the stroke must run from below 0 to above 0 and stay within a bar's "
                 f"length, not {self.stroke}"
             )
+        _ = self.legs  # which says where bars are too short
+
+    @cached_property
+    def legs(self) -> tuple[layouts.Leg, layouts.Leg, layouts.Leg]:
+        """The legs at mechanical zero."""
+        return self.layout.legs(self.L, self.r)
+
+    @property
+    def leg_names(self) -> tuple[str, str, str]:
+        """Names of the legs."""
+        return self.layout.names.legs
 
     @property
     def zero(self) -> Array:
-        """Command ``(3,)`` at mechanical zero: rho = (L, L, L), where p = 0."""
-        return np.full(3, self.L)
+        """Command ``(3,)`` at mechanical zero, where p = 0; the Orthoglide's is (L, L, L)."""
+        return np.full(3, self.layout.zero(self.L))
 
     def commands(self, values: ArrayLike, name: str = "rho") -> Array:
         """Commands ``(..., 3)``, metres, checked as by :func:`vectors`.
@@ -152,11 +166,13 @@ class Geometry:
         """
         if posture == "zero":
             return self.zero
+        if self.layout != layouts.ORTHOGLIDE:
+            raise InputError(f"a {self.layout.kind} has no posture {posture!r}, only zero")
         if posture[1:] not in ("max", "min"):
             raise InputError(f"there is no posture {posture!r}: zero, or xmax, xmin, ymax ...")
         return self.command_on_axis(axis_index(posture[:1]), self.stroke[posture[1:] == "max"])
 
     def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Which commands ``(..., 3)`` lie within the stroke, by axis: booleans ``(..., 3)``."""
-        travel = np.asarray(rho, dtype=float) - self.L
+        travel = np.asarray(rho, dtype=float) - self.layout.zero(self.L)
         return (travel >= self.stroke[0] - slack) & (travel <= self.stroke[1] + slack)

@@ -87,7 +87,7 @@ class Machine:
                 raise FileError(
                     f"there is no parameter {name!r}: {effect.name} has "
                     f"{', '.join(effect.motions)}",
-                    file=str(path),
+                    file=spec.file,
                 )
         return cls(spec)
 

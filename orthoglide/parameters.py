@@ -6,7 +6,31 @@ so that nothing cuts names apart. Catalogues parse names (`Catalogue.parameter`)
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from typing import Any
+
+_SETUP = re.compile(r'"((?:[^"]|"")*)"(?:\.([^@]*))?(?:@(.*))?', re.DOTALL)
+
+
+def quoted(setup: str) -> str:
+    """A setup's name as it stands in a parameter's: in quotes where it may be taken for syntax."""
+    syntax = setup == "common" or "@" in setup or '"' in setup
+    return '"{}"'.format(setup.replace('"', '""')) if syntax else setup
+
+
+def setup_parts(text: str, shapes: Collection[str] = ()) -> tuple[str, str, str]:
+    """What stands behind the name of a dial's effect: setup, shape and campaign.
+
+    Args:
+        text: a setup's name, in quotes as :func:`quoted` puts them or not, and what follows it.
+        shapes: that the effect has several of for each setup.
+    """
+    if found := _SETUP.fullmatch(text):
+        return found[1].replace('""', '"'), found[2] or "", found[3] or ""
+    behind, _, campaign = text.partition("@")
+    setup, _, shape = behind.rpartition(".")
+    return (setup, shape, campaign) if setup and shape in shapes else (behind, "", campaign)
 
 
 class Parameter(str):
@@ -14,9 +38,10 @@ class Parameter(str):
 
     Attributes:
         effect: name of its effect.
-        leg: ``"x"``, ``"y"`` or ``"z"``; empty for dials and structured members.
-        direction: what stands behind the leg: a base axis, ``"a"``, ``"sin"`` ...; often empty.
-        setup: of a dial's parameter, else empty.
+        leg: ``"x"``, ``"y"`` or ``"z"`` on the Orthoglide; empty for dials and structured members.
+        direction: what stands behind the leg or setup: a base axis, ``"radial"``, ``"a"``,
+            ``"sin"`` ...; often empty.
+        setup: of a dial's or plate's parameter, else empty.
         member: of a structured member: ``"cyclic"``, ``"xy.symmetric"`` ..., else empty.
         campaign: the campaign that has it for itself, else empty.
     """
@@ -38,8 +63,8 @@ class Parameter(str):
         campaign: str = "",
     ) -> Parameter:
         """Put a name together from its parts."""
-        parts = (effect, leg, direction, setup, member)
-        text = ".".join(part for part in parts if part)
+        behind = (quoted(setup), direction) if setup else (leg, direction)
+        text = ".".join(part for part in (effect, *behind, member) if part)
         made = super().__new__(cls, f"{text}@{campaign}" if campaign else text)
         made.effect, made.leg, made.direction = effect, leg, direction
         made.setup, made.member, made.campaign = setup, member, campaign

@@ -71,7 +71,7 @@ def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -
     """
     low, high = machine.geometry.stroke
     travel = _draws(seed).uniform(low, high, (count, 3))
-    rho = np.round(machine.geometry.L + travel, 9)
+    rho = np.round(machine.geometry.zero + travel, 9)
     return TcpPoints(
         command=rho,
         p=machine.forward(rho),

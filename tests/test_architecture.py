@@ -15,7 +15,8 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "notes", "parameters", "progress"}),
+    frozenset({"errors", "notes", "parameters", "progress", "text"}),
+    frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects"}),
     frozenset({"mechanism", "machine_file"}),
@@ -25,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"accuracy"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"posterior", "judging", "searching", "simulation"}),
+    frozenset({"posterior", "judging", "simulation"}),
     frozenset({"planning", "request"}),
     frozenset({"result"}),
     frozenset({"report"}),
@@ -124,7 +125,7 @@ def test_no_two_files_import_each_other() -> None:
 
 
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
-COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "searching", "prediction",
+COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior", "prediction",
              "mechanism", "reduction", "closing")  # fmt: skip
 
 

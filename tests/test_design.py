@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from orthoglide.diagnosis.ranking import refit
 from scipy.stats import ncx2
 
 import orthoglide as og

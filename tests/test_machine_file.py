@@ -153,7 +153,7 @@ MALFORMED: dict[str, tuple[str, str, str, int | None]] = {
     "stroke beyond a bar": ("[-100.0, 60.0]", "[-400, 60]", "stay within L", 8),
     "resolution of zero": ("resolution = 0.002", "resolution = 0", "must be above", 11),
     "resolution in metres": ("resolution = 0.002", "resolution = 1e-5", "in metres?", 11),
-    "negative repeatability": ("= 0.005", "= -0.005", "must be above 0", 12),
+    "negative repeatability": ("= 0.005", "= -0.005", "must be above", 12),
     "negative placement": ("placement = 1.5", "placement = -1", "must be at least 0", 13),
     "pitch in metres": ("screw_pitch_mm = 20", "screw_pitch_mm = 0.02", "in metres?", 16),
     "zero of two numbers": ("[0.5, -0.25, 100]", "[0.5, 1]", "list of 3 numbers", 19),

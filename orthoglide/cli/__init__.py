@@ -6,6 +6,9 @@ needs, it imports when it runs.
 
 from __future__ import annotations
 
+import sys
+import warnings
+
 import click
 
 from orthoglide import __version__
@@ -20,6 +23,7 @@ from orthoglide.cli import (
     sheets,
 )
 from orthoglide.cli.run import Commands, stop_cleanly
+from orthoglide.cli.terminal import speak_plainly
 
 __all__ = ["cli", "main"]
 
@@ -52,4 +56,7 @@ for _module in _MODULES:
 def main() -> None:
     """Run the command line of this process."""
     stop_cleanly()
+    speak_plainly()
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")  # what libraries tell programmers
     cli(prog_name="orthoglide")

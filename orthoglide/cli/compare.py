@@ -10,6 +10,7 @@ import click
 
 from orthoglide.cli.options import Names, load_machine, machine_option, out_option
 from orthoglide.cli.progress import progress
+from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 from orthoglide.progress import Progress, Step
 
@@ -57,10 +58,10 @@ def compare(
             (f"{machine.spec.name}: all it has, and each alone", whole),
             ("Every effect at its tolerance", rows),
         ]
+        told = "\n".join(map(str, worst))
         write_results(out, _files([(name, some) for name, some in sections if some], figures))
     if not quiet:
-        click.echo("\n".join(map(str, worst)))
-        click.echo(f"written: {click.format_filename(out)}")
+        say(f"{told}\nwritten: {click.format_filename(out)}")
 
 
 COMMANDS = (compare,)

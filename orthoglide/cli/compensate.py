@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from orthoglide.cli.options import PATH, effects_option, load_machine, out_option
-from orthoglide.cli.writing import write_file, write_results
+from orthoglide.cli.terminal import say
+from orthoglide.cli.writing import write_results, write_texts
 from orthoglide.errors import FileError, InputError, UnreachableError
 
 _MACHINE = click.option(
@@ -59,10 +60,11 @@ def compensate(
     except UnreachableError as error:
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
-    write_file(out, control.commands_text(found))
+    told = f"{click.format_filename(out)}: {found}"
+    write_texts({out: control.commands_text(found)})
     for warning in points.warnings:
-        click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{click.format_filename(out)}: {found}")
+        say(f"warning: {warning}", err=True)
+    say(told)
 
 
 @click.command()
@@ -85,7 +87,7 @@ def export(
     check_folder(out)
     machine = load_machine(machine_path, effects_file)
     write_results(out, export_files(machine, zeros_only=zeros_only, force=force))
-    click.echo(f"written: {click.format_filename(out)}")
+    say(f"written: {click.format_filename(out)}")
 
 
 COMMANDS = (compensate, export)

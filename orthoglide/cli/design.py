@@ -9,6 +9,7 @@ import click
 
 from orthoglide.cli.options import PATH, Names, load_machine, machine_option, noise_metres
 from orthoglide.cli.progress import progress
+from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_sheet
 from orthoglide.errors import InputError
 from orthoglide.progress import Progress, Step
@@ -98,14 +99,13 @@ def design(
         for name, c in sheets.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
-        written = "" if out is None else write_sheet(out, found.campaign, machine)
-    if quiet:
-        return
-    lines = [*index_rows([*compared, (criterion, found.indices)]), *pair_rows(found)]
-    lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
-    for name, detectability in small:
-        lines += ["", f"{name}:", *detectable_rows(detectability)]
-    click.echo("\n".join([*lines, *([written] if written else [])]))
+        lines = [*index_rows([*compared, (criterion, found.indices)]), *pair_rows(found)]
+        lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
+        for name, detectability in small:
+            lines += ["", f"{name}:", *detectable_rows(detectability)]
+        lines += [] if out is None else [write_sheet(out, found.campaign, machine)]
+    if not quiet:
+        say("\n".join(lines), needed=out is None)
 
 
 COMMANDS = (design,)

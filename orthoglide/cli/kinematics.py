@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from orthoglide.cli.options import PATH, effects_option, load_machine, machine_option
-from orthoglide.cli.writing import write_file
+from orthoglide.cli.terminal import say
+from orthoglide.cli.writing import write_texts
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def _run(
     if table is None or out is None:
         machine = load_machine(machine_path, effects_file)
         found = solve(machine, _vector(numbers), False, _refuse)
-        click.echo(" ".join(_number(value) for value in found[0]))
+        say(" ".join(_number(value) for value in found[0]), needed=True)
         return
     from orthoglide.observations.columns import POINT, RHO, TRAVEL
     from orthoglide.observations.table import read_table
@@ -148,17 +149,17 @@ def _within(machine: Machine, rho: Array, fail: Fail) -> Array:
     """The commands, where the stroke allows them."""
     import numpy as np
 
-    from orthoglide.geometry import LEGS
     from orthoglide.observations.checks import STROKE_SLACK
 
     inside = machine.geometry.in_stroke(rho, STROKE_SLACK)
     if inside.all():
         return rho
     row, axis = np.argwhere(~inside)[0]
-    low, high = ((machine.geometry.L + limit) * 1e3 for limit in machine.geometry.stroke)
+    low, high = ((machine.geometry.zero[axis] + limit) * 1e3 for limit in machine.geometry.stroke)
     fail(
-        f"the point needs carriage {LEGS[axis]} at {rho[row, axis] * 1e3:.6f} mm, outside its "
-        f"stroke of {low:g} to {high:g} mm: give a point nearer to the middle",
+        f"the point needs carriage {machine.geometry.leg_names[axis]} at "
+        f"{rho[row, axis] * 1e3:.6f} mm, outside its stroke of {low:g} to {high:g} mm: "
+        "give a point nearer to the middle",
         int(row),
     )
 
@@ -170,12 +171,7 @@ def _number(metres: float) -> str:
 
 def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> None:
     """The rows as they came, with the new columns behind."""
-    import csv
-    import io
+    from orthoglide.text import csv_text
 
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*table.names, *names])
-    for row, found in zip(table.rows, values, strict=True):
-        writer.writerow([*row, *map(_number, found)])
-    write_file(out, stream.getvalue())
+    rows = ([*row, *map(_number, found)] for row, found in zip(table.rows, values, strict=True))
+    write_texts({out: csv_text((*table.names, *names), rows)})

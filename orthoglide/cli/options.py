@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
@@ -139,5 +140,5 @@ def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine
     effects = () if effects_file is None else load_effects(effects_file)
     machine = Machine.nominal() if path is None else Machine.load(path, effects)
     for warning in machine.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        say(f"warning: {warning}", err=True)
     return machine.with_effects(effects)

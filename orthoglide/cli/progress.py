@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-import click
-
 from orthoglide.cli.run import stop_if_asked
+from orthoglide.cli.terminal import is_terminal, say
 from orthoglide.progress import Progress, Step
 
 _CREEP = 0.15  # of what is left of a stage, each time that the stage comes again
@@ -28,7 +26,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
     """
     if quiet:
         yield lambda _: stop_if_asked()
-    elif not sys.stderr.isatty():
+    elif not is_terminal(err=True):
         yield Lines().show
     else:
         with _bar() as shown:
@@ -48,7 +46,7 @@ class Lines:
         now = time.monotonic()
         if now - self.last >= _BETWEEN:
             self.last = now
-            click.echo(f"{now - self.begun:4.0f} s  {step}", err=True)
+            say(f"{now - self.begun:4.0f} s  {step}", err=True)
 
 
 @contextmanager
@@ -56,7 +54,7 @@ def _bar() -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
 
-    columns = (BarColumn(24), TimeElapsedColumn(), TextColumn("{task.description}"))
+    columns = (BarColumn(24), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
     with Bar(*columns, console=Console(stderr=True), transient=True) as shown:
         task = shown.add_task("starting", total=100)
 

@@ -12,9 +12,11 @@ import click
 
 from orthoglide.cli.options import PATH, out_option
 from orthoglide.cli.progress import progress
+from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import FileError, NumericsError
 from orthoglide.progress import Step
+from orthoglide.text import brief, shown, unseen_in
 
 SAME = 1e-6
 """Relative difference up to which numbers count as equal: other processors round otherwise."""
@@ -64,26 +66,28 @@ def rerun(
         new = json.loads(files.get("result.json") or result_text(found))
         numbers = _numbers(new, old["schema"])
         differences = list(compare(_numbers(old, old["schema"]), numbers))
+        folders = (inputs,) if inputs else (result.parent, result.parent.parent, Path())
+        told = [line for line in input_lines(old, folders) if not quiet or "changed" in line]
+        if old["version"] != new["version"]:
+            version = brief(str(old["version"]))
+            told.append(f"The result was made by version {version}, this is {new['version']}.")
         if out is not None and not differences:
             write_results(out, files)
-    folders = (inputs,) if inputs else (result.parent, result.parent.parent, Path())
-    for line in input_lines(old, folders):
-        if not quiet or "changed" in line:
-            click.echo(line)
-    if old["version"] != new["version"]:
-        click.echo(f"The result was made by version {old['version']}, this is {new['version']}.")
     if differences:
-        shown = "; ".join(differences[:_FEW_SAID])
+        if told:
+            say("\n".join(told))
+        few = "; ".join(differences[:_FEW_SAID])
         more = len(differences) - _FEW_SAID
         tail = f"; and {more} more" if more > 0 else ""
         raise NumericsError(
-            f"{click.format_filename(result)} is not reproduced: {shown}{tail}; nothing was written"
+            f"{click.format_filename(result)} is not reproduced: {few}{tail}; nothing was written"
         )
     if not quiet:
         count = sum(1 for _ in leaves(numbers))
-        click.echo(f"The same numbers again: all {count} agree.")
-        if out is not None:
-            click.echo(f"Report: {click.format_filename(out / 'report.html')}")
+        told.append(f"The same numbers again: all {count} agree.")
+        told += [] if out is None else [f"Report: {click.format_filename(out / 'report.html')}"]
+    if told:
+        say("\n".join(told))
 
 
 COMMANDS = (rerun,)
@@ -91,8 +95,6 @@ COMMANDS = (rerun,)
 
 def input_lines(result: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[str]:
     """What became of the files that were read, a sentence each."""
-    from orthoglide.files import sha256
-
     machine = result["machine"]
     given = [(i["file"], i["sha256"]) for i in result["inputs"]]
     if machine.get("file") and machine.get("sha256"):
@@ -102,12 +104,22 @@ def input_lines(result: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[
         path = next((f / name for f in folders if (f / name).is_file()), None)
         if path is None:
             yield f"{name}: not here; the rows kept in the result were used."
-        elif sha256(path.read_bytes()) == digest:
+        elif _digest(path) == digest:
             yield f"{name}: unchanged."
         else:
             yield (
                 f"{name}: has changed since; the rows kept in the result were used, not the file."
             )
+
+
+def _digest(path: Path) -> str:
+    """Of a file's content; empty where it cannot be read any more."""
+    from orthoglide.files import read_bytes, sha256
+
+    try:
+        return sha256(read_bytes(path))
+    except FileError:
+        return ""
 
 
 def read_result(path: Path) -> dict[str, Any]:
@@ -124,29 +136,32 @@ def read_result(path: Path) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         raise FileError(
             f"is not JSON ({error.msg}): give the result.json of a run",
-            file=str(path), line=error.lineno,
+            file=shown(path), line=error.lineno,
         ) from None  # fmt: skip
     except FileError:
         raise
     except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
-        raise FileError("is no result: give the result.json of a run", file=str(path)) from None
+        raise FileError("is no result: give the result.json of a run", file=shown(path)) from None
+    if trouble := unseen_in(found):
+        raise FileError(trouble, file=shown(path))
     given = found.get("arguments") if isinstance(found, dict) else None
     if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
         raise FileError(
-            "is of --fit-tcp, which kept no rows then: run that command again", file=str(path)
+            "is of --fit-tcp, which kept no rows then: run that command again", file=shown(path)
         )
     needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
     missing = [n for n in needed if not isinstance(found, dict) or n not in found]
     if missing:
         raise FileError(
             f"has no {missing[0]!r}: give the result.json of a run as it was written",
-            file=str(path),
+            file=shown(path),
         )
     if found["schema"] not in SCHEMAS or found["command"] not in KNOWN:
         raise FileError(
-            f"is of schema {found['schema']}, command {found['command']!r}: this version runs "
+            f"is of schema {brief(str(found['schema']))}, command "
+            f"{brief(str(found['command']))!r}: this version runs "
             f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(KNOWN)} again",
-            file=str(path),
+            file=shown(path),
         )
     return found
 
@@ -176,11 +191,15 @@ def compare(old: Any, new: Any) -> Iterator[str]:
     before, after = dict(leaves(old)), dict(leaves(new))
     for place in dict.fromkeys((*before, *after)):
         if place not in after:
-            yield f"{place} was {before[place]!r} and is gone"
+            yield f"{place} was {_brief(before[place])} and is gone"
         elif place not in before:
-            yield f"{place} is new, {after[place]!r}"
+            yield f"{place} is new, {_brief(after[place])}"
         elif not _same(before[place], after[place]):
-            yield f"{place} was {before[place]!r} and is {after[place]!r}"
+            yield f"{place} was {_brief(before[place])} and is {_brief(after[place])}"
+
+
+def _brief(value: Any) -> str:
+    return repr(brief(value)) if isinstance(value, str) else brief(repr(value))
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import IO, Any, NoReturn
 
 import click
 
+from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError, OrthoglideError
+from orthoglide.text import brief
 
 _STOP = "orthoglide.stop"
 _INTERRUPTED = "interrupted: nothing was written"
+_LONGEST = 1000  # characters of a sentence
+_ASKS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 
 BAD_INPUT, NUMERICS_FAILED, INTERRUPTED = 2, 3, 130
 
@@ -25,12 +32,12 @@ class Refusal(click.ClickException):
     """
 
     def __init__(self, message: str, exit_code: int) -> None:
-        super().__init__(" ".join(message.split()))
+        super().__init__(brief(" ".join(message.split()), _LONGEST))
         self.exit_code = exit_code  # type: ignore[misc]
 
     def show(self, file: IO[Any] | None = None) -> None:
         """Print the sentence."""
-        click.echo(f"orthoglide: {self.message}", file=file or sys.stderr)
+        say(f"orthoglide: {self.message}", err=True)
 
 
 class Commands(click.Group):
@@ -61,18 +68,26 @@ class Commands(click.Group):
         except Exception as error:
             if _asked_to_stop():  # a compiled import that was interrupted says that it failed
                 raise Refusal(_INTERRUPTED, INTERRUPTED) from error
-            raise
+            if isinstance(error, click.ClickException | click.exceptions.Exit | click.Abort):
+                raise
+            if os.environ.get("ORTHOGLIDE_TRACEBACK"):
+                raise
+            raise Refusal(_unexpected(error), NUMERICS_FAILED) from error
+
+
+def _unexpected(error: Exception) -> str:
+    """The sentence for an error that nobody raised on purpose."""
+    kind, text = type(error).__name__, brief(str(error), 200)
+    if isinstance(error, ArithmeticError | MemoryError) or kind == "LinAlgError":
+        return f"the numerics failed ({kind}: {text}): look for readings far from all others"
+    return (
+        f"failed unexpectedly ({kind}: {text}), which is a fault of the program: "
+        "ORTHOGLIDE_TRACEBACK=1 shows where"
+    )
 
 
 def stop_cleanly() -> None:
-    """Ctrl-C and a request to end (SIGTERM) leave nothing half done behind."""
-
-    def interrupt(*_: Any) -> NoReturn:
-        context = click.get_current_context(silent=True)
-        if context is not None:
-            context.meta[_STOP] = True
-        raise KeyboardInterrupt
-
+    """Ctrl-C and a request to end (SIGTERM, SIGHUP) leave nothing half done behind."""
     shown = sys.unraisablehook
 
     def show(what: sys.UnraisableHookArgs) -> None:
@@ -80,8 +95,41 @@ def stop_cleanly() -> None:
             shown(what)
 
     sys.unraisablehook = show
-    for which in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(which, interrupt)
+    for which in _ASKS:
+        if signal.getsignal(which) is not signal.SIG_IGN:  # nohup
+            signal.signal(which, _interrupt)
+
+
+def _interrupt(*_: Any) -> NoReturn:
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[_STOP] = True
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def committing() -> Iterator[None]:
+    """Within, files appear; who asks to stop before is heard, and who asks later finds it done."""
+    ours = [which for which in _ASKS if signal.getsignal(which) is _interrupt]
+    for which in ours:
+        signal.signal(which, _too_late)
+    try:
+        stop_if_asked()
+        yield
+    except BaseException:
+        for which in ours:
+            signal.signal(which, _interrupt)
+        raise
+    for which in ours:
+        signal.signal(which, _end_done)
+
+
+def _too_late(*_: Any) -> None:
+    """Heard, and of no consequence: a name is being given, which takes no time."""
+
+
+def _end_done(*_: Any) -> NoReturn:
+    raise SystemExit(0)
 
 
 def stop_if_asked() -> None:

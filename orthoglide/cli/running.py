@@ -10,9 +10,11 @@ import click
 
 from orthoglide.cli.options import load_machine, noise_metres
 from orthoglide.cli.progress import progress
+from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
 from orthoglide.progress import Step
+from orthoglide.text import shown
 
 if TYPE_CHECKING:
     from orthoglide.fit import Frame
@@ -53,7 +55,7 @@ def read_request(
     points = None if tcp is None else read_tcp(tcp, machine.spec)
     return Request(
         command, several, machine, own, noise, seed, held, points, points=fitted, frame=frame,
-        effects_file=effects_file.name if effects_file else "",
+        effects_file=shown(effects_file.name) if effects_file else "",
     )  # fmt: skip
 
 
@@ -84,17 +86,17 @@ def execute(
         from orthoglide.closing import run
         from orthoglide.report import report_files, result_text, summary
 
-        result, text = run(request, step), ""
-        if out is not None:
-            files = report_files(result, step)
-            write_results(out, files)
-            text = str(files["result.json"])
-        elif as_json:
+        result = run(request, step)
+        files = report_files(result, step) if out is not None else {}
+        told = "" if quiet or as_json else summary(result, ranked)
+        if as_json and out is None:
             step(Step("suggesting"))
-            text = result_text(result)
-    if as_json:
-        click.echo(text, nl=False)
-    elif not quiet:
-        click.echo(summary(result, ranked))
+        text = (files.get("result.json") or result_text(result)) if as_json else ""
         if out is not None:
-            click.echo(f"\nReport: {click.format_filename(out / 'report.html')}")
+            write_results(out, files)
+    if as_json:
+        say(text if isinstance(text, bytes) else text.encode(), needed=out is None)
+    elif not quiet:
+        say(told, needed=out is None)
+        if out is not None:
+            say(f"\nReport: {click.format_filename(out / 'report.html')}")

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from orthoglide.cli.options import PATH, load_machine, machine_option
-from orthoglide.cli.writing import write_file, write_sheet
+from orthoglide.cli.terminal import say
+from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 KINDS = ("standard", "sweep", "two-gauges")
 
@@ -37,7 +35,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     from orthoglide.observations import protocol as make
 
     machine = load_machine(machine_path)
-    click.echo(write_sheet(out, make(kind, machine.geometry), machine))  # type: ignore[arg-type]
+    say(write_sheet(out, make(kind, machine.geometry), machine))  # type: ignore[arg-type]
 
 
 @click.command()
@@ -89,22 +87,9 @@ def simulate(
     if tcp is not None:
         points = simulation.simulate_tcp(machine, seed=draw)
         texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9))))
-    _write_all(texts)
+    write_texts(texts)
     for path, text in texts.items():
-        click.echo(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
+        say(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
 
 
 COMMANDS = (protocol, simulate)
-
-
-def _write_all(texts: dict[Path, str]) -> None:
-    """All files or none."""
-    written: list[Path] = []
-    try:
-        for path, text in texts.items():
-            write_file(path, text)
-            written.append(path)
-    except BaseException:
-        for path in written:
-            path.unlink(missing_ok=True)
-        raise

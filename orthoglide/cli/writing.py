@@ -1,4 +1,4 @@
-"""The one way by which commands write: not after they were asked to stop."""
+"""The one way by which commands write: not after they were asked to stop, and then for good."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.run import stop_if_asked
+from orthoglide.cli.run import committing, stop_if_asked
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
     from orthoglide.observations import Campaign
 
 
-def write_file(path: Path, text: str) -> None:
-    """A new file, whole; `FileError` where one stands already or none can be written."""
-    from orthoglide.files import write_whole
+def write_texts(texts: Mapping[Path, str]) -> None:
+    """New files, all of them whole or none; `FileError` where one stands or cannot be written."""
+    from orthoglide.files import write_files
 
     stop_if_asked()
-    write_whole(path, text, overwrite=False)
+    write_files(texts, commit=committing)
 
 
 def write_sheet(path: Path, sheet: Campaign, machine: Machine) -> str:
     """A new measuring sheet, in the coordinates of the machine's controller; and what it holds."""
     from orthoglide.observations import campaign_text
 
-    write_file(path, campaign_text(sheet, machine.spec))
-    return (
+    told = (
         f"{click.format_filename(path)}: {len(sheet)} readings in {len(sheet.setups)} setups, to "
         f"be filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing"
     )
+    write_texts({path: campaign_text(sheet, machine.spec)})
+    return told
 
 
 def write_results(out: Path, files: Mapping[str, str | bytes]) -> None:
@@ -39,4 +40,4 @@ def write_results(out: Path, files: Mapping[str, str | bytes]) -> None:
     from orthoglide.report.folder import write_folder
 
     stop_if_asked()
-    write_folder(out, files)
+    write_folder(out, files, commit=committing)

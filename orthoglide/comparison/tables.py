@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from collections.abc import Callable, Sequence
@@ -12,6 +11,7 @@ from orthoglide.comparison.comparing import Slice
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
+from orthoglide.text import csv_text
 
 _UM = 1e6
 
@@ -88,7 +88,7 @@ def _table(rows: Sequence[Row]) -> dict[str, list[str]]:
 def markdown_table(rows: Sequence[Row]) -> str:
     """The table in Markdown: micrometres, microradians, and millimetres for places."""
     table = _table(rows)
-    table["effect"] = [f"`{name}`" for name in table["effect"]]
+    table["effect"] = [f"`{name.replace('|', '/')}`" for name in table["effect"]]
     cells = [tuple(table), *zip(*table.values(), strict=True)]
     lines = ["| " + " | ".join(line) + " |" for line in cells]
     lines.insert(1, "|" + "---|" * len(table))
@@ -98,11 +98,7 @@ def markdown_table(rows: Sequence[Row]) -> str:
 def csv_table(rows: Sequence[Row]) -> str:
     """All numbers of the rows as CSV, names with their unit."""
     records = [_record(row) for row in rows]
-    stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, list(records[0]) if records else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    return stream.getvalue()
+    return csv_text(list(records[0]) if records else [], (r.values() for r in records))
 
 
 def _record(row: Row) -> dict[str, str]:
@@ -137,7 +133,9 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
 
     top = max(float(plane.difference.max()) for plane in planes) * _UM
     # A fixed salt and no date: the same numbers give the same bytes.
-    with matplotlib.rc_context({"svg.hashsalt": "orthoglide", "svg.fonttype": "none"}):
+    with matplotlib.rc_context(
+        {"svg.hashsalt": "orthoglide", "svg.fonttype": "none", "text.parse_math": False}
+    ):
         figure = Figure(figsize=(9.5, 3.2), layout="constrained")
         FigureCanvasSVG(figure)
         axes = figure.subplots(1, 3)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
@@ -234,13 +234,13 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
     if not len(outside):
         return
     row, axis = (int(k) for k in outside[0])
-    travel, (low, high) = rho[row, axis] - machine.geometry.L, machine.geometry.stroke
+    travel, (low, high) = rho[row, axis] - machine.geometry.zero[axis], machine.geometry.stroke
     excess = float(max(low - travel, travel - high))
     raise UnreachableError(
-        f"row {row + 1} of the path needs carriage {LEGS[axis]} at {travel * 1e3:.3f} mm from "
-        f"mechanical zero, {excess * 1e3:.3f} mm beyond its stroke of {low * 1e3:g} to "
-        f"{high * 1e3:g} mm: move the point towards the middle",
-        leg=LEGS[axis],
+        f"row {row + 1} of the path needs carriage {machine.geometry.leg_names[axis]} at "
+        f"{travel * 1e3:.3f} mm from mechanical zero, {excess * 1e3:.3f} mm beyond its stroke of "
+        f"{low * 1e3:g} to {high * 1e3:g} mm: move the point towards the middle",
+        leg=machine.geometry.leg_names[axis],
         excess=excess,
         index=(row,),
     )

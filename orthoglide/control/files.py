@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
 from orthoglide.observations.table import Column, number, read_table
+from orthoglide.text import csv_text
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text
 
 
@@ -46,28 +45,21 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
     table = read_table(path)
     warnings = table.check_names(POINT, POINT)
     p = np.array([table.values(name, Column(number(MM))) for name in POINT]).T
-    return PathPoints(p, table.lines, str(path), warnings)
+    return PathPoints(p, table.lines, table.file, warnings)
 
 
 def commands_text(found: Compensation) -> str:
     """Commands as CSV: the points, both ways to count the commands, and what to expect."""
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
     sigmas = tuple(f"sigma_{leg}_mm" for leg in LEGS)
     ends = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm")
-    writer.writerow([*POINT, *RHO, *TRAVEL, *APPROACH, *sigmas, *ends])
+    rows = []
     for k in range(len(found)):
         lengths = np.concatenate([found.wanted[k], found.rho[k], found.travel[k]])
         expected = (found.shape[k], found.place, found.accuracy[k])
         last = (found.residual[k], *expected, found.error_before[k])
-        writer.writerow(
-            [
-                *map(_mm, lengths),
-                *(f"{way:+.0f}" for way in found.approach[k]),
-                *map(_mm, (*found.shape_sigma[k], *last)),
-            ]
-        )
-    return stream.getvalue()
+        ways = (f"{way:+.0f}" for way in found.approach[k])
+        rows.append([*map(_mm, lengths), *ways, *map(_mm, (*found.shape_sigma[k], *last))])
+    return csv_text((*POINT, *RHO, *TRAVEL, *APPROACH, *sigmas, *ends), rows)
 
 
 def export_files(

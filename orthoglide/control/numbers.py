@@ -11,7 +11,6 @@ import numpy as np
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
-from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 
 RULE = (
@@ -133,7 +132,9 @@ class ControllerNumbers:
             "machine": self.name,
             "rule": RULE,
             "drives": {d.leg: d.as_dict() for d in self.drives},
-            "zeros_only_mm": dict(zip(LEGS, map(_mm, self.zeros_only), strict=True)),
+            "zeros_only_mm": {
+                d.leg: _mm(v) for d, v in zip(self.drives, self.zeros_only, strict=True)
+            },
             "checks": {c.drive: c.as_dict() for c in self.checks},
             "expected": {name: error.as_dict() for name, error in self.expected.items()},
             "not_held": list(self.left_over),
@@ -149,7 +150,7 @@ class ControllerNumbers:
             table="\n".join(map(_line, self.drives)),
             checks="\n".join(f"- {check}" for check in self.checks) or _NONE,
             alone=", ".join(
-                f"{leg} {_mm(v):.4f}" for leg, v in zip(LEGS, self.zeros_only, strict=True)
+                f"{d.leg} {_mm(v):.4f}" for d, v in zip(self.drives, self.zeros_only, strict=True)
             ),
             **shape,
             rest=_rest(self.left_over),
@@ -188,7 +189,7 @@ def controller_numbers(
             float(held.get("backlash", none)[k]),
             length + float(held.get("bar_length", none)[k]),
         )
-        for k, leg in enumerate(LEGS)
+        for k, leg in enumerate(machine.geometry.leg_names)
     ]
     of = machine.catalogue.effect_of
     return ControllerNumbers(
@@ -201,13 +202,17 @@ def controller_numbers(
     )
 
 
+_NUMBERS = ("zero", "scale", "backlash", "bar_length")
+"""What a controller of three drives takes; where towers stand is a firmware's own."""
+
+
 def _by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
     """What a controller takes of these parameters: by kind of number, for x, y, z ``(3,)``, SI."""
     found: dict[str, np.ndarray] = {}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
-        if kind:
-            leg = LEGS.index(machine.catalogue.parameter(name).leg)
+        if kind in _NUMBERS:
+            leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
             found.setdefault(kind, np.zeros(3))[leg] += value
     return found
 

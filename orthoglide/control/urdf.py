@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
 
 from orthoglide.effects import Effect, LegConditions, Motion
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions
@@ -35,7 +36,7 @@ def calibrated_urdf(machine: Machine) -> str:
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
     axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
-    for leg, (moves, slope) in zip(LEGS, _moves(machine), strict=True):
+    for leg, (moves, slope) in zip(machine.geometry.leg_names, _moves(machine), strict=True):
         slide = origins[f"{leg}_slide"]
         turn = _rotation(_attribute(slide, "rpy"))
         path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
@@ -115,7 +116,8 @@ def _comment(machine: Machine) -> str:
             "bars' torsion at bar 1's tip and a turn about the short link at bar 2's root."
         )
     lines.append("The loops are those of the nominal machine; masses and shapes are nominal.")
-    return "\n     ".join(lines).replace("--", "- -")  # XML allows no double hyphen in comments
+    # XML allows no double hyphen in comments
+    return re.sub("-(?=-)", "- ", "\n     ".join(lines))
 
 
 def _attribute(element: ET.Element | None, name: str) -> Array:

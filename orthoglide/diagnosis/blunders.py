@@ -86,6 +86,10 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
         estimate: the fit of the base model.
         most: more faults than this are no slips: what is left is for a person to look at.
     """
+    narrow = estimate.problem.at_tolerance()
+    if narrow is not estimate.problem:
+        # Wrong readings lead values beyond their tolerances: here these still count.
+        estimate = solve(narrow, method="nested", start=estimate.x, widen=False)
     base = signatures(estimate)
     means = StationMeans.of(base)
     setups = [Scatter.of(estimate, s) for s in range(estimate.problem.setup_count)]
@@ -98,7 +102,8 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
         if stale:
             problem = separated(_muted(estimate.problem, found), changes)
             try:
-                means = StationMeans.of(signatures(solve(problem, method="nested")), found)
+                fit = solve(problem, method="nested", widen=False)
+                means = StationMeans.of(signatures(fit), found)
             except NumericsError:
                 break
         item = fit_fault(means, setups, found)
@@ -112,8 +117,8 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     if len(found) < most and not any(f.kind in _MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
-    fit = means.signatures.estimate
-    return Findings(_reported(base, found[:most]), tuple(c.measured(fit) for c in changes))
+    last = means.signatures.estimate
+    return Findings(_reported(base, found[:most]), tuple(c.measured(last) for c in changes))
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
@@ -137,7 +142,7 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     residual, free = base.residual, np.zeros((len(base.residual), 0))
 
     def rms() -> float:
-        metres = (residual[: base.count] / base.weight)[kept]
+        metres = base.estimate.nuisance.weighing.metres(residual[: base.count])[kept]
         return float(np.sqrt(np.mean(metres**2))) if len(metres) else 0.0
 
     blunders = []
@@ -193,7 +198,7 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     noise: Noise = replace(problem.noise, sigma=tuple(sigmas))
     if noise.source == "repeats":
         noise = noise_of(campaigns, problem.machine.spec.dial)
-    return replace(problem, campaigns=tuple(campaigns), noise=noise)
+    return replace(problem.at_tolerance(), campaigns=tuple(campaigns), noise=noise)
 
 
 def _split(campaign: Campaign, rows: Rows) -> Campaign:

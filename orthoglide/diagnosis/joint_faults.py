@@ -116,7 +116,8 @@ def _identified(
     """What is left once the fault is taken back and all is identified anew, if it is noise."""
     try:
         corrected = hypothesis.corrected(means.problem)
-        after = StationMeans.of(signatures(solve(corrected, method="nested")), known)
+        fit = solve(corrected, method="nested", widen=False)
+        after = StationMeans.of(signatures(fit), known)
     except NumericsError:
         return None
     if not after.signatures.candidates:

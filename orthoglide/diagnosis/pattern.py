@@ -74,10 +74,11 @@ class _Rest:
         """Number of dial readings: only these are looked at."""
         return sum(map(len, self.problem.campaigns))
 
-    @property
-    def weight(self) -> Array:
-        """1 / sigma of each reading ``(n,)``."""
-        return self.estimate.nuisance.weight[: self.count]
+    def whiten(self, rows: Array) -> Array:
+        """Readings ``(n, ...)`` in metres in units of their noise."""
+        padded = np.zeros((len(self.problem.measured), *rows.shape[1:]))
+        padded[: self.count] = rows
+        return self.problem.weighing.whiten(padded)[: self.count]
 
     @property
     def setup(self) -> NDArray[np.int64]:
@@ -97,7 +98,7 @@ class _Rest:
     @cached_property
     def residual(self) -> Array:
         """Whitened ``(n,)``."""
-        return self.estimate.residuals[: self.count] * self.weight
+        return self.whiten(self.estimate.residuals[: self.count])
 
     @cached_property
     def leg(self) -> NDArray[np.int64]:
@@ -108,7 +109,7 @@ class _Rest:
     def travel(self) -> Array:
         """Of the touched leg's carriage from mechanical zero ``(n,)``, metres."""
         command = np.concatenate([c.command for c in self.problem.campaigns])
-        return command[np.arange(len(self.leg)), self.leg] - self.problem.machine.geometry.L
+        return command[np.arange(len(self.leg)), self.leg] - self.problem.machine.geometry.zero[0]
 
     @cached_property
     def dominant(self) -> NDArray[np.int64]:
@@ -125,7 +126,7 @@ class _Rest:
 
     def past(self, columns: Array) -> tuple[Array, Array]:
         """Columns ``(n, k)`` whitened and past the fit, and their length before ``(k,)``."""
-        weighted = columns * self.weight[:, None]
+        weighted = self.whiten(columns)
         scale = np.linalg.norm(weighted, axis=0)
         return weighted - self.basis @ (self.basis.T @ weighted), np.where(scale > 0, scale, 1.0)
 
@@ -147,8 +148,8 @@ class _Rest:
         total = float(self.residual @ self.residual)
         degrees = len(station) - float(np.sum(self.basis**2))
         if not by_reading:
-            means = np.bincount(station, self.residual * self.weight) ** 2
-            total = float(np.sum(means / np.bincount(station, self.weight**2)))
+            along = self.problem.weighing.direction[: self.count]
+            total = float(np.sum(np.bincount(station, self.residual * along) ** 2))
             degrees += int(station.max()) + 1 - len(station)
         if not kept.any() or total <= 0:
             return 1.0, 0.0
@@ -223,10 +224,9 @@ def _polynomials(rest: _Rest, setup: int) -> Array:
     s = rest.travel[rows]
     places = len(np.unique(np.round(s, 6)))
     u = (s - (s.max() + s.min()) / 2) / max(np.ptp(s) / 2, 1e-12)
-    powers = np.vander(u, min(places, 5), increasing=True) * rest.weight[rows][:, None]
-    columns = np.zeros((powers.shape[1] - 1, len(rest.residual)))
-    columns[:, rows] = np.linalg.qr(powers)[0].T[1:]
-    return columns
+    powers = np.zeros((len(rest.residual), min(places, 5)))
+    powers[rows] = np.vander(u, powers.shape[1], increasing=True)
+    return np.asarray(np.linalg.qr(rest.whiten(powers))[0].T[1:])
 
 
 def _hysteresis(rest: _Rest) -> str:

@@ -63,8 +63,13 @@ class Signatures:
     def whiten(self, readings: Array) -> Array:
         """Readings ``(n, ...)`` in metres as whitened, projected vectors ``(m, ...)``."""
         padded = np.zeros((len(self.fitted), *readings.shape[1:]))
-        padded[: self.count] = (readings.T * self.weight).T
+        padded[: self.count] = self.estimate.nuisance.weighing.whiten(readings)
         return self.project(padded)
+
+    def square(self, rows: Array) -> Array:
+        """Squared length of vectors ``(m, ...)`` in the readings and their nuisances alone."""
+        known = slice(self.count, self.count + len(self.estimate.problem.prior_rows[0]))
+        return np.asarray(np.sum(rows**2, axis=0) - np.sum(rows[known] ** 2, axis=0))
 
     def of(self, candidate: Candidate) -> Array:
         """Signature of a candidate at its tolerance ``(m, size)``."""
@@ -116,14 +121,15 @@ def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
 
     def augmented(readings: Array) -> Array:
         padded = np.zeros((rows, *readings.shape[1:]))
-        padded[:n] = (readings.T * weight).T
+        padded[:n] = nuisance.weighing.whiten(readings)
         return np.asarray(padded - fitted @ (fitted.T @ padded))
 
     columns = augmented(at.jacobian[:, own:])
     # What the fit leaves of the readings and of what was known before, past what it freed.
     _, target = problem.prior_rows
     left = np.zeros(rows)
-    left[:n] = (problem.measured - at.value + at.jacobian[:, :own] @ estimate.x) * weight
+    rest = problem.measured - at.value + at.jacobian[:, :own] @ estimate.x
+    left[:n] = nuisance.weighing.whiten(rest)
     left[n : n + len(target)] = target
     residual = left - fitted @ (fitted.T @ left)
     tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])

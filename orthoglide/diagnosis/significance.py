@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.noise import repeat_variance
+from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
@@ -17,6 +17,8 @@ Ints = NDArray[np.int64]
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
+
+_OFF_GRID = 1e-6  # of a step
 
 BACKGROUND = 0.02
 """Share of its tolerance that every other effect has on a machine with nothing wrong."""
@@ -86,9 +88,13 @@ def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) ->
     rows = signatures.whiten(readings)
     if problem.noise.source == "repeats":
         variance = np.array([repeat_variance(_with_noise(problem, r))[0] for r in readings.T])
-        floor = problem.machine.spec.dial.resolution**2 / 12
-        factor = problem.noise.typical / np.sqrt(np.maximum(variance, floor))
-        rows = rows * factor
+        total = total_variance(variance, problem.machine.spec.dial.resolution)
+        rows = rows * (problem.noise.typical / np.sqrt(np.maximum(total, 1e-300)))
+    # A prior that holds an unknown back leaves something of it in the readings.
+    known = len(problem.prior_rows[0])
+    padded = np.zeros((len(signatures.fitted), draws))
+    padded[signatures.count :][:known] = rng.standard_normal((known, draws))
+    rows += signatures.project(padded)
     little = rng.standard_normal((len(signatures.names), draws))
     little *= BACKGROUND * signatures.tolerance[:, None]
     return Draws(rows, signatures.columns @ little)
@@ -117,13 +123,18 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
-    exact = np.all(problem.measured == np.round(problem.measured / resolution) * resolution)
-    if resolution > 0 and exact:
+    if on_grid(problem.measured, resolution):
         value = signatures.estimate.at.value[:, None]
         datum = rng.uniform(0, resolution, (problem.setup_count, draws))[problem.setup_of_row]
         shown = np.round((value + datum + noise) / resolution) * resolution
         return np.asarray(shown - value - datum)
     return noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution
+
+
+def on_grid(readings: Array, resolution: float) -> bool:
+    """Whether readings, metres, are all multiples of a dial's step, but for binary fractions."""
+    steps = readings / resolution if resolution > 0 else np.full(1, np.nan)
+    return bool(np.all(np.abs(steps - np.round(steps)) < _OFF_GRID))
 
 
 def about_means(station: Ints, weights: Array, readings: Array) -> Array:

@@ -66,7 +66,8 @@ class StationMeans:
             residual=averaging.T @ signatures.residual,
         )
         rows = averaging[:n]
-        return cls(means, rows.T * signatures.weight, rows, float(np.sum(rows**2)))
+        weighing = signatures.estimate.nuisance.weighing
+        return cls(means, rows.T @ weighing.whiten(np.eye(n)), rows, float(np.sum(rows**2)))
 
     @property
     def problem(self) -> Problem:

@@ -1,6 +1,6 @@
 """The catalogue of effects: what real machines have and the nominal one lacks."""
 
-from orthoglide.effects.catalogue import CATALOGUE, Catalogue, relabelled
+from orthoglide.effects.catalogue import CATALOGUE, Catalogue, catalogue_of, relabelled
 from orthoglide.effects.effect import (
     DialReading,
     Effect,
@@ -23,6 +23,7 @@ __all__ = [
     "Motion",
     "Parameter",
     "Words",
+    "catalogue_of",
     "cos",
     "once",
     "relabelled",

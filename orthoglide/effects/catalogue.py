@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import copyreg
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass, fields, replace
+from functools import cache, cached_property
 from typing import Any
 
-from orthoglide.effects import bars, dials, drives, rails
+from orthoglide.effects import bars, dials, drives, plates, rails
 from orthoglide.effects.effect import Effect, Motion
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS
-from orthoglide.parameters import Parameter
-
-_PAIRS = (("x", "y"), ("y", "z"), ("z", "x"))
+from orthoglide.layout import Layout, LegNames, Orthoglide
+from orthoglide.parameters import Parameter, setup_parts
 
 
 @dataclass(frozen=True)
@@ -26,11 +24,16 @@ class Catalogue(Mapping[str, Effect]):
 
     Attributes:
         effects: one entry a physical cause.
+        legs: names of legs and directions, of the layout that they belong to.
     """
 
     effects: tuple[Effect, ...]
+    legs: LegNames = Orthoglide.names
 
     def __post_init__(self) -> None:
+        for effect in self.effects:
+            if effect.names != self.legs:
+                raise InputError(f"{effect.name} belongs to another layout than its catalogue")
         names = [effect.name for effect in self.effects]
         for name in names:
             if names.count(name) > 1:
@@ -56,12 +59,21 @@ class Catalogue(Mapping[str, Effect]):
         Raises:
             InputError: where two effects share a name.
         """
-        return Catalogue((*self.effects, *(e for e in more if e not in self.effects)))
+        own = (e if e.names == self.legs else replace(e, names=self.legs) for e in more)
+        return Catalogue((*self.effects, *(e for e in own if e not in self.effects)), self.legs)
+
+    def of_layout(self, layout: Layout) -> Catalogue:
+        """The catalogue of a machine of another layout, a user's own effects included."""
+        if layout.names == self.legs:
+            return self
+        return catalogue_of(layout.names).with_effects(
+            e for e in self.effects if CATALOGUE.by_name.get(e.name) is not e
+        )
 
     @cached_property
     def base(self) -> tuple[str, ...]:
-        """The effects of the papers, with which every identification starts: zeros and lengths."""
-        return tuple(e.name for e in self.effects if e.controller in ("zero", "bar_length"))
+        """The effects with which every identification starts; of the papers: zeros and lengths."""
+        return tuple(e.name for e in self.effects if e.controller in self.legs.held)
 
     @cached_property
     def zeros(self) -> tuple[str, ...]:
@@ -81,7 +93,12 @@ class Catalogue(Mapping[str, Effect]):
     @cached_property
     def of_dials(self) -> tuple[Effect, ...]:
         """Effects of the dials, in the order in which they change a reading."""
-        return tuple(e for e in self.effects if e.of_dial)
+        return tuple(e for e in self.effects if e.dial is not None)
+
+    @cached_property
+    def of_plates(self) -> tuple[Effect, ...]:
+        """Effects of probed plates."""
+        return tuple(e for e in self.effects if e.plate)
 
     @cached_property
     def default_tolerance(self) -> Mapping[str, float]:
@@ -115,12 +132,12 @@ class Catalogue(Mapping[str, Effect]):
         effect, setups = self.effect_of(name), tuple(setups)
         plain, _, campaign = name.partition("@")
         if effect.of_dial:
-            setup = name[len(effect.name) + 1 :]
+            setup, shape, own = setup_parts(name[len(effect.name) + 1 :], effect.shapes)
             for known in effect.parameters(setups):
                 if name == known or name.startswith(f"{known}@"):
                     return known.at(name[len(known) + 1 :])
             if setup and plain != f"{effect.name}.common" and not setups:
-                return Parameter(effect.name, setup=setup)
+                return Parameter(effect.name, setup=setup, direction=shape, campaign=own)
         else:
             for known in effect.motions:
                 if plain == known:
@@ -179,55 +196,65 @@ class Catalogue(Mapping[str, Effect]):
         """
         effect = self.by_name[name]
         every = effect.parameters(tuple(setups))
-        directions = {p.direction for p in every}
+        directions = set() if effect.of_dial else {p.direction for p in every}
         found: dict[Parameter, dict[Parameter, float]] = {}
 
         def add(member: str, weights: dict[Parameter, float]) -> None:
             found[Parameter(name, member=member)] = weights
 
-        if directions == set(LEGS):
+        if directions == set(self.legs.legs):  # legs lie along each other's directions
             add("common", dict.fromkeys(every, 1.0))
-            add("cyclic", {p: _cyclic_sign(p) for p in every})
-            for first, second in _PAIRS:
-                one = Parameter(name, first, second)
-                other = Parameter(name, second, first)
-                add(f"{first}{second}.symmetric", {one: 1.0, other: 1.0})
-                add(f"{first}{second}.antisymmetric", {one: 1.0, other: -1.0})
+            add("cyclic", {p: self._cyclic_sign(p) for p in every})
+            one, two, three = self.legs.legs
+            for first, second in ((one, two), (two, three), (three, one)):
+                there = Parameter(name, first, second)
+                back = Parameter(name, second, first)
+                add(f"{first}{second}.symmetric", {there: 1.0, back: 1.0})
+                add(f"{first}{second}.antisymmetric", {there: 1.0, back: -1.0})
         elif directions - {""}:
             for direction in sorted(directions):
                 add(f"{direction}.common", {p: 1.0 for p in every if p.direction == direction})
-        elif len(every) > 1:
+        elif len(every) > 1 and not effect.plate:  # two plates have nothing in common
             add("common", dict.fromkeys(every, 1.0))
         return found
 
-
-def _cyclic_sign(parameter: Parameter) -> float:
-    return 1.0 if (LEGS.index(parameter.leg) + 1) % 3 == LEGS.index(parameter.direction) else -1.0
+    def _cyclic_sign(self, parameter: Parameter) -> float:
+        first, _ = self.legs.across[self.legs.index(parameter.leg)]
+        return 1.0 if parameter.direction == first else -1.0
 
 
 CATALOGUE = Catalogue((*drives.EFFECTS, *rails.EFFECTS, *bars.EFFECTS, *dials.EFFECTS))
-"""The package's own effects."""
+"""The package's own effects on the Orthoglide."""
 
 
-def relabelled(name: Parameter) -> Parameter:
-    """The parameter's name after the axes are relabelled x -> y -> z -> x."""
-    turned = [LEGS[(LEGS.index(k) + 1) % 3] if k in LEGS else k for k in (name.leg, name.direction)]
-    return Parameter(name.effect, turned[0], turned[1], name.setup, name.member, name.campaign)
+@cache
+def catalogue_of(names: LegNames) -> Catalogue:
+    """The package's own effects on a layout; one object for each."""
+    if names == CATALOGUE.legs:
+        return CATALOGUE
+    effects = (*CATALOGUE.effects, *plates.EFFECTS)
+    return Catalogue(tuple(replace(e, names=names) for e in effects), names)
+
+
+def relabelled(name: Parameter, names: LegNames = Orthoglide.names) -> Parameter:
+    """The parameter's name after the legs are relabelled, x -> y -> z -> x on the Orthoglide."""
+    leg, direction = names.relabelled(name.leg, name.direction)
+    return Parameter(name.effect, leg, direction, name.setup, name.member, name.campaign)
 
 
 # An effect holds functions, which do not travel between processes: those of the package go by name.
-def _effect_by_name(name: str) -> Effect:
-    return CATALOGUE[name]
+def _effect_by_name(name: str, names: LegNames) -> Effect:
+    return catalogue_of(names)[name]
 
 
 def _reduce_effect(effect: Effect) -> tuple[Any, tuple[Any, ...]]:
-    if CATALOGUE.by_name.get(effect.name) is effect:
-        return _effect_by_name, (effect.name,)
+    if catalogue_of(effect.names).by_name.get(effect.name) is effect:
+        return _effect_by_name, (effect.name, effect.names)
     return Effect, tuple(getattr(effect, f.name) for f in fields(effect))
 
 
 def _reduce_catalogue(catalogue: Catalogue) -> tuple[Any, tuple[Any, ...]]:
-    return Catalogue, (catalogue.effects,)
+    return Catalogue, (catalogue.effects, catalogue.legs)
 
 
 copyreg.pickle(Effect, _reduce_effect)

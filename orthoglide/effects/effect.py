@@ -19,13 +19,16 @@ import numpy as np
 
 from orthoglide.effects.words import Words
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS, leg_axes
+from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit, to_si
 
 Condition = Literal["approach", "time", "temperature", "load", "pitch"]
 Group = Literal["structure", "drive", "temperature", "load", "dial"]
-Held = Literal["zero", "scale", "backlash", "bar_length"]
+Shape = Callable[[Any, Any], Any]
+"""Height of a plate at (x, y), both over the largest measured radius, for one unit."""
+
+Held = Literal["zero", "scale", "backlash", "bar_length", "place"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class LegConditions:
     """The conditions of one leg when a reading was taken.
 
     Attributes:
-        command: rho of the leg's own drive, metres (2008, eq. 2).
+        command: of the leg's own drive, metres; on the Orthoglide rho (2008, eq. 2).
         length: nominal bar length L, metres.
         stroke: travel limits from mechanical zero, metres.
         pitch: of the drive's screw, metres; ``None`` where unknown.
@@ -42,7 +45,8 @@ class LegConditions:
         warming: kelvin above the campaign's first row.
         force: on the carriage along its own axis under the load, newtons.
         travel: the carriage's true travel from mechanical zero, metres.
-        commands: rho of all drives, metres.
+        zero: the command at mechanical zero, metres; ``None``: L, as on the Orthoglide.
+        commands: of all drives, metres.
     """
 
     command: Any
@@ -54,12 +58,13 @@ class LegConditions:
     warming: Any
     force: Any
     travel: Any = None
+    zero: float | None = None
     commands: tuple[Any, ...] = ()
 
     @property
     def nominal_travel(self) -> Any:
         """Commanded travel from mechanical zero, metres."""
-        return self.command - self.length
+        return self.command - (self.length if self.zero is None else self.zero)
 
     @property
     def u(self) -> Any:
@@ -124,7 +129,7 @@ class Motion:
     @property
     def needs(self) -> frozenset[Condition]:
         """Conditions that the basis looks at, found by evaluating it."""
-        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, (0.3,) * 3)
+        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3)
         probe.__dict__["used"] = set()
         self.basis(probe)
         return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])
@@ -159,6 +164,9 @@ class Effect:
         controller: which number of a controller holds it, if any.
         urdf: whether a rigid URDF can hold it.
         dial: of an effect of the dial: the reading shown, given the reading so far and the value.
+        plate: of an effect of a probed plate: its shapes, each behind what follows the setup in
+            its parameter's name.
+        names: of legs and directions, of the layout that it belongs to.
     """
 
     name: str
@@ -175,6 +183,8 @@ class Effect:
     controller: Held | None = None
     urdf: bool = False
     dial: Callable[[DialReading, Any], Any] | None = None
+    plate: tuple[tuple[str, Shape], ...] = ()
+    names: LegNames = Orthoglide.names
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -184,8 +194,13 @@ class Effect:
 
     @property
     def of_dial(self) -> bool:
-        """Whether it belongs to a dial and not to the machine."""
-        return self.dial is not None
+        """Whether it belongs to a dial or a plate and not to the machine."""
+        return self.dial is not None or bool(self.plate)
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        """Shapes of a plate by what follows the setup in a parameter's name."""
+        return dict(self.plate)
 
     @property
     def tolerance_si(self) -> float:
@@ -196,15 +211,24 @@ class Effect:
     def motions(self) -> dict[Parameter, tuple[int, tuple[Motion, ...]]]:
         """All parameters of the machine: from name to leg (0, 1, 2) and motions."""
         return {
-            Parameter(self.name, letter, suffix): (leg, motions)
-            for leg, letter in enumerate(LEGS)
-            for suffix, motions in self.members(leg).items()
+            Parameter(self.name, name, dict(zip(_SIDES, across, strict=True)).get(key, key)): (
+                leg,
+                motions,
+            )
+            for leg, (name, across) in enumerate(
+                zip(self.names.legs, self.names.across, strict=True)
+            )
+            for key, motions in self.members(leg).items()
         }
 
     def parameters(self, setups: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
         """Its parameters; those of a dial for each of the setups."""
         if self.of_dial:
-            return tuple(Parameter(self.name, setup=setup) for setup in setups)
+            return tuple(
+                Parameter(self.name, setup=setup, direction=part)
+                for setup in setups
+                for part in self.shapes or ("",)
+            )
         return tuple(self.motions)
 
     @cached_property
@@ -235,6 +259,9 @@ def once(*motions: Motion) -> Members:
     return lambda leg: {"": motions}
 
 
+_SIDES = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b and c
+
+
 def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
     """Members of an effect that has one parameter for each axis j other than the leg's own.
 
@@ -244,7 +271,6 @@ def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
     """
 
     def members(leg: int) -> Mapping[str, tuple[Motion, ...]]:
-        _, b, c = leg_axes(leg)
-        return {LEGS[b]: make("b", +1), LEGS[c]: make("c", -1)}
+        return dict(zip(_SIDES, (make("b", +1), make("c", -1)), strict=True))
 
     return members

@@ -85,7 +85,7 @@ def _held(effect: Effect) -> str:
     places = ["compensated commands"]
     if effect.urdf:
         places.append("a calibrated URDF")
-    if effect.controller:
+    if effect.controller in number:
         places.append(f"the controller's {number[effect.controller]}")
     return ", ".join(places) if effect.at_rest else "none of the controller's numbers"
 

@@ -179,7 +179,8 @@ def _travel(c: LegConditions) -> Any:
 
 def _command_of(leg: int, c: LegConditions) -> Any:
     low, high = c.stroke
-    return (c.commands[leg] - c.length - (low + high) / 2) / ((high - low) / 2)
+    travel = c.commands[leg] - c.command + c.nominal_travel
+    return (travel - (low + high) / 2) / ((high - low) / 2)
 
 
 def _time_between(start: float, end: float, c: LegConditions) -> Any:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from orthoglide.effects.effect import Effect, LegConditions, Motion, sideways
-from orthoglide.effects.words import Words, mm, more, mrad, slope, toward
-from orthoglide.geometry import LEGS, axis_index, leg_axes
+from orthoglide.effects.words import Words, across, mm, more, mrad, slope, toward
+from orthoglide.layout import Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD
 
@@ -31,10 +31,15 @@ def _turned(axis: str, sign: int) -> Motion:
 
 def _about(p: Parameter) -> str:
     """The base axis about which a bracket is turned, and what it is to the leg."""
-    a, b, _ = leg_axes(axis_index(p.leg))
+    names = Orthoglide.names
+    base = p.leg in names.legs  # whose legs lie along base axes
     if p.direction == "a":
-        return f"{LEGS[a]}, the leg's own axis"
-    return f"{LEGS[b]}, the axis of its pivots"
+        return f"{p.leg}, the leg's own axis" if base else "the leg's own axis"
+    return (
+        f"{names.across[names.index(p.leg)][0]}, the axis of its pivots"
+        if base
+        else ("the axis of its pivots")
+    )
 
 
 AXIS_OFFSET = Effect(
@@ -49,7 +54,7 @@ AXIS_OFFSET = Effect(
         lambda p, v: (
             f"the {p.leg} rail stands {mm(v)} beside its place, toward {toward(p.direction, v)}"
         ),
-        lambda p: f"the {p.leg} rail stands beside its place in the direction of {p.direction}",
+        lambda p: f"the {p.leg} rail stands beside its place in {across(p.direction)}",
         "the rails stand beside their places",
         mm,
         lambda p, v: (
@@ -57,6 +62,7 @@ AXIS_OFFSET = Effect(
             f"expect it {mm(v)} toward {toward(p.direction, v)}"
         ),
     ),
+    controller="place",  # of a tower; an Orthoglide's controller knows of none
     urdf=True,
 )
 
@@ -73,9 +79,7 @@ AXIS_TILT = Effect(
             f"the path of the {p.leg} carriage is out of square toward "
             f"{toward(p.direction, v)} by {slope(v)}"
         ),
-        lambda p: (
-            f"the path of the {p.leg} carriage is out of square in the direction of {p.direction}"
-        ),
+        lambda p: f"the path of the {p.leg} carriage is out of square in {across(p.direction)}",
         "the paths of the carriages are out of square",
         slope,
         lambda p, v: (
@@ -99,9 +103,7 @@ RAIL_TILT = Effect(
             f"the {p.leg} rail leans toward {toward(p.direction, v)} by {slope(v)} and its "
             f"carriage with it"
         ),
-        lambda p: (
-            f"the {p.leg} rail leans in the direction of {p.direction} and its carriage with it"
-        ),
+        lambda p: f"the {p.leg} rail leans in {across(p.direction)} and its carriage with it",
         "the rails lean and their carriages with them",
         slope,
         lambda p, v: (
@@ -125,7 +127,7 @@ RAIL_BOW = Effect(
             f"the {p.leg} rail is bent: its middle stands {mm(v)} toward {toward(p.direction, -v)} "
             f"off the line between its ends"
         ),
-        lambda p: f"the {p.leg} rail is bent in the direction of {p.direction}",
+        lambda p: f"the {p.leg} rail is bent in {across(p.direction)}",
         "the rails are bent",
         mm,
         lambda p, v: (

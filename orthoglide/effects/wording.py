@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import mm, mrad, percent, toward
-from orthoglide.geometry import LEGS
+from orthoglide.effects.words import across, mm, mrad, percent, toward
+from orthoglide.layout import DIRECTIONS
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
@@ -87,11 +87,13 @@ def parameter_words(parameter: Parameter) -> str:
     words = parameter.effect.replace("_", " ")
     where = f" ({parameter.campaign})" if parameter.campaign else ""
     if parameter.setup:
-        return f"{words} of setup {parameter.setup}{where}"
+        part = f", {parameter.direction}" if parameter.direction else ""
+        return f"{words} of setup {parameter.setup}{part}{where}"
     if parameter.member:
         return f"{words}, {parameter.member.replace('.', ' ')}{where}"
-    if parameter.direction in LEGS:
-        return f"{words} of leg {parameter.leg} toward {parameter.direction}{where}"
+    if parameter.direction in DIRECTIONS:
+        way = toward(parameter.direction, 1.0)
+        return f"{words} of leg {parameter.leg} toward {way}{where}"
     tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
     behind = tail.get(parameter.direction, f" {parameter.direction}" if parameter.direction else "")
     return f"{words} of leg {parameter.leg}{behind}{where}"
@@ -118,7 +120,8 @@ def _short(effect: Effect, parameter: Parameter) -> str:
     if effect.words.short is not None:
         return effect.words.short(parameter)
     place = parameter.setup or f"leg {parameter.leg}"
-    toward_j = f" toward {parameter.direction}" if parameter.direction in LEGS else ""
+    sided = parameter.direction in DIRECTIONS
+    toward_j = f" toward {toward(parameter.direction, 1.0)}" if sided else ""
     return f"{place}: {effect.sentence}{toward_j}"
 
 
@@ -132,6 +135,8 @@ def _short_pattern(member: str) -> str:
     if member.endswith("symmetric"):
         ways = "opposite ways" if member.endswith("antisymmetric") else "the same way"
         return f" ({member[0]} and {member[1]}, {ways})"
+    if (side := member.partition(".")[0]) in DIRECTIONS:
+        return f", all alike in {across(side)}"
     return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
 
 
@@ -149,5 +154,7 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
         return (
             f"{one} toward {toward(other, value)} and {other} toward {toward(one, back)} by {size}"
         )
-    about = _ABOUT.get(member[0], "") if "." in member else ""
+    if (side := member.partition(".")[0]) in DIRECTIONS:
+        return f"all by {size} toward {toward(side, value)}"
+    about = _ABOUT.get(side, "") if "." in member else ""
     return f"all by {'' if value >= 0 else MINUS}{size}{about}"

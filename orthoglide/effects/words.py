@@ -29,9 +29,23 @@ def percent(value: float) -> str:
     return f"{compact(abs(value) * 100, 2)} %"
 
 
+_SIDES = {
+    "radial": ("the outside", "the centre"),
+    "tangential": ("the counter-clockwise side", "the clockwise side"),
+}
+"""What lies in a direction and against it, of legs that stand around a centre, seen from above."""
+
+
 def toward(axis: str, value: float) -> str:
-    """An axis with the sign of a value: ``z``, ``−z``."""
+    """An axis with the sign of a value: ``z``, ``−z``; or the side, ``the centre``."""
+    if axis in _SIDES:
+        return _SIDES[axis][value < 0]
     return axis if value >= 0 else f"{MINUS}{axis}"
+
+
+def across(axis: str) -> str:
+    """A direction without its sign, behind "in"."""
+    return f"{axis} direction" if axis in _SIDES else f"the direction of {axis}"
 
 
 def more(value: float, positive: str = "more", negative: str = "less") -> str:

@@ -54,6 +54,8 @@ def reduction_fit(
 ) -> reduction.ReadingFit:
     """The reduction's fit of the same problem: same noise, priors, datums and placements.
 
+    Readings are those of the stations, in the order of ``problem.station``.
+
     Args:
         problem: with no unknowns but joint offsets and leg lengths.
         nuisance: the frozen columns.
@@ -61,11 +63,14 @@ def reduction_fit(
         start: where to start ``(P,)``; the problem's where absent.
         held: unknowns that stay at their start ``(P,)``; none where absent. Bounds do not act.
     """
+    # Visits to a station differ in nothing that the reduction knows: their mean says it all.
+    weighing = nuisance.weighing
+    chosen = weighing.first
     group = np.concatenate(
         [np.full(len(c), k, dtype=np.intp) for k, c in enumerate(problem.campaigns)]
     )
     setups = [s for c in problem.campaigns for s in c.setups]
-    rows = problem.setup_of_row
+    rows = problem.setup_of_row[chosen]
     maps = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
     for k in range(len(problem.campaigns)):
         names, matrix = problem.elementary(k)
@@ -76,19 +81,19 @@ def reduction_fit(
     free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
     # The last parameter is held at one: it carries what the machine file already says.
     return reduction.fit_readings(
-        np.concatenate([c.command for c in problem.campaigns]),
+        np.concatenate([c.command for c in problem.campaigns])[chosen],
         np.array([s.leg for s in setups])[rows],
         np.array([s.axis for s in setups])[rows],
         np.array([s.gauge for s in setups])[rows],
-        problem.measured,
-        problem.sigma,
+        weighing.means(problem.measured),
+        weighing.mean_sigma,
         signs=np.array([float(s.sign) for s in setups])[rows],
         free=np.append(free, False),
         prior_sd=np.append(problem.prior_sd, np.inf),
-        nuisance=nuisance.columns,
+        nuisance=weighing.means(nuisance.columns),
         precision=nuisance.precision,
         x0=np.append(problem.start if start is None else start, 1.0),
-        group=group,
+        group=group[chosen],
         maps=maps,
         geometry=problem.machine.geometry,
         linear=linear,
@@ -125,8 +130,9 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
         )
     linear = reduction_fit(problem, nuisance, linear=True, start=start, held=held)
     fitted = value + nuisance.fitted(problem.measured - value)
-    apart = fitted - linear.readings
-    size = float(np.linalg.norm(apart * nuisance.weight)) / float(np.linalg.norm(nuisance.weight))
+    weighing = nuisance.weighing
+    apart = fitted - linear.readings[weighing.station]
+    size = float(np.linalg.norm(weighing.whiten(apart)) / np.linalg.norm(nuisance.weight))
     return CrossCheck(
         difference,
         float(np.max(np.abs(apart), initial=0.0)),

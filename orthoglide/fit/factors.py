@@ -1,7 +1,7 @@
 """What was read, as factors: each predicts its rows, differentiates them, and has its nuisances.
 
 A *nuisance* is a number that the rows contain besides the machine: a dial's datum, where it stands,
-the rounding that repeats share, the frame of a tracker. Nuisances enter linearly and are fitted
+the frame of a tracker. Nuisances enter linearly and are fitted
 with everything else.
 """
 
@@ -63,12 +63,10 @@ class DialReadings:
     Attributes:
         campaign: the readings.
         placement: standard deviation of a dial's place along its leg, metres; 0: exact.
-        common: standard deviation of what a dial rounds away alike at every visit, metres.
     """
 
     campaign: Campaign
     placement: float = 0.0
-    common: float = 0.0
 
     @property
     def name(self) -> str:
@@ -119,7 +117,7 @@ class DialReadings:
         return model.readings_by_joints(values, self.campaign)
 
     def nuisances(self, slopes: Array) -> Block:
-        """A datum a setup, a placement a setup, and where readings repeat a rounding a station."""
+        """A datum and a placement for each setup."""
         setups = len(self.campaign.setups)
         datum = np.eye(setups)[self.setup]
         columns, sd = [datum], [np.full(setups, np.inf)]
@@ -127,13 +125,7 @@ class DialReadings:
             columns.append(datum * slopes)
             sd.append(np.full(setups, self.placement))
         placed = np.arange(setups * len(columns)) >= setups
-        if self.common > 0:
-            station = np.unique(self.stations, axis=0, return_inverse=True)[1].reshape(-1)
-            count = int(station.max(initial=-1)) + 1
-            columns.append(np.eye(count)[station])
-            sd.append(np.full(count, self.common))
-        every = np.hstack(columns)
-        return Block(every, np.concatenate(sd), np.pad(placed, (0, every.shape[1] - len(placed))))
+        return Block(np.hstack(columns), np.concatenate(sd), placed)
 
 
 @dataclass(frozen=True)

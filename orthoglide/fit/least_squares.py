@@ -1,7 +1,8 @@
 """The weighted least-squares problem around one point: nuisances, priors, covariance.
 
-Minimised is ``|(y - f(x) - U z) / sigma|^2 + |W x - t|^2 + sum(precision z^2)``, where ``U`` holds
-the nuisances of all factors (see `fit.factors`), and ``W``, ``t`` what is known before. The
+Minimised is ``|V (y - f(x) - U z)|^2 + |W x - t|^2 + sum(precision z^2)``, where ``V`` weighs rows
+by their noise (see `fit.weighing`), ``U`` holds the nuisances of all factors (see `fit.factors`),
+and ``W``, ``t`` what is known before. The
 nuisances z are linear and are projected out.
 """
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit.problem import Problem
+from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
 
@@ -61,14 +63,19 @@ class Nuisances:
         precision: about zero ``(k,)``: 0 where nothing is known of one.
         placement: which of them are where a dial stands ``(k,)``.
         basis: orthonormal columns of the whitened, prior-augmented columns ``(n + k, k)``.
-        weight: 1 / sigma ``(n,)``.
+        weighing: the noise of the rows.
     """
 
     columns: Array
     precision: Array
     placement: NDArray[np.bool_]
     basis: Array
-    weight: Array
+    weighing: Weighing
+
+    @property
+    def weight(self) -> Array:
+        """1 / sigma of each row ``(n,)``."""
+        return self.weighing.weight
 
     @property
     def count(self) -> int:
@@ -83,15 +90,15 @@ class Nuisances:
     def project(self, rows: Array) -> Array:
         """Whitened rows ``(n, ...)`` without what the nuisances explain, ``(n + k, ...)``."""
         padded = np.zeros((len(self.basis), *rows.shape[1:]))
-        padded[: len(rows)] = (rows.T * self.weight).T
+        padded[: len(rows)] = self.weighing.whiten(rows)
         return np.asarray(padded - self.basis @ (self.basis.T @ padded))
 
     def solve(self, rest: Array) -> Array:
         """The nuisances ``(k,)`` that fit best what the model leaves ``(n,)``, metres."""
         augmented = np.vstack(
-            [self.columns * self.weight[:, None], np.diag(np.sqrt(self.precision))]
+            [self.weighing.whiten(self.columns), np.diag(np.sqrt(self.precision))]
         )
-        target = np.concatenate([rest * self.weight, np.zeros(self.count)])
+        target = np.concatenate([self.weighing.whiten(rest), np.zeros(self.count)])
         return np.asarray(np.linalg.lstsq(augmented, target, rcond=1e-12)[0])
 
     def fitted(self, rest: Array) -> Array:
@@ -117,12 +124,12 @@ def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
         columns = np.hstack([columns, problem.curves.columns])
         blocks.append(problem.curves)
     precision = np.concatenate([b.sd for b in blocks]) ** -2.0
-    weight = 1 / problem.sigma
-    augmented = np.vstack([columns * weight[:, None], np.diag(np.sqrt(precision))])
+    weighing = problem.weighing
+    augmented = np.vstack([weighing.whiten(columns), np.diag(np.sqrt(precision))])
     scale = np.linalg.norm(augmented, axis=0)
     basis, _ = np.linalg.qr(augmented / np.where(scale > 0, scale, 1.0))
     placement = np.concatenate([b.placement for b in blocks])
-    return Nuisances(columns, precision, placement, basis, weight)
+    return Nuisances(columns, precision, placement, basis, weighing)
 
 
 @dataclass(frozen=True)
@@ -169,12 +176,18 @@ class Normal:
         return np.asarray(self.jacobian.T @ self.jacobian + self.prior.T @ self.prior)
 
     @property
-    def determined(self) -> float:
-        """How many of the unknowns the data determine: the trace of the hat matrix."""
+    def shares(self) -> Array:
+        """Eigenvalues of the hat matrix ``(P,)``: how far the data determine the unknowns."""
         scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
         full = self.information / scale / scale[:, None]
         data = self.jacobian.T @ self.jacobian / scale / scale[:, None]
-        return float(np.trace(np.linalg.lstsq(full, data, rcond=1e-14)[0]))
+        hat = np.linalg.lstsq(full, data, rcond=1e-14)[0]
+        return np.asarray(np.clip(np.linalg.eigvals(hat).real, 0.0, 1.0))
+
+    @property
+    def determined(self) -> float:
+        """How many of the unknowns the data determine: the trace of the hat matrix."""
+        return float(np.sum(self.shares))
 
 
 def normal(problem: Problem, at: Linearised, nuisance: Nuisances) -> Normal:
@@ -189,13 +202,13 @@ def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array
 
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
-    weight = nuisance.weight[:, None]
     matrix, _ = problem.prior_rows
     count = at.jacobian.shape[1]
     known = np.zeros((len(matrix) + nuisance.count, count + nuisance.count))
     known[: len(matrix), :count] = matrix
     known[len(matrix) :, count:] = np.diag(np.sqrt(nuisance.precision))
-    full = np.vstack([np.hstack([at.jacobian, nuisance.columns]) * weight, known])
+    rows = nuisance.weighing.whiten(np.hstack([at.jacobian, nuisance.columns]))
+    full = np.vstack([rows, known])
     scale = np.linalg.norm(full, axis=0)
     left, singular, _ = np.linalg.svd(full / np.where(scale > 0, scale, 1), full_matrices=False)
     return np.asarray(left[:, singular > 1e-10 * singular.max(initial=0.0)])

@@ -18,6 +18,7 @@ from orthoglide.errors import SolverError
 from orthoglide.fit.factors import DialReadings, TcpReadings
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
+from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.mechanism.functions import LINES, TCP, closure_functions
 from orthoglide.prediction import Conditions, Model
@@ -96,7 +97,7 @@ class Nlp:
         columns = np.full(nuisance.count, self._unit)
         columns[known] = nuisance.precision[known] ** -0.5
         fitted = predicted + ca.DM(nuisance.columns * columns) @ z
-        left = (measured - fitted) * nuisance.weight
+        left = _weighed(measured - fitted, nuisance.weighing)
         matrix, target = problem.prior_rows
         prior = ca.DM(matrix * self._scale) @ x - ca.DM(target)
         placed = z * (columns * np.sqrt(nuisance.precision))
@@ -123,7 +124,7 @@ class Nlp:
             moves = model.displacement.map(count)(
                 ca.repmat(theta, 1, count), ca.DM(model.seen(layout.conditions).T)
             )
-            travel = ca.DM((layout.conditions.command - model.geometry.L).T)
+            travel = ca.DM((layout.conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]
             closures.append(self._functions.residual.map(count)(own, given))
@@ -185,6 +186,16 @@ class Nlp:
             given = model.mechanism.given(layout.conditions.command, moves)
             found.append(model.mechanism.batch.close(given))
         return np.concatenate(found)
+
+
+def _weighed(rows: Any, weighing: Weighing) -> Any:
+    """Rows ``(n, 1)`` as MX in units of their noise."""
+    n, station = len(weighing.station), weighing.station
+    shared = np.flatnonzero(np.bincount(station)[station] > 1)
+    if not weighing.common[shared].any():
+        return rows * np.sqrt(weighing.weight**-2 + weighing.common**2) ** -1
+    matrix = ca.DM(weighing.whiten(np.eye(n)))
+    return ca.sparsify(matrix) @ rows
 
 
 def _layout(problem: Problem, factor: int) -> _Layout:

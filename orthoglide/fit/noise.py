@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
@@ -19,6 +20,7 @@ PUBLISHED_REPEATABILITY = 2e-5
 """Metres: the repeatability stated in 2008, section 4.1; used where nothing better is known."""
 
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
+_STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
 _FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
 
@@ -32,12 +34,14 @@ class Noise:
         source: where it comes from.
         common: standard deviation of what a dial rounds away alike at every visit to a station,
             metres; 0 where the scatter of the readings spreads the rounding out.
+        dof: degrees of freedom behind ``typical``; infinite where it was not estimated.
     """
 
     sigma: tuple[Array, ...]
     typical: float
     source: NoiseSource
     common: float = 0.0
+    dof: float = float("inf")
 
 
 def noise_of(campaigns: Sequence[Campaign], dial: Dial, declared: float | None = None) -> Noise:
@@ -57,14 +61,14 @@ def noise_of(campaigns: Sequence[Campaign], dial: Dial, declared: float | None =
         InputError: where ``declared`` is no positive length.
     """
     noise = _level(campaigns, dial, declared)
-    common = common_rounding(noise.typical, dial.resolution)
+    common = float(common_rounding(noise.typical, dial.resolution))
     if common**2 < _COUNTS * noise.typical**2 or not repeated(campaigns):
         return noise
     sigma = tuple(np.sqrt(np.maximum(s**2 - common**2, _COUNTS * s**2)) for s in noise.sigma)
     return replace(noise, sigma=sigma, common=common)
 
 
-def common_rounding(sigma: float, resolution: float) -> float:
+def common_rounding(sigma: ArrayLike, resolution: float) -> Array:
     """Standard deviation of the rounding that repeats have in common, metres.
 
     The rounding of a value x that scatters by s (both in steps of the dial) has the mean
@@ -75,12 +79,33 @@ def common_rounding(sigma: float, resolution: float) -> float:
         sigma: of one reading, its rounding counted, metres.
         resolution: step of the dial, metres.
     """
+    total = np.asarray(sigma, dtype=float)
     if resolution <= 0:
-        return 0.0
-    scatter = np.sqrt(max(sigma**2 - resolution**2 / 12, 0.0)) / resolution
+        return np.zeros_like(total)
+    scatter = np.sqrt(np.maximum(total**2 - resolution**2 / 12, 0.0))[..., None] / resolution
     k = np.arange(1, 200)
     share = np.exp(-((2 * np.pi * k * scatter) ** 2)) / (2 * (np.pi * k) ** 2)
-    return float(resolution * np.sqrt(share.sum()))
+    return np.asarray(resolution * np.sqrt(share.sum(axis=-1)))
+
+
+def total_variance(within: ArrayLike, resolution: float) -> Array:
+    """Variance of one rounded reading from that of repeats about their mean, square metres.
+
+    Repeats do not show the rounding that they share: with a scatter s before it, one reading
+    has ``s^2 + step^2 / 12``, of which repeats show ``s^2 + step^2 / 12 - common(s)^2``. A dial
+    that scatters by much less than its step shows hardly any variance at all.
+
+    Args:
+        within: from repeats, see :func:`repeat_variance`.
+        resolution: step of the dial, metres.
+    """
+    if resolution <= 0:
+        return np.asarray(within, dtype=float)
+    scatter = np.concatenate([[0.0], np.geomspace(1e-3, _STEPS, 400)])
+    total = (scatter**2 + 1 / 12) * resolution**2
+    shown = np.maximum.accumulate(total - common_rounding(np.sqrt(total), resolution) ** 2)
+    seen = np.asarray(within, dtype=float)
+    return np.asarray(np.interp(seen, shown, total) + np.maximum(seen - shown[-1], 0.0))
 
 
 def station_table(campaign: Campaign) -> Array:
@@ -103,7 +128,8 @@ def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) ->
         return _filled(campaigns, float(np.sqrt(dial.repeatability**2 + rounding)), "machine")
     variance, dof = repeat_variance(campaigns)
     if dof >= _FEWEST_REPEATS:
-        return _filled(campaigns, float(np.sqrt(max(variance, rounding))), "repeats")
+        total = float(np.sqrt(total_variance(variance, dial.resolution)))
+        return replace(_filled(campaigns, total, "repeats"), dof=dof)
     return _filled(campaigns, float(np.sqrt(PUBLISHED_REPEATABILITY**2 + rounding)), "machine")
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from orthoglide.fit.estimate import Estimate
 from orthoglide.notes import Note
-
-_FAR = 4.0  # tolerances: one parameter in sixteen thousand of a machine as it is expected to be
+from orthoglide.numerals import compact
 
 
 def notes(estimate: Estimate) -> tuple[Note, ...]:
@@ -24,9 +23,16 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
-    for (name, value), tolerance in zip(estimate.values.items(), problem.tolerance, strict=True):
-        if abs(value) > _FAR * tolerance:
-            text = f"{name} is {abs(value) / tolerance:.1f} times its tolerance"
+    for unknown, value, far in zip(
+        problem.unknowns, estimate.x, problem.far(estimate.x), strict=True
+    ):
+        if far:
+            unit = estimate.unit(unknown.name)
+            text = (
+                f"{unknown.name} is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
+                f"{compact(unknown.tolerance / unit.si, 2)} {unit.name}: measure it, or correct "
+                f"the tolerance in the machine file"
+            )
             found.append(Note(text, "tolerance"))
     check = estimate.check
     if check is not None and not check.second_order:

@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 
 from orthoglide.fit.factors import Block, DialReadings, Factor, TcpReadings
 from orthoglide.fit.noise import Noise
+from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
+
+FAR = 4.0
+"""Tolerances: one parameter in sixteen thousand of a machine as it is expected to be."""
 
 _UNNOTICED = 0.02
 """Share of its tolerance by which a parameter drifts between visits without being a change: as much
@@ -33,6 +37,7 @@ class Unknown:
         tolerance: standard deviation to expect, SI.
         start: SI.
         bound: the value stays within plus and minus this, SI.
+        width: how many tolerances wide its prior is.
     """
 
     name: Parameter
@@ -40,6 +45,7 @@ class Unknown:
     tolerance: float
     start: float
     bound: float
+    width: float = 1.0
 
 
 def rows_about(
@@ -115,7 +121,7 @@ class Problem:
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
         """All that was read: campaigns, then TCP points."""
-        dials = (DialReadings(c, self.placement, self.noise.common) for c in self.campaigns)
+        dials = (DialReadings(c, self.placement) for c in self.campaigns)
         return (*dials, *self.points)
 
     @property
@@ -145,6 +151,13 @@ class Problem:
         return np.concatenate([*self.noise.sigma, *(f.sigma for f in self.points)])
 
     @cached_property
+    def weighing(self) -> Weighing:
+        """The noise of all rows, with what visits to a station have in common."""
+        dials = self.rows[-1].stop if self.rows else 0
+        common = np.where(np.arange(len(self.sigma)) < dials, self.noise.common, 0.0)
+        return Weighing(self.sigma, common, self.station)
+
+    @cached_property
     def tolerance(self) -> Array:
         """Standard deviation to expect of the unknowns ``(P,)``, SI."""
         return np.array([u.tolerance for u in self.unknowns])
@@ -152,7 +165,12 @@ class Problem:
     @property
     def prior_sd(self) -> Array:
         """Prior standard deviations ``(P,)``, SI; infinite where tolerances do not act."""
-        return self.tolerance if self.priors else np.full(len(self.unknowns), np.inf)
+        width = np.array([u.width if self.priors else np.inf for u in self.unknowns])
+        return np.asarray(self.tolerance * width)
+
+    def far(self, x: Array) -> NDArray[np.bool_]:
+        """Which of the unknowns ``x`` ``(P,)`` are beyond what their tolerances let expect."""
+        return np.asarray(np.abs(x) > FAR * self.tolerance)
 
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
@@ -236,6 +254,11 @@ class Problem:
         held = [n for values in self.held for n, v in values.items() if v]
         catalogue = self.machine.catalogue
         return all(catalogue.effect_of(n).name in catalogue.base for n in [*named, *held])
+
+    def at_tolerance(self) -> Problem:
+        """The same problem with no prior wider than its tolerance."""
+        narrow = tuple(replace(u, width=1.0) for u in self.unknowns)
+        return self if narrow == self.unknowns else replace(self, unknowns=narrow)
 
     def with_readings(self, readings: Array) -> Problem:
         """The same problem for other readings ``(n,)``, metres; TCP points keep theirs."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.fit.least_squares import Linearised, Nuisances, fitted_basis, normal
+from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, fitted_basis, normal
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
@@ -53,8 +53,6 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
         nuisance: of the fit.
         at: linearisation at the fit.
     """
-    from scipy.special import chdtrc
-
     here = normal(problem, at, nuisance)
     rest = problem.measured - at.value
     residual = rest - nuisance.fitted(rest)
@@ -67,9 +65,42 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
         chi2=here.chi2,
         prior_chi2=here.prior_chi2(at.x),
         dof=dof,
-        lack_of_fit_p=float(chdtrc(dof, here.chi2)) if dof > 0 else float("nan"),
+        lack_of_fit_p=_lack_of_fit(problem, nuisance, here, nuisance.weighing.within(rest)),
         cv_rms=left_out_rms(problem, nuisance, at, residual),
     )
+
+
+def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: float) -> float:
+    """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
+
+    The smaller of two tests, doubled: of all readings, and of the station means, which see better
+    what repeats at every visit. Of the means alone, against Student's noise, where the noise is
+    the repeats' own scatter; and where that is a matter of single steps of a dial, of no normal
+    law.
+    """
+    noise, rows, stations = problem.noise, len(problem.measured), len(problem.weighing.first)
+    means = _tail(max(here.chi2 - within, 0.0), stations - nuisance.free, here.shares, noise.dof)
+    if rows == stations or noise.source == "repeats" or noise.common > 0:
+        return means
+    return min(1.0, 2 * min(means, _tail(here.chi2, rows - nuisance.free, here.shares)))
+
+
+def _tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:
+    """Probability of a chi2 this large of ``count`` rows, of which unknowns took their shares.
+
+    What a prior holds back is left in part: with the eigenvalues h of the hat matrix chi2 is a sum
+    of squares weighed 1 and 1 - h, taken for a multiple of a chi2 of the same mean and variance
+    (Satterthwaite). ``known`` are the degrees of freedom behind the noise.
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    mean, square = count - np.sum(shares), count - 2 * np.sum(shares) + np.sum(shares**2)
+    if mean <= 1e-6 or square <= 1e-12:
+        return float("nan")
+    scale, dof = square / mean, mean**2 / square
+    if np.isfinite(known):
+        return float(fdtrc(dof, known, chi2 / mean))
+    return float(chdtrc(dof, chi2 / scale))
 
 
 def deviation_rms(problem: Problem, residual: Array) -> float:
@@ -98,6 +129,7 @@ def left_out_rms(problem: Problem, nuisance: Nuisances, at: Linearised, residual
     """
     basis = fitted_basis(problem, nuisance, at)[: len(residual)]
     station = problem.place
+    whitened = nuisance.weighing.whiten(residual)
     left_out = np.full(len(residual), np.nan)
     order, size = np.argsort(station, kind="stable"), np.bincount(station)
     first = np.cumsum(size) - size
@@ -107,8 +139,7 @@ def left_out_rms(problem: Problem, nuisance: Nuisances, at: Linearised, residual
         block = np.eye(visits) - near @ near.swapaxes(1, 2)
         # A setup's datum is gone with its last other station: nothing predicts such a block.
         kept = np.linalg.eigvalsh(block)[:, 0] > 1e-6
-        whitened = (residual * nuisance.weight)[rows[kept]]
-        left_out[rows[kept]] = np.linalg.solve(block[kept], whitened[..., None])[..., 0]
-    left_out /= nuisance.weight
+        left_out[rows[kept]] = np.linalg.solve(block[kept], whitened[rows[kept], None])[..., 0]
+    left_out = nuisance.weighing.metres(left_out)
     known = np.isfinite(left_out)
     return float(np.sqrt(np.mean(left_out[known] ** 2))) if known.any() else float("nan")

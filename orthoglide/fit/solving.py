@@ -33,8 +33,34 @@ NLP_POSTURES = 200
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
 
-def solve(problem: Problem, *, method: Method = "auto", start: Array | None = None) -> Estimate:
-    """Solve a problem, verify the answer and cross-check it; see :func:`identify`."""
+_WIDENINGS = 3
+
+
+def solve(
+    problem: Problem, *, method: Method = "auto", start: Array | None = None, widen: bool = True
+) -> Estimate:
+    """Solve a problem, verify the answer and cross-check it; see :func:`identify`.
+
+    A value that ends far beyond its tolerance shows that the tolerance was no knowledge of this
+    machine: its prior is widened to the value's own size (the scale of a normal prior that fits it
+    best), so that it neither pulls on the readings nor counts as something that they lack. Not so
+    with ``widen=False``, where readings are still in doubt themselves.
+    """
+    for _ in range(_WIDENINGS):
+        found = _solve(problem, method, start)
+        far = problem.far(found.x) & np.array([u.width == 1.0 for u in problem.unknowns])
+        if not (widen and problem.priors and far.any()):
+            break
+        size = np.abs(found.x) / problem.tolerance
+        wide = [
+            replace(u, width=float(s)) if f else u
+            for u, s, f in zip(problem.unknowns, size, far, strict=True)
+        ]
+        problem, start = replace(problem, unknowns=tuple(wide)), found.x
+    return found
+
+
+def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     if method == "reduction" and not problem.representable:
         raise InputError("the reduction has joint offsets and leg lengths only: free nothing else")
     begin = problem.start if start is None else start
@@ -172,7 +198,7 @@ def assessed(
     scores = score(problem, nuisance, at)
     scale = 1.0
     if scores.dof > 0 and scores.lack_of_fit_p < LACK_OF_FIT:
-        scale = float(np.sqrt(scores.chi2 / scores.dof))
+        scale = max(float(np.sqrt(scores.chi2 / scores.dof)), 1.0)
     # What is left makes the readings worse witnesses, not the tolerances wider.
     spread, _ = covariance(here.jacobian / scale, here.prior)
     check = cross_check(problem, nuisance, at.x, at.value)

@@ -179,7 +179,8 @@ def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -
             if wanted and unknown.name not in present:
                 present.add(unknown.name)
                 added.append(unknown)
-    unknowns = (*problem.unknowns, *added)
+    # With more freed, whether a value is beyond its tolerance is asked anew.
+    unknowns = (*problem.at_tolerance().unknowns, *added)
     held = _without(problem.held, unknowns) if release else problem.held
     return replace(problem, unknowns=unknowns, held=held)
 

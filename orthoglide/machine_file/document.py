@@ -10,6 +10,10 @@ from difflib import get_close_matches
 from typing import Any, NoReturn
 
 from orthoglide.errors import FileError
+from orthoglide.text import brief, leaves, unseen_in
+
+_LONGEST_REASON = 120
+_MOST_BITS = 1024  # of a whole number: as far as floats go
 
 Parser = Callable[[Any], Any]
 """Turns a value of the file into SI, or raises ValueError with what would be right."""
@@ -30,15 +34,19 @@ class Document:
         self.text, self.file = text, file
         try:
             self.data = tomllib.loads(text, parse_float=Decimal)
+            if any(type(v) is int and v.bit_length() > _MOST_BITS for v in leaves(self.data)):
+                raise OverflowError
         except tomllib.TOMLDecodeError as error:
             reason, line = _toml_trouble(str(error), text)
             raise FileError(
                 f"is not TOML, {reason}: mend this line", file=file, line=line
             ) from None
-        except (ArithmeticError, RecursionError):
+        except (ArithmeticError, RecursionError, ValueError):  # int() refuses thousands of digits
             raise FileError(
                 "holds a number or nesting out of all range: remove it", file=file
             ) from None
+        if trouble := unseen_in(self.data):
+            raise FileError(trouble, file=file)
 
     def fail(self, message: str, *path: str) -> NoReturn:
         """Refuses the file for the value at a path."""
@@ -58,7 +66,7 @@ class Document:
         for key in self.table(*path):
             if key not in names:
                 place = f"[{path[0]}]" if path else "the machine file"
-                self.fail(f"{place} has no key {key!r}: {advice(key, names)}", *path, key)
+                self.fail(f"{place} has no key {brief(key)!r}: {advice(key, names)}", *path, key)
 
     def section(
         self, parsers: Mapping[str, Parser], required: Iterable[str], *path: str
@@ -90,7 +98,7 @@ def _toml_trouble(message: str, text: str) -> tuple[str, int]:
     reason, _, place = message.partition(" (at ")
     line = re.match(r"line (\d+)", place)
     lines = len(text.rstrip("\n").split("\n"))
-    return reason[:1].lower() + reason[1:], int(line[1]) if line else lines
+    return brief(reason[:1].lower() + reason[1:], _LONGEST_REASON), int(line[1]) if line else lines
 
 
 _KEY = r"(?:\"[^\"]*\"|'[^']*'|[\w-]+)"

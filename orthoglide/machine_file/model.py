@@ -35,8 +35,21 @@ class Dial:
 
 
 @dataclass(frozen=True)
+class Instrument:
+    """How well an instrument other than a dial on a leg reads, metres (radians of a level).
+
+    Attributes:
+        resolution: step of its display, where it matters.
+        repeatability: standard deviation of one reading, where it is known.
+    """
+
+    resolution: float | None = None
+    repeatability: float | None = None
+
+
+@dataclass(frozen=True)
 class Controller:
-    """How the controller counts: rho = L + sign (travel - zero), axis by axis.
+    """How the controller counts: travel from mechanical zero = sign (shown - zero), by axis.
 
     Attributes:
         zero: what it shows at mechanical zero, metres.
@@ -47,13 +60,13 @@ class Controller:
     sign: tuple[int, int, int] = (1, 1, 1)
 
     def to_rho(self, travel: ArrayLike, geometry: Geometry) -> Array:
-        """Joint coordinates rho ``(..., 3)`` of controller values ``(..., 3)``, both metres."""
+        """Commands ``(..., 3)`` of controller values ``(..., 3)``, both metres."""
         shown = np.asarray(travel, dtype=float)
-        return geometry.L + np.array(self.sign) * (shown - np.array(self.zero))
+        return geometry.zero + np.array(self.sign) * (shown - np.array(self.zero))
 
     def from_rho(self, rho: ArrayLike, geometry: Geometry) -> Array:
-        """Controller values ``(..., 3)`` of joint coordinates rho ``(..., 3)``, both metres."""
-        travel = np.asarray(rho, dtype=float) - geometry.L
+        """Controller values ``(..., 3)`` of commands ``(..., 3)``, both metres."""
+        travel = np.asarray(rho, dtype=float) - geometry.zero
         return np.array(self.zero) + np.array(self.sign) * travel
 
 
@@ -87,6 +100,7 @@ class MachineFile:
         name: of the machine, for people.
         geometry: nominal dimensions.
         dial: the dial used.
+        instruments: other instruments, by kind of reading.
         screw_pitch: lead of the drives' screws, metres; None: a screw error is no candidate.
         controller: the controller's zero and sign.
         tolerance: standard deviation to expect, by family; defaults fill what is not given.
@@ -103,6 +117,7 @@ class MachineFile:
     name: str = "Orthoglide, nominal"
     geometry: Geometry = field(default_factory=Geometry)
     dial: Dial = field(default_factory=Dial)
+    instruments: Mapping[str, Instrument] = field(default_factory=dict)
     screw_pitch: float | None = None
     controller: Controller = field(default_factory=Controller)
     tolerance: Mapping[str, float] = field(default_factory=dict)
@@ -116,6 +131,7 @@ class MachineFile:
     warnings: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
         object.__setattr__(
             self, "tolerance", {**self.catalogue.default_tolerance, **self.tolerance}
         )

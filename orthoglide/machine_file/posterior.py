@@ -14,6 +14,7 @@ import numpy as np
 from orthoglide import files
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
+from orthoglide.text import shown
 
 _CONTENT = ("names", "mean", "covariance", "sha256")
 
@@ -126,7 +127,7 @@ def read_posterior(path: str | os.PathLike[str], digest: str) -> Posterior | Non
     beside = posterior_path(path)
     if not beside.exists():
         return None
-    return parse_posterior(files.read_bytes(beside), digest, str(beside))
+    return parse_posterior(files.read_bytes(beside), digest, shown(beside))
 
 
 def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
@@ -135,7 +136,7 @@ def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
         found = Posterior(tuple(map(str, names)), mean.astype(float), covariance.astype(float))
-    except (ValueError, KeyError, EOFError, OSError, TypeError, zipfile.BadZipFile):
+    except Exception:  # a damaged archive fails in as many ways as it can be damaged
         raise FileError("is damaged: write the machine again", file=file) from None
     if str(belongs_to) != digest:
         raise FileError(

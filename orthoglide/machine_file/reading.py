@@ -13,16 +13,19 @@ from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.places import with_places
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
+from orthoglide.layout import ORTHOGLIDE, Layout, LinearDelta
 from orthoglide.machine_file.document import Document, Parser, advice
 from orthoglide.machine_file.model import (
     SCHEMA,
     Controller,
     Dial,
+    Instrument,
     MachineFile,
     ParameterValue,
     Stiffness,
 )
 from orthoglide.machine_file.posterior import posterior_path, read_posterior
+from orthoglide.text import brief, shown
 
 
 def _number(value: Any) -> Decimal:
@@ -89,6 +92,24 @@ def _schema(value: Any) -> int:
     return SCHEMA
 
 
+def _three(parse: Parser) -> Parser:
+    """Three numbers, or one for all."""
+
+    def parse_three(value: Any) -> tuple[Any, ...]:
+        several = value if isinstance(value, list) else [value] * 3
+        if len(several) != 3:
+            raise ValueError("must be a number or a list of three")
+        return tuple(parse(v) for v in several)
+
+    return parse_three
+
+
+def _angle(value: Any) -> float:
+    if abs(_number(value)) > 3600:
+        raise ValueError("must be angles in degrees")
+    return float(_number(value))
+
+
 _KEYS: dict[str, dict[str, Parser]] = {
     "geometry_mm": {
         "L": _quantity(1e-3, 5),
@@ -98,7 +119,7 @@ _KEYS: dict[str, dict[str, Parser]] = {
     },
     "dial_mm": {
         "resolution": _quantity(1e-3, 5e-5, 10),
-        "repeatability": _quantity(1e-3, 0, 10),
+        "repeatability": _quantity(1e-3, 1e-7, 10),
         "placement": _quantity(1e-3, 0, 100, open_end=False),
     },
     "drive": {"screw_pitch_mm": _quantity(1e-3, 0.1, 1000)},
@@ -108,8 +129,23 @@ _KEYS: dict[str, dict[str, Parser]] = {
         "bar_N_per_mm": _quantity(1e3, 0, 1e15),
     },
 }
+_LAYOUTS: dict[str, dict[str, Parser]] = {
+    "orthoglide": {"kind": _text},
+    "linear-delta": {
+        "kind": _text,
+        "radius_mm": _three(_quantity(1e-3, 1)),
+        "angles_deg": _three(_angle),
+        "r_mm": _quantity(1e-3, 1),
+        "tool_mm": _millimetres(3),
+    },
+}
+_INSTRUMENTS = ("tcp", "plate", "distance", "ballbar", "incline")
+_INSTRUMENT: dict[str, Parser] = {
+    "resolution": _quantity(1e-3, 0, 10),
+    "repeatability": _quantity(1e-3, 0, 10),
+}
 _TOP: dict[str, Parser] = {"schema": _schema, "name": _text}
-_FREE = ("tolerance", "parameters", "provenance")
+_FREE = ("tolerance", "parameters", "provenance", "layout", "instrument")
 
 
 def read_machine_file(
@@ -128,12 +164,12 @@ def read_machine_file(
         FileError: naming the line and what would be right, or a covariance of another file.
     """
     content = files.read_bytes(path)
-    machine = parse_machine_file(files.decode(content, path), str(path), catalogue)
+    machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
     warnings: tuple[str, ...] = ()
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
-        beside = posterior_path(path).name
+        beside = shown(posterior_path(path).name)
         warnings = (
             f"{machine.file}: there is no {beside} beside it with the covariance of its "
             f"parameters: their sigmas are taken as independent",
@@ -149,10 +185,13 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     top = document.section(_TOP, ("schema",))
     sections = {name: _section(document, name) for name in _KEYS}
     controller, stiffness = sections["controller"], sections["stiffness"]
+    geometry = _geometry(document, sections["geometry_mm"])
+    catalogue = catalogue.of_layout(geometry.layout)
     return MachineFile(
         name=top.get("name", ""),
-        geometry=_geometry(document, sections["geometry_mm"]),
+        geometry=geometry,
         dial=Dial(**sections["dial_mm"]),
+        instruments=_instruments(document),
         screw_pitch=sections["drive"].get("screw_pitch_mm"),
         controller=Controller(**{key.removesuffix("_mm"): v for key, v in controller.items()}),
         tolerance=_tolerance(document, catalogue),
@@ -168,22 +207,59 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
 
 def _section(document: Document, name: str) -> dict[str, Any]:
     document.check_keys(_KEYS[name], name)
-    required = _KEYS[name] if name == "geometry_mm" else ()
+    elsewhere = {"r"} if "r_mm" in document.table("layout") else set()
+    required = [k for k in _KEYS[name] if k not in elsewhere] if name == "geometry_mm" else ()
     return document.section(_KEYS[name], required, name)
 
 
 def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
+    layout, r = _layout(document)
+    if values.setdefault("r", r) != (r or values["r"]):
+        document.fail("r_mm is not the r of [geometry_mm]: keep one", "layout", "r_mm")
     for key in ("d", "r"):
         if values[key] >= values["L"]:
             document.fail(f"{key} is not shorter than L: are they exchanged?", "geometry_mm", key)
-    try:
-        return Geometry(**values)
-    except InputError:  # single values were checked: it is the stroke against L
+    if not layout.stroke_fits(values["L"], values["stroke"]):
         document.fail(
             "the stroke must run from below 0 to above 0 and stay within L: correct one of them",
             "geometry_mm",
             "stroke",
         )
+    try:
+        return Geometry(**values, layout=layout)
+    except InputError as error:
+        document.fail(str(error), "layout")
+
+
+def _layout(document: Document) -> tuple[Layout, float | None]:
+    """The layout, and the platform's radius where it stands there."""
+    table = document.table("layout")
+    if not table:
+        return ORTHOGLIDE, None
+    kind = document.section({"kind": _text}, ("kind",), "layout")["kind"]
+    if kind not in _LAYOUTS:
+        document.fail(f"there is no layout {kind!r}: {advice(kind, _LAYOUTS)}", "layout", "kind")
+    document.check_keys(_LAYOUTS[kind], "layout")
+    if kind == "orthoglide":
+        return ORTHOGLIDE, None
+    found = document.section(_LAYOUTS[kind], ("radius_mm",), "layout")
+    given = {name: found[key] for name, key in _DELTA.items() if key in found}
+    try:
+        return LinearDelta(**given), found.get("r_mm")
+    except InputError as error:
+        document.fail(str(error), "layout")
+
+
+_DELTA = {"radius": "radius_mm", "angles_deg": "angles_deg", "tool": "tool_mm"}
+
+
+def _instruments(document: Document) -> dict[str, Instrument]:
+    document.check_keys(_INSTRUMENTS, "instrument")
+    found = {}
+    for kind in document.table("instrument"):
+        document.check_keys(_INSTRUMENT, "instrument", kind)
+        found[kind] = Instrument(**document.section(_INSTRUMENT, (), "instrument", kind))
+    return found
 
 
 def _tolerance(document: Document, catalogue: Catalogue) -> dict[str, float]:
@@ -199,15 +275,19 @@ def _parameter(document: Document, name: str, catalogue: Catalogue) -> Parameter
     effect = name.partition(".")[0]
     allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
-        document.fail(f"there is no parameter {name!r}: {advice(effect, allowed)}", *path)
+        document.fail(f"there is no parameter {brief(name)!r}: {advice(effect, allowed)}", *path)
     if name not in catalogue[effect].motions and name not in catalogue.structured(effect):
-        document.fail(f"{name!r} names no parameter of {effect}: correct what follows it", *path)
+        document.fail(
+            f"{brief(name)!r} names no parameter of {effect}: correct what follows it", *path
+        )
     keys = ("value", "sigma", "unit")
     document.check_keys(keys, *path)
     unit = document.section({"unit": _text}, keys, *path)["unit"]
     expected = catalogue[effect].unit
     if unit != expected.name:
-        document.fail(f"{name!r} is in {expected.name}, not {unit}: convert it", *path, "unit")
+        document.fail(
+            f"{name!r} is in {expected.name}, not {brief(unit)}: convert it", *path, "unit"
+        )
     factor = expected.si
     value = document.value(_quantity(factor, -1e9, 1e9), *path, "value")
     sigma = document.value(_quantity(factor, 0, 1e9, open_end=False), *path, "sigma")

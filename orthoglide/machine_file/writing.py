@@ -10,6 +10,8 @@ from typing import Any
 from orthoglide import files, units
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
+from orthoglide.geometry import Geometry
+from orthoglide.layout import LinearDelta
 from orthoglide.machine_file.model import SCHEMA, MachineFile
 from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
 from orthoglide.machine_file.reading import parse_machine_file
@@ -91,12 +93,29 @@ def _mm(value: Any) -> Any:
     return None if value is None else units.from_si(value, 1e-3)
 
 
+def _layout(geometry: Geometry) -> dict[str, Any]:
+    layout = geometry.layout
+    if not isinstance(layout, LinearDelta):
+        return {}
+    return {
+        "kind": layout.kind,
+        "radius_mm": _mm(layout.radius),
+        "angles_deg": list(layout.angles_deg),
+        "tool_mm": _mm(layout.tool),
+    }
+
+
 def _tables(machine: MachineFile) -> dict[str, Any]:
     stiffness, controller, catalogue = machine.stiffness, machine.controller, machine.catalogue
     bar = None if stiffness.bar is None else units.from_si(stiffness.bar, 1e3)
     tables: dict[str, Any] = {
-        "geometry_mm": {key: _mm(value) for key, value in asdict(machine.geometry).items()},
+        "geometry_mm": {key: _mm(getattr(machine.geometry, key)) for key in _DIMENSIONS},
+        "layout": _layout(machine.geometry),
         "dial_mm": {key: _mm(value) for key, value in asdict(machine.dial).items()},
+        "instrument": {
+            kind: {k: v for k, v in ((k, _mm(v)) for k, v in asdict(one).items()) if v is not None}
+            for kind, one in machine.instruments.items()
+        },
         "drive": {"screw_pitch_mm": _mm(machine.screw_pitch)},
         "controller": {"zero_mm": _mm(controller.zero), "sign": list(controller.sign)},
         "tolerance": {
@@ -114,6 +133,9 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
     kept = {name: table for name, table in given.items() if table}
     top = {"schema": SCHEMA, "name": machine.name, **kept}
     return {**top, "provenance": dict(machine.provenance)} if machine.provenance else top
+
+
+_DIMENSIONS = ("L", "d", "r", "stroke")
 
 
 def _float(value: float, factor: float) -> str:

@@ -13,10 +13,10 @@ from orthoglide.geometry import Array
 from orthoglide.mechanism.compiled import compiled
 from orthoglide.mechanism.functions import (
     LINES,
-    RIGID_ROWS,
     ROTATION,
     TCP,
     closure_functions,
+    rigid_rows,
 )
 from orthoglide.mechanism.mapped import Mapped
 from orthoglide.mechanism.tree import Tree
@@ -89,8 +89,12 @@ class BatchClosure:
 
     def _build(self) -> dict[str, Any]:
         """CasADi functions of (unknowns, what is known), by name."""
-        rows = None if len(self.tree.relief) else RIGID_ROWS
-        return vars(closure_functions(self.tree, self.tree.free, rows))
+        return vars(closure_functions(self.tree, self.tree.free, self._rows))
+
+    @property
+    def _rows(self) -> tuple[int, ...]:
+        """Rows of the 21 that are solved: all with relief joints, else independent ones."""
+        return tuple(range(21)) if len(self.tree.relief) else rigid_rows(self.tree)
 
     def _known(self, given: Array) -> Array:
         """What the functions take for given."""
@@ -140,7 +144,7 @@ class BatchClosure:
 
     def _failure(self, index: int, residual: Array, count: int, known: Array) -> ClosureError:
         full = np.zeros(21)
-        full[list(RIGID_ROWS) if len(residual) == len(RIGID_ROWS) else slice(None)] = residual
+        full[list(self._rows)] = residual
         by_loop = self.tree.by_loop(full)
         worst = max(by_loop, key=lambda name: np.nan_to_num(by_loop[name], nan=np.inf))
         return ClosureError(

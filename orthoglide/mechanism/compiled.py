@@ -51,16 +51,47 @@ def compiled(functions: Sequence[Any], *, build: bool = True) -> list[Any] | Non
     if command is None:
         return None
     source = _source(functions)
-    digest = hashlib.sha256("\n".join([source, command, *_FLAGS]).encode()).hexdigest()[:24]
+    digest = _digest("\n".join([source, command, *_FLAGS]).encode())
     try:
-        library = cache_folder() / f"closure-{digest}.so"
-        if not library.exists():
+        folder = _own_folder()
+        library = _library(folder, digest)
+        if library is None:
             if not build:
                 return None
-            _build(command, source, library)
+            library = _build(command, source, folder, digest)
         return [ca.external(f.name(), str(library)) for f in functions]
     except (OSError, RuntimeError, subprocess.SubprocessError):
         return None
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:24]
+
+
+def _own_folder() -> Path:
+    """The cache, made where it is missing, that nobody but the user can write to.
+
+    Raises:
+        PermissionError: where it is another's.
+    """
+    folder = cache_folder()
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    found = folder.stat()
+    if hasattr(os, "getuid"):
+        if found.st_uid != os.getuid():
+            raise PermissionError(f"{folder} belongs to another user")
+        if found.st_mode & 0o022:
+            folder.chmod(found.st_mode & 0o755)
+    return folder
+
+
+def _library(folder: Path, digest: str) -> Path | None:
+    """The compiled library of a source, whose name tells its content: a damaged one is removed."""
+    for library in sorted(folder.glob(f"closure-{digest}-*.so")):
+        if library.stem.rpartition("-")[2] == _digest(library.read_bytes()):
+            return library
+        library.unlink()
+    return None
 
 
 def _source(functions: Sequence[Any]) -> str:
@@ -70,10 +101,9 @@ def _source(functions: Sequence[Any]) -> str:
     return str(generator.dump())
 
 
-def _build(command: str, source: str, library: Path) -> None:
-    library.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-        code, out = Path(folder) / "closure.c", Path(folder) / "closure.so"
+def _build(command: str, source: str, folder: Path, digest: str) -> Path:
+    with tempfile.TemporaryDirectory(dir=folder) as made:
+        code, out = Path(made) / "closure.c", Path(made) / "closure.so"
         code.write_text(source, encoding="utf-8")
         subprocess.run(
             [command, *_FLAGS, str(code), "-o", str(out), "-lm"],
@@ -81,4 +111,6 @@ def _build(command: str, source: str, library: Path) -> None:
             capture_output=True,
             timeout=120,
         )
+        library = folder / f"closure-{digest}-{_digest(out.read_bytes())}.so"
         out.replace(library)  # whole or not at all, also where two processes build at once
+    return library

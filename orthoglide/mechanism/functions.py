@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.geometry import LEGS
 from orthoglide.mechanism.symbolic import SymbolicTree, Transform, rotation_error
 from orthoglide.mechanism.tree import Tree
 
-# Rows of the 21 that are independent while the legs are rigid, over the whole workspace: of each
-# parallelogram the two in its plane, all translations of the platform, and one relative rotation
-# about each base axis. (Three rotations of one pair of legs would be singular.)
-RIGID_ROWS: tuple[int, ...] = (0, 2, 3, 5, 6, 8, 9, 10, 11, 12, 14, 15, 16, 17, 19)
+_PLANAR, _PLACES = (0, 2, 3, 5, 6, 8), (9, 10, 11, 15, 16, 17)
+_TURNS = (12, 13, 14, 18, 19, 20)
 
 TCP, ROTATION, LINES = slice(0, 3), slice(3, 12), slice(12, 48)
 """Parts of an output vector: p, the platform's rotation row by row, and the ends of the bars
@@ -70,6 +68,22 @@ def closure_functions(
     return ClosureFunctions(residual_f, close_f, outputs_f, _tangent(x, given, residual, outputs))
 
 
+def rigid_rows(tree: Tree) -> tuple[int, ...]:
+    """Rows of the 21 that are independent while the legs are rigid, over the whole workspace.
+
+    Of each parallelogram the two in its plane, all translations of the platform, and the three of
+    the six relative rotations that hold best: a rigid leg lets the platform turn about its c alone.
+    (Three rotations of one pair of legs are singular.)
+    """
+    c = np.stack([leg.axes[:, 2] for leg in tree.geometry.legs])
+    of_pairs = np.zeros((6, 3))  # relative rotation of legs 1, 2 and 1, 3 by the turns about c
+    of_pairs[:3, 0], of_pairs[:3, 1] = c[0], -c[1]
+    of_pairs[3:, 0], of_pairs[3:, 2] = c[0], -c[2]
+    size = {k: abs(np.linalg.det(of_pairs[list(k)])) for k in combinations(range(6), 3)}
+    best = next(k for k, v in size.items() if v > max(size.values()) - 1e-9)
+    return tuple(sorted((*_PLANAR, *_PLACES, *(_TURNS[k] for k in best))))
+
+
 def _walk(tree: Tree, free: NDArray[np.intp]) -> tuple[Any, Any, SymbolicTree]:
     x = ca.SX.sym("x", len(free))
     given = ca.SX.sym("given", 3 + len(tree.virtual))
@@ -92,10 +106,10 @@ def _loop_residual(walked: SymbolicTree, tree: Tree) -> list[Any]:
 
 
 def _outputs(walked: SymbolicTree, tree: Tree) -> Any:
-    tcp = walked.frame("x_tcp")
+    tcp = walked.frame(tree.tool)
     parts = [tcp.t, ca.vec(tcp.R.T)]
     half = ca.SX([0, 0, tree.geometry.d / 2])
-    for leg in LEGS:
+    for leg in tree.geometry.leg_names:
         fork = walked.joint(tree.model.getJointId(f"{leg}_theta"))
         knuckle = walked.joint(tree.model.getJointId(f"{leg}_knuckle"))
         ends = {1: knuckle, 2: walked.frame(f"{leg}_bar2_tip")}

@@ -46,7 +46,7 @@ class Posture:
 
 
 class Mechanism:
-    """The Orthoglide's three PRPaR legs with their loops closed at the TCP.
+    """Three PRPaR legs of any layout with their loops closed at the TCP.
 
     By default the closure includes the relief joints: 21 unknowns for 21 rows, which close for any
     errors of the parts and equal the rigid PRPaR machine where the errors fit together. One object
@@ -62,7 +62,7 @@ class Mechanism:
         self.tree = general_tree(self.geometry)
         self.loops = Loops(self.tree)
         self._compile = compile
-        self._tcp = self.tree.model.getFrameId("x_tcp")
+        self._tcp = self.tree.model.getFrameId(self.tree.tool)
 
     def __reduce__(self) -> tuple[Any, tuple[Geometry]]:
         # Constraint objects do not pickle: another process builds its own.
@@ -134,7 +134,7 @@ class Mechanism:
             q = self._mirrored_start(rho, moves)
         else:
             q = np.zeros(self.tree.model.nq)
-        q[self.tree.drive] = rho - self.geometry.L
+        q[self.tree.drive] = rho - self.geometry.zero
         q[self.tree.virtual] = moves.ravel()
         return q
 
@@ -142,9 +142,9 @@ class Mechanism:
         own = self.close(rho, moves)
         given = self.given(rho[None], moves[None])
         lines = self.batch.outputs(own.q[self.tree.free][None], given).lines
-        p = seed.mirrored(lines, self.geometry.r, own.p[None])
+        p = seed.mirrored(self.geometry, lines, own.p[None])
         q = own.q.copy()
-        q[self.tree.free] = seed.free_joints(self.tree, rho[None] - self.geometry.L, p)[0]
+        q[self.tree.free] = seed.free_joints(self.tree, rho[None] - self.geometry.zero, p)[0]
         return q
 
     @staticmethod
@@ -177,8 +177,8 @@ class Mechanism:
         placement = self.loops.data.oMf[self._tcp]
         p, R = placement.translation.copy(), placement.rotation.copy()
         # Far from any plausible error of the parts the nominal plane of the carriages will do.
-        side = float(np.sum(p / (q[self.tree.drive] + self.geometry.L)))
-        found: Mode = "machine" if side < 1.0 else "other"
+        near = seed.below_carriages(self.geometry, q[self.tree.drive][None], p[None])[0]
+        found: Mode = "machine" if near else "other"
         if found != mode:
             raise ClosureError(
                 f"closure ended in the {found} assembly mode instead of {mode}", residuals=by_loop
@@ -218,7 +218,7 @@ class Mechanism:
         ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
         """
         given = np.zeros((*commands.shape[:-1], 3 + VIRTUAL_COUNT))
-        given[..., :3] = commands - self.geometry.L
+        given[..., :3] = commands - self.geometry.zero
         if displacements is not None:
             moves = np.asarray(displacements)
             if moves.shape[-1] != VIRTUAL_COUNT:
@@ -254,11 +254,11 @@ class Mechanism:
     def _outputs(self, batch: BatchClosure, given: Array, mode: Mode) -> Outputs:
         out = batch.outputs(batch.close(given), given)
         if mode == "other":
-            p = seed.mirrored(out.lines, self.geometry.r, out.p)
+            p = seed.mirrored(self.geometry, out.lines, out.p)
             start = seed.free_joints(batch.tree, given[:, :3], p)
             out = batch.outputs(batch.close(given, start), given)
         wrong = np.flatnonzero(
-            seed.in_machine_mode(out.lines, self.geometry.r, out.p) ^ (mode == "machine")
+            seed.in_machine_mode(self.geometry, out.lines, out.p) ^ (mode == "machine")
         )
         if wrong.size:
             first = int(wrong[0])
@@ -293,5 +293,5 @@ class Mechanism:
                 break
             given[:, :3] += np.linalg.solve(by_given[:, :3, :3], miss[..., None])[..., 0]
         if largest < 1e-12:
-            return given[:, :3] + self.geometry.L
+            return given[:, :3] + self.geometry.zero
         raise ClosureError("the drives do not converge on the wanted points")

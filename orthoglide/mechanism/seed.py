@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import UnreachableError
-from orthoglide.geometry import LEGS, Array, Geometry, leg_axes
+from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
 
 _FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
@@ -28,8 +28,8 @@ def free_joints(tree: Tree, travel: Array, p: Array) -> Array:
         angles are clipped: closure then says by how much.
     """
     geometry = tree.geometry
-    spans = [_span(geometry, leg, travel, p) for leg in range(3)]
-    passive = [_angles(geometry, span) for span in spans]
+    spans = p[:, None] - _centres(geometry, travel)
+    passive = [_angles(geometry, leg, spans[:, leg]) for leg in range(3)]
     relief = np.zeros((len(p), 3 * len(RELIEF_NAMES) if len(tree.relief) else 0))
     return np.concatenate([*passive, relief], axis=1)
 
@@ -40,7 +40,10 @@ def commands(geometry: Geometry, p: Array) -> Array:
     Raises:
         UnreachableError: naming the leg that is too short, and the point that it misses most.
     """
-    across = np.hypot(p[:, [1, 2, 0]], p[:, [2, 0, 1]])
+    reach = p[:, None] - _centres(geometry, np.zeros((1, 3)))  # from each leg's sphere at zero
+    slides = np.stack([leg.slide for leg in geometry.legs])
+    along = np.einsum("nli,li->nl", reach, slides)
+    across = np.linalg.norm(np.cross(reach, slides), axis=-1)
     excess = across - geometry.L
     short = np.flatnonzero((excess >= 0).any(axis=0))
     if short.size:
@@ -51,55 +54,69 @@ def commands(geometry: Geometry, p: Array) -> Array:
         away = float(np.hypot.reduce(p[worst]))
         far = f" for a point {away:g} m away" if away > _FAR * geometry.L else ""
         raise UnreachableError(
-            f"{which}leg {LEGS[leg]} is {shown} mm too short{far}",
-            leg=LEGS[leg],
+            f"{which}leg {geometry.leg_names[leg]} is {shown} mm too short{far}",
+            leg=geometry.leg_names[leg],
             excess=size,
             index=(worst,),
         )
-    return np.asarray(p + np.sqrt(geometry.L**2 - across**2))
+    return np.asarray(geometry.zero + along + np.sqrt(geometry.L**2 - across**2))
 
 
-def _span(geometry: Geometry, leg: int, travel: Array, p: Array) -> Array:
-    """From the carriage to the platform in the leg's axes ``(N, 3)``; r drops out."""
-    carriage = np.zeros_like(p)
-    carriage[:, leg] = geometry.L + travel[:, leg]
-    return np.asarray((p - carriage)[:, list(leg_axes(leg))])
+def _centres(geometry: Geometry, travel: Array) -> Array:
+    """Where each leg's bars begin if all are carried to the tool ``(N, leg, 3)``, metres."""
+    slides = np.stack([leg.slide for leg in geometry.legs])
+    at_zero = np.stack([leg.carriage - leg.platform for leg in geometry.legs])
+    return np.asarray(at_zero + travel[:, :, None] * slides)
 
 
-def _angles(geometry: Geometry, span: Array) -> Array:
-    phi = np.arcsin(np.clip(span[:, 2] / geometry.L, -1, 1))
-    theta = np.arctan2(-span[:, 1], -span[:, 0])
+def _angles(geometry: Geometry, leg: int, span: Array) -> Array:
+    here = geometry.legs[leg]
+    a, b, c = np.moveaxis(span @ here.axes, -1, 0)
+    phi = np.arcsin(np.clip(c / geometry.L, -1, 1))
+    theta = np.arctan2(-b, -a) - here.lean
     by_name = {"theta": theta, "bar1": phi, "knuckle": -phi, "platform": -theta, "bar2": phi}
     return np.stack([by_name[name] for name in PASSIVE_NAMES], axis=1)
 
 
-def mirrored(lines: Array, r: float, p: Array) -> Array:
+def mirrored(geometry: Geometry, lines: Array, p: Array) -> Array:
     """Mirror image of ``p`` in the plane of the three carriages: the other assembly mode.
 
     Args:
+        geometry: nominal dimensions.
         lines: ends of the bars ``(N, 3, 2, 2, 3)``.
-        r: distance from the TCP to the legs' last revolutes, metres.
         p: TCP ``(N, 3)``.
     """
-    normal, offset = carriage_plane(lines, r)
+    normal, offset = _carriage_plane(geometry, _seen(geometry, lines))
     return p - 2 * (np.sum(normal * p, axis=-1) - offset)[:, None] * normal
 
 
-def in_machine_mode(lines: Array, r: float, p: Array) -> NDArray[np.bool_]:
+def in_machine_mode(geometry: Geometry, lines: Array, p: Array) -> NDArray[np.bool_]:
     """Whether postures ``(N,)`` stand in the machine's own assembly mode; as :func:`mirrored`."""
-    normal, offset = carriage_plane(lines, r)
+    normal, offset = _carriage_plane(geometry, _seen(geometry, lines))
     return np.asarray(np.sum(normal * p, axis=-1) < offset)
 
 
-def carriage_plane(lines: Array, r: float) -> tuple[Array, Array]:
-    """Plane through the carriages, r removed: unit normal ``(N, 3)`` away from the origin, offset.
+def below_carriages(geometry: Geometry, travel: Array, p: Array) -> NDArray[np.bool_]:
+    """Whether the TCP ``p`` ``(N, 3)`` is on the machine's side of perfect legs' carriages."""
+    normal, offset = _carriage_plane(geometry, _centres(geometry, travel))
+    return np.asarray(np.sum(normal * p, axis=-1) < offset)
+
+
+def _seen(geometry: Geometry, lines: Array) -> Array:
+    return lines[:, :, :, 0].mean(axis=2) - np.stack([leg.platform for leg in geometry.legs])
+
+
+def _carriage_plane(geometry: Geometry, centres: Array) -> tuple[Array, Array]:
+    """Plane through the carriages ``(N, leg, 3)``, the platform's size taken out: unit normal
+    ``(N, 3)`` away from the machine's side, and offset.
 
     A machine in its own assembly mode has ``normal . p < offset``.
     """
-    centres = lines[:, :, :, 0].mean(axis=2) - r * np.eye(3)
     normal = np.cross(centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     offset = np.sum(normal * centres[:, 0], axis=-1)
-    # The legs' order alone would point at the origin once a carriage has passed it.
-    side = np.where(offset < 0, -1.0, 1.0)
+    # A hanging platform is below; else the origin's side is the machine's, for the legs' order
+    # alone would point at the origin once a carriage has passed it.
+    up = normal @ geometry.legs[0].slide if geometry.layout.hanging else offset
+    side = np.where(up < 0, -1.0, 1.0)
     return normal * side[:, None], offset * side

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.geometry import Array, Geometry
 from orthoglide.urdf import Closure, closures, to_urdf
 
 
@@ -77,7 +77,7 @@ class Tree:
         geometry: the nominal dimensions.
         model: the tree. Never changed after it is built.
         loops: the closures, naming frames of the model.
-        drive: positions in q of the drives, ``(3,)``, legs x, y, z.
+        drive: positions in q of the drives, ``(3,)``, by leg.
         passive: positions of the passive joints, ``(15,)``, five a leg.
         relief: positions of the relief joints, ``(6,)`` or empty.
         virtual: positions of the virtual joints, ``(30,)``, ten a leg, or empty.
@@ -90,6 +90,11 @@ class Tree:
     passive: NDArray[np.intp]
     relief: NDArray[np.intp]
     virtual: NDArray[np.intp]
+
+    @property
+    def tool(self) -> str:
+        """Name of the frame that is the tool."""
+        return f"{self.geometry.leg_names[0]}_tcp"
 
     @property
     def free(self) -> NDArray[np.intp]:
@@ -128,7 +133,7 @@ def _load(geometry: Geometry) -> pin.Model:
 
 def _sorted(geometry: Geometry, model: pin.Model) -> Tree:
     def places(names: tuple[str, ...]) -> NDArray[np.intp]:
-        full = [f"{leg}_{name}" for leg in LEGS for name in names]
+        full = [f"{leg}_{name}" for leg in geometry.leg_names for name in names]
         return np.array(
             [model.joints[model.getJointId(n)].idx_q for n in full if model.existJointName(n)],
             dtype=np.intp,

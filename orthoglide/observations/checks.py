@@ -66,22 +66,24 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     outside = np.flatnonzero(~fits(values, travelled))
     if not len(outside):
         return rho_of(values, travelled)
-    row = int(outside[0])
+    row, names = int(outside[0]), geometry.leg_names
     given, other = values[row], "rho" if travelled else "travel"
     whose = "joint coordinates rho" if travelled else "the controller's, counted from its own zero"
     if fits(given * 1e3, travelled):
         fail("the command is in metres: give millimetres", row)
     if fits(given, not travelled):
         fail(
-            f"the command's values are {whose}: name the columns {other}_x_mm to {other}_z_mm", row
+            f"the command's values are {whose}: name the columns {other}_{names[0]}_mm to "
+            f"{other}_{names[2]}_mm",
+            row,
         )
     axis = int(np.argmin(geometry.in_stroke(rho_of(given, travelled), STROKE_SLACK)))
-    limits = np.repeat((geometry.L + np.array(geometry.stroke))[:, None], 3, axis=1)
+    limits = geometry.zero + np.array(geometry.stroke)[:, None]
     if travelled:
         limits = controller.from_rho(limits, geometry)
     low, high = sorted(limits[:, axis] * 1e3)
     fail(
-        f"the command {given[axis] * 1e3:.9g} mm of axis {LEGS[axis]} is outside its stroke of "
+        f"the command {given[axis] * 1e3:.9g} mm of axis {names[axis]} is outside its stroke of "
         f"{low:g} to {high:g} mm: correct it, or the stroke in the machine file",
         row,
     )

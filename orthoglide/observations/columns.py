@@ -14,6 +14,7 @@ from orthoglide.observations.table import (
     Column,
     Table,
     choice,
+    label,
     number,
     positive,
     whole,
@@ -28,7 +29,7 @@ APPROACH = tuple(f"approach_{leg}" for leg in LEGS)
 POINT = tuple(f"p_{leg}_mm" for leg in LEGS)
 
 SETUP_COLUMNS: dict[str, Column] = {
-    "setup": Column(str),
+    "setup": Column(label),
     "leg": Column(LEG),
     "direction": Column(DIRECTION),
     "gauge_mm": Column(number(MM)),
@@ -38,7 +39,7 @@ SETUP_COLUMNS: dict[str, Column] = {
 
 ROW_COLUMNS: dict[str, Column] = {
     "kind": Column(choice({"leg": False, "move": True}), False),
-    "posture": Column(str, ""),
+    "posture": Column(label, ""),
     "repeat": Column(whole(1), 1),
     "order": Column(whole(0)),
     "time_s": Column(number(), NAN),

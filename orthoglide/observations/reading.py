@@ -49,7 +49,8 @@ def read_campaign(
     Raises:
         FileError: naming the line and what would be right.
     """
-    return _campaign(read_table(path), Path(path).stem, machine_file, require_readings)
+    table = read_table(path)
+    return _campaign(table, Path(table.file).stem, machine_file, require_readings)
 
 
 def campaign_from_rows(

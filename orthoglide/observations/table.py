@@ -15,8 +15,11 @@ from orthoglide import files, units
 from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
+from orthoglide.text import brief, cell_text, shown, unseen
 
 _DELIMITERS = ",;\t"
+_MOST_COLUMNS = 200
+_LONGEST_LABEL = 100
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
@@ -73,7 +76,7 @@ class Table:
         try:
             return column.parse(cell)
         except ValueError as error:
-            self.fail(f"{name} is {cell!r}, {error}", row)
+            self.fail(f"{name} is {brief(cell)!r}, {error}", row)
 
     def check_names(self, known: Iterable[str], needed: Iterable[str]) -> tuple[Note, ...]:
         """Refuses missing and misspelt columns; returns warnings of those that are ignored."""
@@ -84,12 +87,12 @@ class Table:
         for name in unknown:
             close = get_close_matches(name, known, n=1, cutoff=0.75)
             if close and close[0] not in self.names:
-                self.fail(f"there is no column {name!r}: did you mean {close[0]!r}?")
+                self.fail(f"there is no column {brief(name)!r}: did you mean {close[0]!r}?")
         missing = [name for name in needed if name not in self.names]
         if missing:
             self.fail(f"has no column {', '.join(missing)}: add what is missing to the first line")
         return tuple(
-            Note(f"column {name!r} is not known and was ignored", "column")
+            Note(f"column {brief(name)!r} is not known and was ignored", "column")
             for name in unknown
             if name
         )
@@ -113,12 +116,12 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     """
     content = files.read_bytes(path)
     text = files.decode(content, path)
-    header = next(line for line in text.splitlines() if line.strip())
+    header = next((line for line in text.splitlines() if line.strip()), "")
     delimiter = max(_DELIMITERS, key=header.count)
-    names, rows, lines = _cells(text, delimiter, str(path))
+    names, rows, lines = _cells(text, delimiter, shown(path))
     if delimiter != ",":
         rows = [[_decimal_point(cell) for cell in row] for row in rows]
-    return _table(names, rows, lines, str(path), files.sha256(content))
+    return _table(names, rows, lines, shown(path), files.sha256(content))
 
 
 def frame_table(df: Any, name: str) -> Table:
@@ -152,7 +155,7 @@ def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[s
     rows, lines = [], []
     try:
         for row in reader:
-            cells = [cell.strip() for cell in row]
+            cells = [cell_text(cell) for cell in row]
             if any(cells):
                 rows.append(cells)
                 lines.append(reader.line_num)
@@ -160,6 +163,8 @@ def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[s
         raise FileError(
             f"is not CSV ({error}): close the quotes", file=file, line=reader.line_num
         ) from None
+    if not rows:
+        raise FileError("has only empty fields: name the columns in the first line", file=file)
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(rows[0]):
             raise FileError(
@@ -174,9 +179,21 @@ def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[s
 def _table(
     names: list[str], rows: list[list[str]], lines: list[int], file: str, digest: str = ""
 ) -> Table:
+    if len(names) > _MOST_COLUMNS:
+        raise FileError(
+            f"names {len(names)} columns: give a sheet of {_MOST_COLUMNS} at most",
+            file=file,
+            line=1,
+        )
+    for row, line in zip((names, *rows), (1, *lines), strict=True):
+        if found := unseen("".join(row)):
+            raise FileError(
+                f"holds the character {found}, which cannot be shown: remove it",
+                file=file, line=line,
+            )  # fmt: skip
     for name in names:
         if name and names.count(name) > 1:
-            raise FileError(f"names column {name!r} twice: remove one", file=file, line=1)
+            raise FileError(f"names column {brief(name)!r} twice: remove one", file=file, line=1)
     if not rows:
         raise FileError("has a header but no rows: add the readings", file=file, line=1)
     return Table(tuple(names), tuple(rows), tuple(lines), file, digest)
@@ -210,14 +227,32 @@ def number(factor: float = 1.0, low: float = -1e9, high: float = 1e9) -> Callabl
     return parse
 
 
+def label(cell: str) -> str:
+    """Parser of a name for people: one line, and not a page."""
+    if "\n" in cell or "\r" in cell:
+        raise ValueError("which has several lines: write it on one")
+    if len(cell) > _LONGEST_LABEL:
+        raise ValueError(f"of {len(cell)} characters: shorten it to {_LONGEST_LABEL}")
+    return cell
+
+
+SIGMA = (1e-6, 1e3)
+"""Standard deviations that an instrument can have, millimetres: an atom, and more than it shows."""
+
+
 def positive(factor: float) -> Callable[[str], float]:
-    """Parser of a number above zero in a unit worth ``factor``."""
+    """Parser of a standard deviation in a unit worth ``factor``."""
     any_number = number(factor)
 
     def parse(cell: str) -> float:
         value = any_number(cell)
         if value <= 0:
             raise ValueError("not a standard deviation: give one above 0 or leave the field empty")
+        if not SIGMA[0] <= float(cell) <= SIGMA[1]:
+            raise ValueError(
+                f"which no instrument has: give a standard deviation from {SIGMA[0]:g} to "
+                f"{SIGMA[1]:g} or leave the field empty"
+            )
         return value
 
     return parse

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orthoglide import files, units
+from orthoglide import files, text, units
 from orthoglide.frames import data_frame
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile
@@ -54,11 +52,7 @@ def campaign_text(campaign: Campaign, machine_file: MachineFile | None = None) -
 
 def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
     """CSV text of rows that all have the columns of the first."""
-    stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return stream.getvalue()
+    return text.csv_text(list(rows[0]) if rows else [], (row.values() for row in rows))
 
 
 def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -> list[Row]:

@@ -111,7 +111,7 @@ class LinearReadings:
         """
         dial = machine.spec.dial
         sd = np.broadcast_to(np.asarray(total, dtype=float), (len(campaign),))
-        common = common_rounding(float(np.sqrt(np.mean(sd**2))), dial.resolution)
+        common = float(common_rounding(np.sqrt(np.mean(sd**2)), dial.resolution))
         sigma = np.sqrt(np.maximum(sd**2 - common**2, (_LEAST * sd) ** 2))
         return cls(campaign, columns, slope, sigma, common, dial.placement)
 

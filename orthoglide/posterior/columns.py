@@ -153,11 +153,11 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
 def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
     """Prior sd of what no background has ``(C,)``, nan elsewhere; rows of what was known before.
 
-    The base stands at its tolerance. What an earlier calibration speaks of has rows instead.
+    What was free before stands at its tolerance. What an earlier calibration speaks of has rows
+    instead.
     """
-    of, base = problem.machine.catalogue.effect_of, problem.machine.catalogue.base
     fixed = np.full(count, np.nan)
-    fixed[: len(problem.names)] = [1.0 if of(n).name in base else np.nan for n in problem.names]
+    fixed[: len(problem.names)] = 1.0
     if problem.earlier is None:
         return fixed, (np.zeros((0, len(problem.names))), np.zeros(0))
     matrix, target, spoken = rows_about(problem.earlier, problem.unknowns)

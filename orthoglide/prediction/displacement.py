@@ -82,7 +82,7 @@ def leg_conditions(
     geometry: Geometry, pitch: float | None, seen: Any, leg: int, driven: Any
 ) -> LegConditions:
     """What the effects of one leg see, of a vector of conditions or ``(11, n)`` of them."""
-    command = seen[leg]
+    command, zero = seen[leg], geometry.layout.zero(geometry.L)
     return LegConditions(
         command=command,
         length=geometry.L,
@@ -92,6 +92,7 @@ def leg_conditions(
         time=seen[6],
         warming=seen[7],
         force=seen[8 + leg],
-        travel=None if driven is None else command - geometry.L + driven,
+        travel=None if driven is None else command - zero + driven,
+        zero=zero,
         commands=tuple(seen[k] for k in range(len(LEGS))),
     )

@@ -6,10 +6,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 
 from orthoglide.errors import FileError
-from orthoglide.files import writing
+from orthoglide.files import Commit, writing
+from orthoglide.text import shown
 
 _REPORT = {
     "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv", "report.html",
@@ -37,38 +39,47 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
 
 def _checked(out: Path, overwrite: bool) -> Path:
     target = Path(os.path.realpath(out))
+    if out.is_symlink() and not target.exists():
+        raise FileError("is a link to nothing: name a new folder", file=shown(out))
     if target.exists() and not target.is_dir():
-        raise FileError("is a file: name a new folder for the results", file=str(out))
+        raise FileError("is a file: name a new folder for the results", file=shown(out))
     if target == Path.cwd():
-        raise FileError("is the folder you are in: name a new one inside it", file=str(out))
+        raise FileError("is the folder you are in: name a new one inside it", file=shown(out))
     names = {path.name for path in target.iterdir()} if target.is_dir() else set()
     if names and not overwrite:
         raise FileError(
             "is not empty and results are never overwritten: name a new or empty folder",
-            file=str(out),
+            file=shown(out),
         )
     if names - _REPORT:
         raise FileError(
             f"holds {sorted(names - _REPORT)[0]}, which is no part of a report: name another "
             f"folder",
-            file=str(out),
+            file=shown(out),
         )
     if not target.parent.is_dir():
         raise FileError(
-            "cannot be made where there is no folder to hold it: make that first", file=str(out)
+            "cannot be made where there is no folder to hold it: make that first", file=shown(out)
         )
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise FileError("cannot be made here: choose a place you may write to", file=str(out))
+        raise FileError("cannot be made here: choose a place you may write to", file=shown(out))
     return target
 
 
-def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = False) -> None:
+def write_folder(
+    out: Path,
+    files: Mapping[str, str | bytes],
+    overwrite: bool = False,
+    *,
+    commit: Commit = nullcontext,
+) -> None:
     """Write files into a temporary sibling, then rename it.
 
     Args:
         out: the folder; new or empty, or an earlier report.
         files: content by name, ``/`` for folders inside; written in this order, text as UTF-8.
         overwrite: whether an earlier report is replaced whole.
+        commit: surrounds the moment at which the folder appears.
 
     Raises:
         FileError: where the folder cannot be written.
@@ -82,16 +93,20 @@ def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = 
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)
             made.chmod(0o755)  # a temporary folder is its owner's alone
-            _put(made, target)
+            with commit():
+                _put(made, target, overwrite)
         except BaseException:
             shutil.rmtree(made, ignore_errors=True)
             raise
 
 
-def _put(made: Path, target: Path) -> None:
-    """Rename a folder to one that may stand already, which is gone only once that is done."""
+def _put(made: Path, target: Path, overwrite: bool) -> None:
+    """Rename a folder to one that may stand already, which is gone only once that is done.
+
+    What another process put there a moment ago is not replaced: the system refuses to.
+    """
     earlier = made.with_name(f"{made.name}-earlier")
-    if target.is_dir() and any(target.iterdir()):
+    if overwrite and target.is_dir() and any(target.iterdir()):
         target.rename(earlier)
     try:
         made.rename(target)

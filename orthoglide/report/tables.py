@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 from orthoglide import __version__
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.text import csv_text
 
 if TYPE_CHECKING:
     from orthoglide.observations import Campaign
@@ -69,23 +68,21 @@ def residual_table(result: Result) -> str:
     predicted = (base.predicted_before, base.predicted, result.after.predicted)
     columns = [measured, problem.sigma, *predicted, *(measured - p for p in predicted)]
     figures = np.column_stack(columns)
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*_PLACES, *_FIGURES, "set_aside"])
+    rows = list[list[Any]]()
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
         for row, values in enumerate(figures[part]):
-            writer.writerow([*_cells(campaign, row), *map(_mm, values), ""])
+            rows.append([*_cells(campaign, row), *map(_mm, values), ""])
     for points, part in zip(
         problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
     ):
         for values, point, axis in zip(figures[part], points.point, points.setup, strict=True):
             places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
             places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
-            writer.writerow([*places, *map(_mm, values), ""])
+            rows.append([*places, *map(_mm, values), ""])
     for campaign, row, kind in _set_aside(result):
         empty = [""] * (len(_FIGURES) - 1)
-        writer.writerow([*_cells(campaign, row), _mm(campaign.reading[row]), *empty, kind])
-    return stream.getvalue()
+        rows.append([*_cells(campaign, row), _mm(campaign.reading[row]), *empty, kind])
+    return csv_text((*_PLACES, *_FIGURES, "set_aside"), rows)
 
 
 def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:

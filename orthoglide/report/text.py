@@ -57,12 +57,13 @@ def console_text(parts: Iterable[RenderableType]) -> str:
     """Parts one below the other, as wide as the terminal."""
     from rich.console import Console
 
-    terminal = sys.stdout.isatty()
+    terminal = sys.stdout is not None and sys.stdout.isatty()
     width = min(shutil.get_terminal_size((_WIDTH, 24)).columns, 120) if terminal else _WIDTH
     stream = io.StringIO()
     console = Console(
-        file=stream, width=width, force_terminal=terminal, highlight=False, legacy_windows=False
-    )
+        file=stream, width=width, force_terminal=terminal, highlight=False, legacy_windows=False,
+        markup=False, emoji=False,
+    )  # fmt: skip
     for part in parts:
         console.print(part)
     return stream.getvalue().rstrip("\n")

@@ -52,7 +52,7 @@ def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace
     """
     base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
     return Workspace(
-        calibrated.commands - known.geometry.L,
+        calibrated.commands - known.geometry.zero,
         calibrated.error,
         np.linalg.norm(without_place(calibrated.p - base.p), axis=1),
         base.uncertainty,

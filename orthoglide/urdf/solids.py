@@ -69,7 +69,7 @@ class Solid:
 def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
     """Solids of a leg's moving links, in the links; cross-sections are fractions of d and r."""
     L, d, r = geometry.L, geometry.d, geometry.r
-    n, colour = LEGS[leg], f"carriage_{LEGS[leg]}"
+    n, colour = geometry.leg_names[leg], f"carriage_{LEGS[leg]}"
     rail = _RAIL * d
     bar = (
         Solid((L, 0.16 * d, 0.16 * d), (-L / 2, 0.0, 0.0), "aluminium", along=0),
@@ -77,11 +77,12 @@ def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
         Solid((0.24 * d, 0.36 * d, 0.24 * d), (-L, 0.0, 0.0), "steel", along=1),
     )
     link_size = (0.22 * d, 0.22 * d, 0.9 * d)
-    platform = [
-        Solid((0.28 * d, 0.28 * d, 0.36 * d), _ZERO, "steel", along=2),
-        Solid((0.75 * r, 0.5 * r, 0.5 * r), (-0.375 * r, 0.0, 0.0), "aluminium"),
-    ]
-    if leg == 0:  # what the three legs share is drawn and weighed once
+    platform = [Solid((0.28 * d, 0.28 * d, 0.36 * d), _ZERO, "steel", along=2)]
+    if geometry.layout.hanging:
+        platform += [Solid((0.3 * r, 0.9 * r, 0.5 * r), (0.0, -0.45 * r, 0.0), "aluminium")]
+    else:
+        platform += [Solid((0.75 * r, 0.5 * r, 0.5 * r), (-0.375 * r, 0.0, 0.0), "aluminium")]
+    if leg == 0 and not geometry.layout.hanging:  # what legs share is drawn and weighed once
         platform += [
             Solid((0.9 * r, 0.9 * r, 0.9 * r), (-r, 0.0, 0.0), "aluminium"),
             Solid((0.7 * r, 0.7 * r, 0.8 * r), (-r, 0.0, -0.85 * r), "frame", along=2),
@@ -103,6 +104,8 @@ def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
 
 def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
     """Rails, drives and a frame that joins them at a corner, on a table under the tool."""
+    if geometry.layout.hanging:
+        return _towers(geometry)
     L, d, r = geometry.L, geometry.d, geometry.r
     low, high = geometry.stroke
     rail, beam = _RAIL * d, 0.4 * d
@@ -127,6 +130,20 @@ def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
         Solid((wide, wide, 0.25 * d), (centre, centre, floor - 0.125 * d), "table"),
     ]
     return tuple(solids)
+
+
+def _towers(geometry: Geometry) -> tuple[Solid, ...]:
+    """Towers on a plate: round, for boxes here keep to the base axes."""
+    d, (low, high) = geometry.d, geometry.stroke
+    solids, reach = [], 0.0
+    for leg in geometry.legs:
+        foot, top = min(0.0, leg.carriage[2] + low), leg.carriage[2] + high + d
+        x, y, _ = leg.carriage + _RAIL * d * leg.axes[:, 1]
+        reach = max(reach, float(np.hypot(x, y)))
+        middle = (float(x), float(y), (foot + top) / 2)
+        solids.append(Solid((0.4 * d, 0.4 * d, top - foot), middle, "frame", along=2))
+    plate = (1.2 * reach, 1.2 * reach, 0.1 * d)
+    return (*solids, Solid(plate, (0.0, 0.0, -0.05 * d), "table", along=2))
 
 
 def vector(values: Iterable[float]) -> Vector:

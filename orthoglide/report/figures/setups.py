@@ -44,7 +44,7 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
     for campaign in problem.campaigns:
         for k, setup in enumerate(campaign.setups):
             there = np.flatnonzero(campaign.setup == k)
-            travel = campaign.command[there, setup.leg] - problem.machine.geometry.L
+            travel = campaign.command[there, setup.leg] - problem.machine.geometry.zero[setup.leg]
             moves = np.ptp(travel) > _MOVES
             name = f"{campaign.name} · {setup.name}" if several else setup.name
             yield Mounting(

@@ -69,6 +69,7 @@ def applied() -> Iterator[None]:
             {
                 "svg.hashsalt": "orthoglide",
                 "svg.fonttype": "none",
+                "text.parse_math": False,  # names are what they are, dollars included
                 "font.sans-serif": ["DejaVu Sans"],  # what widths are measured with
                 "font.size": 8.0,
                 "axes.titlesize": 8.5,

@@ -1,0 +1,88 @@
+"""Output that cannot fail a finished run: full, closed and narrow terminals."""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import os
+import re
+import sys
+import unicodedata
+
+import click
+
+from orthoglide.errors import FileError
+
+_PLAIN = "orthoglide.plain"
+_SIGNS = {"−": "-", "–": "-", "—": "-", "·": "*", "→": "->", "≤": "<=", "≥": ">=", "χ": "chi",
+          "±": "+-", "µ": "u", "μ": "u", "°": " deg", "…": "..."}  # fmt: skip
+_RULES = dict.fromkeys("─━═", "-") | dict.fromkeys("│┃║", "|")
+_RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
+
+
+def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
+    """Print a text and a line end, or the bytes of a file as they are.
+
+    Args:
+        text: what to print.
+        err: on the error stream.
+        needed: whether nothing else is left of the run: only then is a failure one.
+
+    Raises:
+        FileError: where it is needed and the output is full or closed. A reader who has seen enough
+            (``| head``) is no failure.
+    """
+    stream = sys.stderr if err else sys.stdout
+    try:
+        if stream is None:
+            raise OSError(errno.EBADF, "closed")
+        click.echo(text, err=err, nl=isinstance(text, str))
+        stream.flush()
+    except (OSError, ValueError) as error:
+        _silence(err)
+        number = getattr(error, "errno", None)
+        if needed and number != errno.EPIPE:
+            reason = (getattr(error, "strerror", None) or "closed").lower()
+            raise FileError(
+                f"cannot be written ({reason}): choose another place", file="standard output"
+            ) from None
+
+
+def is_terminal(err: bool = False) -> bool:
+    """Whether somebody sees the output as it comes."""
+    stream = sys.stderr if err else sys.stdout
+    try:
+        return stream is not None and stream.isatty()
+    except ValueError:  # closed
+        return False
+
+
+def speak_plainly() -> None:
+    """Have this process write what its terminal's alphabet has, and spell out what it has not."""
+    codecs.register_error(_PLAIN, _spelt)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors=_PLAIN)
+
+
+def _silence(err: bool) -> None:
+    """Nothing more is written there, not what is left in its buffer at the end either."""
+    nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    if err:
+        sys.stderr = nowhere
+    else:
+        sys.stdout = nowhere
+
+
+def _spelt(error: UnicodeError) -> tuple[str, int]:
+    """What to write for characters that an encoding has not: a minus sign is never lost."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = _RAISED.sub(lambda m: "^" + m[0], error.object[error.start : error.end])
+    return "".join(map(_ascii, text)), error.end
+
+
+def _ascii(character: str) -> str:
+    known = _SIGNS.get(character) or _RULES.get(character)
+    plain = unicodedata.normalize("NFKD", character).replace("−", "-")
+    return known or plain.encode("ascii", "ignore").decode() or "?"

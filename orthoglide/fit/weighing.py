@@ -1,0 +1,99 @@
+"""Readings in units of their noise, what a dial rounds away alike at every visit included.
+
+The covariance of a station's readings is ``diag(sigma^2) + common^2``: a scatter of their own, and
+a rounding that they share. Its inverse root is a diagonal and one direction a station, so that
+nothing of rows times stations is ever held:
+
+    W = (1 - a u u^T) diag(1 / sigma),   u ~ 1 / sigma
+    a = 1 - 1 / sqrt(1 + common^2 sum(1 / sigma^2))
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """The inverse root of the covariance of rows.
+
+    Attributes:
+        sigma: of each row, what averaging reduces ``(n,)``, metres.
+        common: of each row, what its station has in common ``(n,)``, metres; one figure a station.
+        station: of each row ``(n,)``.
+    """
+
+    sigma: Array
+    common: Array
+    station: NDArray[np.int64]
+
+    @cached_property
+    def weight(self) -> Array:
+        """1 / sigma of each row ``(n,)``."""
+        return 1 / self.sigma
+
+    @cached_property
+    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows by station, and where each station begins among them."""
+        order = np.argsort(self.station, kind="stable")
+        return order, np.flatnonzero(np.diff(self.station[order], prepend=-1))
+
+    @cached_property
+    def direction(self) -> Array:
+        """What a station's rows have in common, whitened: of unit length in each ``(n,)``."""
+        return self.weight / np.sqrt(np.bincount(self.station, self.weight**2))[self.station]
+
+    @cached_property
+    def _stretch(self) -> Array:
+        """Standard deviation along ``direction``, in that of noise alone ``(n,)``."""
+        square = np.bincount(self.station, self.weight**2)[self.station]
+        return np.sqrt(1 + self.common**2 * square)
+
+    def along(self, rows: Array) -> Array:
+        """Part of whitened rows ``(n, ...)`` along each station's direction ``(stations, ...)``."""
+        order, starts = self._sorted
+        return np.add.reduceat((rows.T * self.direction).T[order], starts, axis=0)
+
+    @cached_property
+    def first(self) -> NDArray[np.int64]:
+        """The first row of each station ``(stations,)``."""
+        order, starts = self._sorted
+        return order[starts]
+
+    @cached_property
+    def mean_sigma(self) -> Array:
+        """Standard deviation of each station's mean ``(stations,)``, metres."""
+        own = 1 / np.bincount(self.station, self.weight**2)
+        return np.sqrt(own + self.common[self.first] ** 2)
+
+    def means(self, rows: Array) -> Array:
+        """Mean of rows ``(n, ...)`` over each station ``(stations, ...)``, by their weights."""
+        order, starts = self._sorted
+        share = self.weight**2 / np.bincount(self.station, self.weight**2)[self.station]
+        return np.add.reduceat((rows.T * share).T[order], starts, axis=0)
+
+    def within(self, rows: Array) -> float:
+        """Squared scatter of rows ``(n,)`` in metres about their stations' means, in noise."""
+        whitened = rows * self.weight
+        return float(whitened @ whitened - np.sum(self.along(whitened) ** 2))
+
+    def _scaled(self, rows: Array, factor: Array) -> Array:
+        """Rows with their part along each station's direction multiplied by ``factor (n,)``."""
+        if not self.common.any():
+            return rows
+        part = self.along(rows)[self.station]
+        return np.asarray(rows + (part.T * (self.direction * (factor - 1))).T)
+
+    def whiten(self, rows: Array) -> Array:
+        """Rows ``(n, ...)`` in metres in units of their noise."""
+        return self._scaled((rows.T * self.weight).T, 1 / self._stretch)
+
+    def metres(self, rows: Array) -> Array:
+        """The reverse of :meth:`whiten`."""
+        return np.asarray((self._scaled(rows, self._stretch).T * self.sigma).T)

@@ -1,0 +1,15 @@
+"""Where three legs stand, how they and their directions are called: all that tells machines apart.
+
+A layout says for each leg where its rail starts, which way it slides and where its short links
+point. Nothing else knows whether a machine is an Orthoglide or a linear delta.
+"""
+
+from orthoglide.layout.layout import Layout
+from orthoglide.layout.leg import Leg, LegNames
+from orthoglide.layout.linear_delta import LinearDelta
+from orthoglide.layout.orthoglide import ORTHOGLIDE, Orthoglide
+
+DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.every | LinearDelta.names.every)
+"""All words for directions across a leg."""
+
+__all__ = ["DIRECTIONS", "ORTHOGLIDE", "Layout", "Leg", "LegNames", "LinearDelta", "Orthoglide"]

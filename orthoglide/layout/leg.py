@@ -1,0 +1,73 @@
+"""One leg of a machine at mechanical zero, and the names of three."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LegNames:
+    """How the legs of a layout and the directions across them are called.
+
+    Attributes:
+        legs: the three legs.
+        across: for each leg the names of its directions b and c, as parameters carry them.
+        held: numbers that the machine's own controller or firmware holds; with the effects that
+            these are every identification starts.
+    """
+
+    legs: tuple[str, str, str]
+    across: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
+    held: tuple[str, ...]
+
+    @property
+    def every(self) -> frozenset[str]:
+        """All names of directions."""
+        return frozenset(name for pair in self.across for name in pair)
+
+    def index(self, leg: str) -> int:
+        """0, 1 or 2."""
+        return self.legs.index(leg)
+
+    def relabelled(self, leg: str, direction: str) -> tuple[str, str]:
+        """Names of a leg and a direction across it after the legs are relabelled one on."""
+        if leg not in self.legs:
+            return leg, direction
+        old, new = self.index(leg), (self.index(leg) + 1) % 3
+        if direction in self.across[old]:
+            direction = self.across[new][self.across[old].index(direction)]
+        return self.legs[new], direction
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A leg of the nominal machine at mechanical zero, its tool at the origin.
+
+    Attributes:
+        name: of the leg.
+        carriage: the carriage's joint ``(3,)``, base frame, metres.
+        platform: the platform's joint ``(3,)``, from the tool, base frame, metres.
+        axes: rotation ``(3, 3)`` with the leg's axes as columns, right-handed: a, its slide; b, the
+            pivots of its parallelogram; c, its short links. Its bars lie across c.
+    """
+
+    name: str
+    carriage: Array
+    platform: Array
+    axes: Array
+
+    @property
+    def slide(self) -> Array:
+        """Direction a of its rail ``(3,)``."""
+        return np.asarray(self.axes[:, 0])
+
+    @property
+    def lean(self) -> float:
+        """Angle of its bars at mechanical zero about c, from -a toward -b, radians."""
+        a, b, _ = (self.carriage - self.platform) @ self.axes
+        return float(np.arctan2(b, a))

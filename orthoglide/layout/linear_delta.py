@@ -1,0 +1,98 @@
+"""The linear delta: three parallel towers, the platform hanging below their carriages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from orthoglide.errors import InputError
+from orthoglide.layout.leg import Array, Leg, LegNames
+
+Triple = tuple[float, float, float]
+
+_ACROSS = ("radial", "tangential")
+_HELD = ("zero", "bar_length", "place")
+
+
+@dataclass(frozen=True)
+class LinearDelta:
+    """Towers along z around a plate; commands are travel from mechanical zero, up.
+
+    The base frame's origin is where the nominal tool stands at mechanical zero, the centre of the
+    plate. A leg's b points outward (``radial``), its c counter-clockwise (``tangential``).
+
+    Attributes:
+        radius: horizontal distance of each tower's carriage joints from the machine's middle, which
+            is where the middle of the platform's joints stands at mechanical zero, metres.
+        angles_deg: of the towers from +x, counter-clockwise, degrees.
+        tool: the tool's tip from the middle of the platform's joints, metres; z negative: below.
+    """
+
+    radius: Triple
+    angles_deg: Triple = (210.0, 330.0, 90.0)
+    tool: Triple = (0.0, 0.0, 0.0)
+
+    kind: ClassVar[str] = "linear-delta"
+    names: ClassVar[LegNames] = LegNames(("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD)
+    hanging: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if not min(self.radius) > 0:
+            raise InputError("layout: the radius of every tower must be a positive length")
+        around = np.sort(np.mod(self.angles_deg, 360.0))
+        if not np.diff(around, append=around[0] + 360.0).min() > 10.0:
+            raise InputError("layout: the towers must stand at least 10 degrees apart")
+        if np.hypot(*self.tool[:2]) >= min(self.radius):
+            raise InputError("layout: the tool must stand between the towers")
+
+    def outward(self) -> Array:
+        """Direction from the centre to each tower ``(3, 3)``, by leg."""
+        angle = np.deg2rad(np.array(self.angles_deg))
+        return np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], axis=1)
+
+    def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
+        """The three legs, as of any layout."""
+        up, found = np.array([0.0, 0.0, 1.0]), []
+        for name, radius, out in zip(self.names.legs, self.radius, self.outward(), strict=True):
+            platform = r * out - np.array(self.tool)
+            height = L**2 - (radius - r) ** 2
+            if not height > 0:
+                raise InputError(
+                    f"layout: arms of {L * 1e3:g} mm do not reach from tower {name} to the "
+                    f"platform over the centre: correct L, radius_mm or r"
+                )
+            carriage = platform + (radius - r) * out + np.sqrt(height) * up
+            axes = np.stack([up, out, np.cross(up, out)], axis=1)
+            found.append(Leg(name, carriage, platform, axes))
+        a, b, c = found
+        return a, b, c
+
+    def zero(self, L: float) -> float:
+        """Travel counts from mechanical zero."""
+        return 0.0
+
+    def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
+        """A carriage stays above the tool; how high its tower is does not matter."""
+        low, high = stroke
+        return -L < low < 0 < high
+
+    def reach(self, L: float, r: float, lowest: float) -> float:
+        """Radius on the plate within which no carriage goes below a travel, metres."""
+        reach = []
+        for leg in self.legs(L, r):
+            height = leg.carriage[2] - leg.platform[2]
+            flat = float(np.hypot(*(leg.carriage - leg.platform)[:2]))
+            reach.append(np.sqrt(L**2 - max(height + lowest, 0.0) ** 2) - flat)
+        return float(min(reach))
+
+    def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
+        """Points in a cylinder on the plate, as high as it is wide or as the towers allow."""
+        radius = self.reach(L, r, stroke[0])
+        side = np.linspace(-radius, radius, count)
+        heights = [leg.carriage[2] - leg.platform[2] for leg in self.legs(L, r)]
+        room = float(stroke[1] - (L - min(heights)))  # above the far side of the plate
+        z = np.linspace(0.0, min(2 * radius, max(room, 0.0)), count)
+        grid = np.stack(np.meshgrid(side, side, z, indexing="ij"), axis=-1).reshape(-1, 3)
+        return grid[np.hypot(grid[:, 0], grid[:, 1]) <= radius * (1 + 1e-9)]

@@ -1,0 +1,82 @@
+"""Text that came from files or names files: what of it can be shown, repeated and tabulated."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+_ECHOED = 40  # characters of a file's text that a message repeats
+
+# Controls, halves of pairs, what is no character, and what turns or breaks lines unseen: no page,
+# figure or terminal shows them, and XML has none of them.
+_UNSEEN = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufdd0-\ufdef"
+    "\ufffe\uffff]"
+)
+
+
+def unseen(text: str) -> str:
+    """The first character of a text that cannot be shown, as ``U+001B``; empty where none is."""
+    found = _UNSEEN.search(text)
+    return f"U+{ord(found[0]):04X}" if found else ""
+
+
+def leaves(data: Any) -> Iterator[Any]:
+    """Every value in nested mappings and lists, and every key."""
+    waiting = [data]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, Mapping):
+            waiting += [*value, *value.values()]
+        elif isinstance(value, list):
+            waiting += value
+        else:
+            yield value
+
+
+def unseen_in(data: Any) -> str:
+    """What is wrong with the first text in nested mappings and lists that cannot be shown."""
+    for value in leaves(data):
+        if isinstance(value, str) and (found := unseen(value)):
+            readable = brief(_UNSEEN.sub("", value))
+            return f"holds the character {found}, which cannot be shown, in {readable!r}: remove it"
+    return ""
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """A file's name for people and for results: what cannot be shown stands as U+FFFD."""
+    return _UNSEEN.sub("\ufffd", os.fspath(path))
+
+
+def brief(text: str, most: int = _ECHOED) -> str:
+    """A text from a file as a message repeats it: its beginning where it is long."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+# What a spreadsheet computes instead of showing it; signed numbers and directions are harmless.
+_FORMULA = re.compile(r"'*(?:[=@]|[+-](?![\w.]*$))")
+
+
+def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """CSV text; a cell that a spreadsheet would compute has an apostrophe before it.
+
+    Args:
+        names: the header.
+        rows: of cells; :func:`cell_text` takes the apostrophe off again.
+    """
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    for row in (names, *rows):
+        cells = map(str, row)
+        writer.writerow([f"'{cell}" if _FORMULA.match(cell) else cell for cell in cells])
+    return stream.getvalue()
+
+
+def cell_text(cell: str) -> str:
+    """A cell of a CSV file as it was meant: see :func:`csv_text`."""
+    cell = cell.strip()
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell

@@ -1,0 +1,353 @@
+"""Names, cells and files that nobody would write on purpose: text is data, and a run ends well."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import threading
+from collections.abc import Callable
+from html.parser import HTMLParser
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import pytest
+from click.testing import CliRunner, Result
+from rich.table import Table
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.comparison import slices
+from orthoglide.comparison.tables import slice_figure
+from orthoglide.control import export_files
+from orthoglide.effects import CATALOGUE
+from orthoglide.errors import FileError, InputError
+from orthoglide.files import read_bytes
+from orthoglide.machine_file import machine_text, nominal_machine_file, parse_machine_file
+from orthoglide.machine_file.posterior import parse_posterior
+from orthoglide.observations import campaign_text, read_campaign
+from orthoglide.parameters import Parameter
+from orthoglide.report.figures.style import applied, new_figure, svg_text
+from orthoglide.report.text import console_text
+
+EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
+TOML = machine_text(nominal_machine_file())
+SETUPS = ("xy", "xz", "yx", "yz", "zx", "zy")
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def renamed(names: tuple[str, ...], text: str = EXPERIMENT_2) -> str:
+    """The published campaign with other names of its setups, in their order."""
+    table = list(csv.reader(io.StringIO(text)))
+    for row in table[1:]:
+        row[0] = names[SETUPS.index(row[0])]
+    stream = io.StringIO(newline="")
+    csv.writer(stream, lineterminator="\n").writerows(table)
+    return stream.getvalue()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to work in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def refused(*arguments: str | Path) -> str:
+    """The sentence with which a command refuses; nothing else happened."""
+    before = sorted(os.listdir())
+    result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("orthoglide: ")
+    assert result.stderr.count("\n") == 1
+    assert len(result.stderr) < 1100
+    assert sorted(os.listdir()) == before
+    return result.stderr
+
+
+# --- Names that look like something else --------------------------------------------------------
+
+STRANGE = (
+    ("[/b]", "$$", "a@b", "common", "=1+1", "<b>&"),
+    ('"', "$\\frac{$", "@x", "xy.common", "</svg><script>", "+cmd|' /C calc'!A0"),
+    ("[red]", "'x'", "{}%s", "-2+3", "a,b", ":smile:"),
+)
+FREE = ("--free", "joint_offset,leg_length,gauge_scale")
+
+
+def found(here: Path, name: str, names: tuple[str, ...]) -> tuple[dict[str, Any], str]:
+    """``result.json`` of an identification, and what the terminal showed."""
+    (here / "c.csv").write_text(renamed(names))
+    shown = run("identify", "c.csv", "--out", name, *FREE)
+    assert shown.exit_code == 0, shown.output
+    return json.loads((here / name / "result.json").read_text()), shown.stdout
+
+
+@pytest.fixture(scope="module")
+def plain_result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    here = tmp_path_factory.mktemp("plain")
+    before = Path.cwd()
+    os.chdir(here)
+    try:
+        return found(here, "out", SETUPS)[0]
+    finally:
+        os.chdir(before)
+
+
+class Texts(HTMLParser):
+    """The texts of a page and the kinds of its elements."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.kinds: dict[str, int] = {}
+        self.shown = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.kinds[tag] = self.kinds.get(tag, 0) + 1
+
+    def handle_data(self, data: str) -> None:
+        self.shown += data
+
+
+@pytest.mark.parametrize("names", STRANGE, ids=lambda names: names[0])
+def test_names_of_setups_change_no_number(
+    names: tuple[str, ...], here: Path, plain_result: dict[str, Any]
+) -> None:
+    result, shown = found(here, "out", names)
+    parameters = list(result["parameters"].items())
+    plain = list(plain_result["parameters"].items())
+    assert len(parameters) == len(plain)
+    for (name, value), (other, expected) in zip(parameters, plain, strict=True):
+        assert value == expected
+        setup = other.removeprefix("gauge_scale.")
+        if setup in SETUPS:
+            meant = names[SETUPS.index(setup)]
+            assert name == Parameter("gauge_scale", setup=meant)
+            assert CATALOGUE.parameter(name, names).setup == meant
+            assert CATALOGUE.parameter(name).setup == meant
+    for key in ("verdict", "before", "after"):
+        assert result[key] == plain_result[key]
+    page = (here / "out" / "report.html").read_text()
+    assert "script" not in Texts(page).kinds
+    for name in names:
+        assert name in Texts(page).shown
+        assert name in shown
+        figure = ET.fromstring((here / "out" / "figures" / "readings.svg").read_text())
+        assert name in "".join(figure.itertext())
+
+
+def test_a_setup_called_common_is_no_structured_member() -> None:
+    setups = ("common", "other")
+    every = CATALOGUE.expand(["gauge_scale"], setups)
+    assert [p.setup for p in every] == ["common", "other"]
+    member = CATALOGUE.parameter("gauge_scale.common", setups)
+    assert (member.member, member.setup) == ("common", "")
+    assert len(CATALOGUE.elementary(member, setups)) == 2
+
+
+@pytest.mark.parametrize("setup", ["a", "a@b", "common", '"', 'a"@"b', "@"])
+@pytest.mark.parametrize("campaign", ["", "april", "b@c"])
+def test_names_of_dial_parameters_are_read_as_they_were_meant(setup: str, campaign: str) -> None:
+    name = Parameter("gauge_scale", setup=setup, campaign=campaign)
+    for known in ((), (setup, "b")):
+        again = CATALOGUE.parameter(str(name), known)
+        assert (again.setup, again.campaign) == (setup, campaign)
+
+
+def test_formulas_are_text_in_every_table(here: Path) -> None:
+    names = ("=1+1", "@x", "+cmd|'!A0", "-2+3", "'=1", "plain")
+    (here / "c.csv").write_text(renamed(names))
+    campaign = read_campaign("c.csv")
+    assert [s.name for s in campaign.setups[:4]] == list(names[:4])
+    assert campaign.setups[4].name == "=1"  # as a spreadsheet shows it
+    text = campaign_text(campaign)
+    (here / "again.csv").write_text(text)
+    assert [s.name for s in read_campaign("again.csv").setups] == [s.name for s in campaign.setups]
+    assert run("identify", "c.csv", "--out", "out", "--quiet").exit_code == 0
+    for content in (text, (here / "out" / "residuals.csv").read_text()):
+        cells = [cell for row in csv.reader(io.StringIO(content)) for cell in row]
+        assert "'=1+1" in cells
+        assert not [c for c in cells if c[:1] in ("=", "@") or c.startswith(("+cmd", "-2+3"))]
+
+
+def test_terminal_tables_take_no_markup() -> None:
+    table = Table("name")
+    table.add_row("[/b] :smile: [red]")
+    assert "[/b] :smile: [red]" in console_text([table])
+
+
+def test_figures_take_no_formulas() -> None:
+    names = ("$$", "$\\frac{$", "$x$")
+    with applied():
+        figure = new_figure(3, 2)
+        for k, name in enumerate(names):
+            figure.text(0.1, 0.2 * (k + 1), name)
+        shown = "".join(ET.fromstring(svg_text(figure)).itertext())
+    assert all(name in shown for name in names)
+    assert "$$" in slice_figure("$$ <b>", slices(og.Machine.nominal(), points=3))
+
+
+@pytest.mark.parametrize("name", ["a--b", "---", "----->", "]]>", "<b>&", "a-"])
+def test_a_machine_of_any_name_is_exported_as_xml(name: str) -> None:
+    spec = parse_machine_file(TOML.replace('"Orthoglide, nominal"', json.dumps(name)))
+    assert spec.name == name
+    robot = export_files(og.Machine(spec))["orthoglide.urdf"]
+    assert ET.fromstring(robot).tag == "robot"
+
+
+@pytest.mark.parametrize("character", ["\x1b", "\ufffe", "\x7f", "\u202e", "\x85", "\u2028"])
+def test_what_cannot_be_shown_is_refused(character: str, here: Path) -> None:
+    code = f"U+{ord(character):04X}"
+    spoilt = renamed((f"a{character}b", *SETUPS[1:]))
+    (here / "c.csv").write_text(spoilt, encoding="utf-8", newline="")
+    message = refused("identify", "c.csv", "--out", "out")
+    assert f"c.csv, line 2: holds the character {code}" in message
+    toml = TOML.replace('"Orthoglide, nominal"', json.dumps(f"a{character}b"))
+    (here / "c.csv").write_text(EXPERIMENT_2)
+    (here / "m.toml").write_text(toml, encoding="utf-8")
+    assert "m.toml" in refused("identify", "c.csv", "--out", "out", "--machine", "m.toml")
+
+
+def test_a_file_name_that_is_no_text(here: Path) -> None:
+    name = os.fsdecode(b"b\xff\x1b.csv")
+    try:
+        Path(name).write_text(EXPERIMENT_2)
+    except OSError:
+        pytest.skip("this file system has no such names")
+    result = run("identify", name, "--out", "out", "--own", "joint_offset")
+    assert result.exit_code == 0, result.output
+    stored = json.loads((here / "out" / "result.json").read_text(encoding="utf-8"))
+    assert stored["inputs"][0]["file"] == "b\ufffd\ufffd.csv"
+    assert run("rerun", "out/result.json").exit_code == 0
+
+
+# --- Files that are hardly any ------------------------------------------------------------------
+
+
+def table(edit: Callable[[list[list[str]]], object]) -> str:
+    rows = list(csv.reader(io.StringIO(EXPERIMENT_2)))
+    edit(rows)
+    stream = io.StringIO(newline="")
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return stream.getvalue()
+
+
+def with_column(name: str, cell: str) -> str:
+    return table(lambda rows: [row.append(cell if k else name) for k, row in enumerate(rows)])
+
+
+def first_cell(column: str, cell: str) -> str:
+    return table(lambda rows: rows[1].__setitem__(rows[0].index(column), cell))
+
+
+CAMPAIGNS: dict[str, tuple[str | bytes, str]] = {
+    "a lone byte order mark": (b"\xef\xbb\xbf", "is empty"),
+    "a byte order mark and lines": (b"\xef\xbb\xbf\n\n", "is empty"),
+    "commas": (",,,\n,,\n", "has only empty fields"),
+    "semicolons": (";;\n", "has only empty fields"),
+    "a sigma near zero": (with_column("sigma_mm", "1e-320"), "which no instrument has"),
+    "a sigma beyond all": (with_column("sigma_mm", "1e8"), "which no instrument has"),
+    "a page in a cell": (first_cell("reading_mm", "x" * 100_000), "is 'xxx"),
+    "a page for a name": (first_cell("setup", "x" * 5_000), "shorten it to 100"),
+    "a page for a posture": (first_cell("posture", "x" * 5_000), "shorten it to 100"),
+    "a name on two lines": (first_cell("setup", "a\nb"), "write it on one"),
+    "ten thousand columns": (",".join(f"c{k}" for k in range(10_000)) + "\n1\n", "columns"),
+    "a column of a page": (EXPERIMENT_2.replace("gauge_mm", "gauge_mm" * 900), "has no column"),
+    "a digit of a hundred thousand": (first_cell("reading_mm", "1" * 100_000), "out of range"),
+    "a power beyond all": (first_cell("reading_mm", "1e9999"), "out of range"),
+}
+
+
+@pytest.mark.parametrize("kind", CAMPAIGNS)
+def test_campaigns_that_are_none(kind: str, here: Path) -> None:
+    content, words = CAMPAIGNS[kind]
+    (here / "c.csv").write_bytes(content.encode() if isinstance(content, str) else content)
+    assert words in refused("identify", "c.csv", "--out", "out")
+
+
+DIGITS = "1" * 5000
+MACHINES = {
+    "digits without end": TOML.replace("L = 310.25", f"L = {DIGITS}"),
+    "a schema without end": TOML.replace("schema = 1", f"schema = {DIGITS}"),
+    "digits in the provenance": f"{TOML}\n[provenance]\nx = {DIGITS}\n",
+    "hexadecimal digits": f"{TOML}\n[provenance]\nx = 0x{'f' * 5000}\n",
+    "hexadecimal digits, deep": f"{TOML}\n[provenance]\nx = [[{{ y = 0x{'f' * 5000} }}]]\n",
+    "a repeatability near zero": TOML.replace(
+        "[dial_mm]", "[dial_mm]\nrepeatability = 1e-320"
+    ),
+    "a key of a page": TOML.replace("name =", f"{'n' * 50_000} ="),
+    "a unit of a page": f'{TOML}[parameters]\n"joint_offset.x" = {{ value = 1, sigma = 0, '
+    f'unit = "{"m" * 50_000}" }}\n',
+    "a line of a page": TOML.replace("schema = 1", f"schema {'=' * 50_000} 1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", MACHINES)
+def test_machine_files_that_are_none(kind: str, here: Path) -> None:
+    (here / "c.csv").write_text(EXPERIMENT_2)
+    (here / "m.toml").write_text(MACHINES[kind])
+    assert "m.toml" in refused("identify", "c.csv", "--out", "out", "--machine", "m.toml")
+
+
+def test_a_damaged_covariance_is_told() -> None:
+    for content in (b"", b"PK\x03\x04" + bytes(80), b"\x93NUMPY\x01\x00" + bytes(90), bytes(300)):
+        with pytest.raises(FileError, match="damaged"):
+            parse_posterior(content, "0" * 64, "m.npz")
+
+
+# --- Files that are no files --------------------------------------------------------------------
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("orthoglide.files.SILENCE", 0.3)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_pipe_that_says_nothing_is_given_up(here: Path) -> None:
+    os.mkfifo("pipe")
+    (here / "c.csv").write_text(EXPERIMENT_2)
+    for arguments in (("identify", "pipe"), ("identify", "c.csv", "--machine", "pipe")):
+        assert "says nothing" in refused(*arguments, "--out", "out")
+    assert "says nothing" in refused("rerun", "pipe")
+
+
+def test_a_pipe_is_read_once(here: Path) -> None:
+    os.mkfifo("pipe")
+    halves = EXPERIMENT_2[:200].encode(), EXPERIMENT_2[200:].encode()
+
+    def write() -> None:
+        with open("pipe", "wb", buffering=0) as stream:
+            for half in halves:
+                stream.write(half)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    content = read_bytes("pipe")
+    writer.join()
+    assert content == EXPERIMENT_2.encode()
+
+
+def test_what_never_ends_is_not_read_to_its_end(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orthoglide.files.LIMIT", 2**20)
+    assert "is larger than 1 MB" in refused("identify", "/dev/zero", "--out", "out")
+    (here / "large.csv").write_bytes(b"x" * (2**20 + 1))
+    assert "is larger than 1 MB" in refused("identify", "large.csv", "--out", "out")
+
+
+def test_a_frame_with_what_cannot_be_shown_is_refused() -> None:
+    rows = list(csv.DictReader(io.StringIO(EXPERIMENT_2)))
+    frame = {name: [row[name] for row in rows] for name in rows[0]}
+    frame["setup"] = ["a\x1bb", *frame["setup"][1:]]
+    with pytest.raises(InputError, match=r"U\+001B"):
+        og.Campaign.from_frame(frame)

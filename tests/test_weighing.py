@@ -1,0 +1,139 @@
+"""Noise that repeats share: against the covariance written out, and down to a silent dial."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.fit.noise import repeat_variance, total_variance
+from orthoglide.fit.weighing import Weighing
+from orthoglide.machine_file import Dial
+from orthoglide.simulation import simulate
+
+RNG = np.random.default_rng(3)
+STATION = np.array([0, 1, 0, 2, 1, 0, 3])
+SIGMA = np.array([1.0, 2.0, 1.5, 1.0, 1.0, 3.0, 0.5]) * 1e-6
+COMMON = 2e-6
+
+
+def weighing(common: float = COMMON) -> Weighing:
+    return Weighing(SIGMA, np.full(len(SIGMA), common), STATION)
+
+
+def covariance(common: float = COMMON) -> np.ndarray:
+    return np.diag(SIGMA**2) + common**2 * np.equal.outer(STATION, STATION)
+
+
+def with_dial(resolution: float, **parameters: float) -> og.Machine:
+    """A machine whose dial says nothing of its own noise."""
+    nominal = og.Machine.nominal()
+    dial, wide = Dial(resolution=resolution, placement=1e-3), {"backlash": 7e-5}
+    spec = replace(nominal.spec, dial=dial, tolerance={**nominal.spec.tolerance, **wide})
+    return og.Machine(spec).with_parameters(parameters)
+
+
+def test_whitened_rows_have_the_inverse_covariance() -> None:
+    rows = RNG.standard_normal((7, 4)) * 1e-6
+    white = weighing().whiten(rows)
+    assert white.T @ white == pytest.approx(rows.T @ np.linalg.solve(covariance(), rows))
+    assert weighing().metres(white) == pytest.approx(rows, rel=1e-12)
+    assert weighing(0.0).whiten(rows[:, 0]) == pytest.approx(rows[:, 0] / SIGMA)
+
+
+def test_means_and_scatter_share_out_the_square() -> None:
+    rows = RNG.standard_normal(7) * 1e-6
+    found = weighing()
+    white, means = found.whiten(rows), found.means(rows)
+    between = float(np.sum((means / found.mean_sigma) ** 2))
+    assert white @ white == pytest.approx(between + found.within(rows))
+    own = rows[STATION == 1]
+    assert found.first.tolist() == [0, 1, 3, 6]
+    assert means[1] == pytest.approx(np.average(own, weights=SIGMA[STATION == 1] ** -2))
+
+
+@pytest.mark.parametrize("scatter", [0.03, 0.1, 0.25, 0.5, 1.0, 3.0])
+def test_the_noise_of_a_reading_from_what_repeats_show(scatter: float) -> None:
+    """Many rounded readings at many places: variance within a place against that of all."""
+    rng = np.random.default_rng(1)
+    true = rng.uniform(0, 1, (4000, 1))
+    shown = np.round(true + scatter * rng.standard_normal((4000, 30)))
+    within = float(np.mean(np.var(shown, axis=1, ddof=1)))
+    whole = float(np.mean((shown - true) ** 2))
+    assert total_variance(within, 1.0) == pytest.approx(whole, rel=0.02)
+    assert total_variance(within, 0.0) == within
+
+
+def test_repeats_tell_the_part_that_averaging_reduces() -> None:
+    """At a fifth of a step neither all of the rounding is shared nor none."""
+    campaign = simulate(with_dial(1e-5), "sweep", noise=2e-6, seed=1)
+    noise = og.identify(campaign, with_dial(1e-5)).problem.noise
+    assert noise.source == "repeats"
+    assert noise.sigma[0][0] ** 2 == pytest.approx(repeat_variance([campaign])[0], rel=0.02)
+    assert noise.typical == pytest.approx(np.sqrt(2e-6**2 + 1e-10 / 12), rel=0.15)
+
+
+@pytest.mark.parametrize("noise", [1e-7, 1e-6, 5e-6, 2e-5])
+def test_scores_are_of_the_readings_however_quiet_the_dial(noise: float) -> None:
+    """Offsets alone: before, the machine is off by 0.2 mm rms; what is left is the dial."""
+    machine = with_dial(1e-5)
+    truth = with_dial(1e-5, **{"joint_offset.x": 5e-4, "joint_offset.y": -1.2e-3})
+    found = og.identify(simulate(truth, "standard", noise=noise, seed=1), machine)
+    total = np.sqrt(noise**2 + 1e-10 / 12)
+    assert found.nominal.rms > 5e-5
+    assert found.scores.rms == pytest.approx(total, rel=0.35)
+    assert found.sigma_scale == 1.0
+    assert found.scores.lack_of_fit_p > 0.01
+    errors = {n: found.values.get(n, 0.0) - truth.values[n] for n in truth.values}
+    seen = {n: e / found.sigmas[n] for n, e in errors.items()}
+    assert max(map(abs, seen.values())) < 4
+
+
+@pytest.mark.parametrize("resolution", [1e-5, 0.0], ids=["rounded", "not rounded"])
+@pytest.mark.parametrize("noise", [1e-7, 2e-7, 1e-6, 5e-6, 2e-5])
+def test_a_better_dial_gives_no_worse_verdict(noise: float, resolution: float) -> None:
+    machine = with_dial(resolution)
+    lost = with_dial(resolution, **{"backlash.x": 6e-5})
+    verdict = og.close_loop(simulate(lost, "sweep", noise=noise, seed=1), machine)
+    assert (verdict.word, [e.name for e in verdict.effects]) == ("explained", ["backlash.x"])
+    sound = og.close_loop(simulate(machine, "standard", noise=noise, seed=1), machine)
+    assert (sound.word, sound.effects) == ("adequate", ())
+
+
+@pytest.mark.parametrize("kind", ["standard", "sweep"])
+@pytest.mark.parametrize("size", [10e-3, 20e-3])
+def test_large_offsets_are_a_finding_and_no_lack_of_fit(kind: str, size: float) -> None:
+    machine = og.Machine.nominal()
+    truth = machine.with_parameters({"joint_offset.x": size, "joint_offset.y": -size})
+    verdict = og.close_loop(simulate(truth, kind, noise=5e-6, seed=1), machine)
+    assert verdict.word == "adequate"
+    assert verdict.after.sigma_scale == 1.0
+    far = [w for w in verdict.after.warnings if w.kind == "tolerance"]
+    assert [w.split()[0] for w in far] == ["joint_offset.x", "joint_offset.y"]
+    assert verdict.after.scores.prior_chi2 < 10
+    assert verdict.after.values["joint_offset.x"] == pytest.approx(size, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["rail_bow.x.z", "axis_tilt.y.z"])
+def test_an_effect_of_ten_tolerances_is_one_cause(name: str) -> None:
+    machine = og.Machine.nominal()
+    truth = machine.with_parameters({name: 10 * machine.tolerance(name)})
+    verdict = og.close_loop(simulate(truth, "sweep", noise=5e-6, seed=1), machine)
+    assert (verdict.word, [e.name for e in verdict.effects]) == ("explained", [name])
+    (far,) = [w for w in verdict.after.warnings if w.kind == "tolerance"]
+    assert far.startswith(f"{name} is ")
+
+
+def test_one_setup_says_no_more_than_its_readings() -> None:
+    """Six unknowns and one dial: what it cannot tell is no lack of fit."""
+    words = set()
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        errors = {f"joint_offset.{i}": 2e-3 * rng.standard_normal() for i in "xyz"}
+        machine = og.Machine.nominal()
+        whole = simulate(machine.with_parameters(errors), "standard", noise=5e-6, seed=seed)
+        for setup in (0, 3):
+            words.add(og.close_loop(whole.subset(whole.setup == setup), machine).word)
+    assert words == {"adequate"}
