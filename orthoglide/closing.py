@@ -33,6 +33,10 @@ SIGNIFICANT = 0.003
 """Probability of calling what is left significant where nothing is: one false alarm in 300."""
 
 
+FAR = 2.0
+"""Tolerances: a machine of which everything is off by more is none that the file describes."""
+
+
 class Verdict(Result):
     """A result that writes and shows itself: what :func:`close_loop` returns."""
 
@@ -152,7 +156,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("allowing"))
     found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
     verdict = Verdict(
-        request, _word(found, left), before, known.after, found.causes, found.located,
+        request, _word(found, left, known.share), before, known.after, found.causes, found.located,
         found.weighed, left, known, blunders, faulty=faulty,
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
@@ -177,7 +181,7 @@ def _identified(request: Request, progress: Progress) -> Verdict:
     )
     left = left_over(estimate)
     return Verdict(
-        request, _word(Outstanding((), (), ()), left), estimate, estimate, (), (), (), left,
+        request, _word(Outstanding((), (), ()), left, 0.0), estimate, estimate, (), (), (), left,
         changed=estimate.changes,
     )  # fmt: skip
 
@@ -195,9 +199,12 @@ def judge(verdict: Verdict) -> Verdict:
     return replace(verdict, hold_out=scored, tcp=errors)
 
 
-def _word(found: Outstanding, left: Left) -> Word:
-    """The verdict: what was found, and whether anything significant is left."""
-    significant = left.p_value < SIGNIFICANT
+def _word(found: Outstanding, left: Left, share: float) -> Word:
+    """The verdict: what was found, and whether anything significant is left.
+
+    A background beyond the tolerances of everything explains what it likes, and so nothing.
+    """
+    significant = left.p_value < SIGNIFICANT or share > FAR
     if not found.causes and not found.located:
         return "unexplained" if significant else "adequate"
     if significant:

@@ -143,7 +143,11 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         columns = np.vstack([columns, matrix])
         residual = np.concatenate([residual, known[1]])
     groups, causes, hidden = _groups(wide, free, columns, found)
-    linear = Linear(columns, residual, fixed, np.arange(len(scale)) >= len(sd), groups)
+    stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
+                       * problem.sigma[:, None])  # fmt: skip
+    stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
+    is_free = np.arange(len(scale)) >= len(sd)
+    linear = Linear(columns, residual, fixed, is_free, groups, stations)
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     return Everything(
         wide, x, scale, found, causes, _reduced(linear), rows, value, (padded, known[1]), hidden
@@ -167,14 +171,15 @@ def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
 
 def _reduced(linear: Linear) -> Linear:
     """The same in the few directions of the readings in which anything could show."""
-    rows, count = linear.columns.shape
-    columns, residual = linear.columns, linear.residual
-    if rows > count + 1:
-        upper = np.linalg.qr(np.column_stack([columns, residual]), mode="r")
-        columns, residual = np.asarray(upper)[:, :-1], np.asarray(upper)[:, -1]
-    values, vectors = np.linalg.eigh(columns @ columns.T)
-    kept = vectors[:, values > _UNNOTICED**2]
-    return replace(linear, columns=kept.T @ columns, residual=kept.T @ residual)
+    every = np.column_stack([linear.columns, linear.stations, linear.residual])
+    if len(every) > every.shape[1]:
+        every = np.asarray(np.linalg.qr(every, mode="r"))
+    values, vectors = np.linalg.eigh(every[:, :-1] @ every[:, :-1].T)
+    every = vectors[:, values > _UNNOTICED**2].T @ every
+    count = linear.columns.shape[1]
+    return replace(
+        linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
+    )
 
 
 def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:

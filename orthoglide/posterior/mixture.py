@@ -2,7 +2,7 @@
 
 Readings ``r = A z + noise``, whitened, with all coefficients z in their tolerances. The *spike* of
 every coefficient is N(0, s^2), with one scale s for the effects of the catalogue and one for the
-free functions, averaged over a grid. A *slab* lets one group of coefficients out, N(0, tau^2)
+free functions, averaged over a grid with one for errors that have no structure at all. A *slab* lets one group of coefficients out, N(0, tau^2)
 more, tau averaged over a grid. With a state (which groups are out, at which tau), all is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
@@ -27,8 +27,10 @@ from orthoglide.geometry import Array
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Scales of the effects of the catalogue that no slab lets out, in tolerances."""
 
-FREE_SHARES = (0.003, 0.03, 0.1, 0.3)
-"""Scales of the free functions that no slab lets out, in their units."""
+FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
+                  (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
+"""Scales of the free functions that no slab lets out, in their units, and of an error of its own at
+every station, in the noise of a reading: what has no structure at all is noise to all causes."""
 
 SLABS = (0.3, 1.0, 3.0, 10.0)
 """Scales of what stands out."""
@@ -77,6 +79,7 @@ class Linear:
         fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
         free: which belong to free functions ``(C,)``.
         groups: that may stand out.
+        stations: an error of one sigma at each station ``(m, s)``.
     """
 
     columns: Array
@@ -84,6 +87,7 @@ class Linear:
     fixed: Array
     free: NDArray[np.bool_]
     groups: tuple[Group, ...]
+    stations: Array
 
     def spike(self, share: float, free_share: float) -> Array:
         """Prior variance of each coefficient without slabs ``(C,)``."""
@@ -109,11 +113,14 @@ class Averaged:
 class _Scale:
     """One point of the grid of scales: everything whitened by its background."""
 
-    def __init__(self, linear: Linear, share: float, free_share: float) -> None:
+    def __init__(self, linear: Linear, share: float, free_share: float, rough: float) -> None:
         self.linear, self.share, self.free_share = linear, share, free_share
+        self.rough = rough
         self.spike = linear.spike(share, free_share)
         A = linear.columns
         cov = (A * self.spike) @ A.T
+        if rough > 0:
+            cov += rough**2 * linear.stations @ linear.stations.T
         cov[np.diag_indices_from(cov)] += 1.0
         factor = np.linalg.cholesky(cov)
         both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
@@ -147,7 +154,7 @@ class Mixture:
     def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
         self.linear = linear
         self._given_names = frozenset(given)
-        self.scales = tuple(_Scale(linear, *s) for s in product(SHARES, FREE_SHARES))
+        self.scales = tuple(_Scale(linear, s, *f) for s, f in product(SHARES, FREE_AND_ROUGH))
         ends = np.cumsum([0, *(g.size for g in linear.groups)])
         self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
@@ -317,12 +324,12 @@ class Mixture:
         return np.asarray(found / found.sum())
 
     @cached_property
-    def shares(self) -> tuple[float, float]:
-        """Mean scales of the background: of the catalogue, of the free functions."""
+    def shares(self) -> tuple[float, float, float]:
+        """Mean scales: of the catalogue, of free functions, of errors of single stations."""
         by_scale = np.sum(list(self.weights.values()), axis=0)
-        pairs = np.array([(s.share, s.free_share) for s in self.scales])
-        named, free = by_scale @ pairs
-        return float(named), float(free)
+        each = np.array([(s.share, s.free_share, s.rough) for s in self.scales])
+        named, free, rough = (by_scale @ each).tolist()
+        return named, free, rough
 
     def _spread(self, state: State) -> Array:
         """What is out by coefficient ``(C, q)``, each times its tau."""

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
+_CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
 
@@ -64,6 +65,12 @@ def _adequate(result: Result) -> str:
 
 
 def _unexplained(result: Result) -> str:
+    if result.left.p_value > _CHANCE and result.request.searches:
+        return (
+            f"Something is wrong, and nothing stands out: only if everything were off by "
+            f"{compact(result.share, 1)} times its tolerance would these readings be explained. "
+            f"They are too few, or the tolerances are not this machine's."
+        )
     return (
         f"Something is wrong that no effect of the catalogue and no free function of its parts "
         f"explains: with all of them in the model, {_fall(result)}. {_why_significant(result)}"
