@@ -8,7 +8,7 @@ of causes and places whose probabilities, all else that was found given, sum to 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -258,7 +258,7 @@ class _Reader:
         return mixture.child(rest, other)
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
-        several = [self._explanation(member, k, p) for k, p in odds]
+        several = [one for k, p in odds for one in self._twins(self._explanation(member, k, p))]
         chosen, rest = several[0], several[1:]
         alike = [self._same_tool(chosen, other) for other in rest]
         return Cause(
@@ -266,6 +266,37 @@ class _Reader:
             tuple(e for e, same in zip(rest, alike, strict=True) if not same),
             tuple(e for e, same in zip(rest, alike, strict=True) if same),
         )
+
+    def _twins(self, one: Explanation) -> list[Explanation]:
+        """An explanation with those under other names that show the same, readings and tool."""
+        catalogue, about = one.catalogue, self.posterior.about
+        setups = tuple(s for f in about.problem.factors for s in f.setup_names)
+        parts = [dict(catalogue.elementary(n, setups)) for n in one.parameters]
+        whole = {p for part in parts for p in part}
+        twins = [dict(about.twins.get(p, ())) for p in whole]
+        others = [set(catalogue.effect_of(n).name for n in twin) for twin in twins]
+        found = [one]
+        for effect in sorted(set.intersection(*others)) if others else []:
+            factor = {
+                f
+                for twin in twins
+                for n, f in twin.items()
+                if catalogue.effect_of(n).name == effect
+            }
+            if max(factor) - min(factor) > 1e-2 * abs(max(factor)):
+                continue
+            size, own = factor.pop(), catalogue.effect_of(one.name).name
+            named = {n: catalogue.parameter(n.replace(own, effect, 1)) for n in one.parameters}
+            found.append(
+                replace(
+                    one,
+                    name=one.name.replace(own, effect, 1),
+                    parameters=tuple(named.values()),
+                    values={named[n]: v * size for n, v in one.values.items()},
+                    sigmas={named[n]: v * abs(size) for n, v in one.sigmas.items()},
+                )
+            )
+        return [replace(e, probability=one.probability / len(found)) for e in found]
 
     def _explanation(self, member: int, k: int, probability: float) -> Explanation:
         posterior, group = self.posterior, self.groups[k]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.accuracy import workspace
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect, LegConditions
 from orthoglide.effects.places import Place, places
@@ -19,12 +20,19 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.posterior.mixture import Group, Linear, whole
+from orthoglide.prediction import Conditions
 
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
 
 _UNNOTICED = 1e-3
 """Sigmas: directions of the readings that all coefficients together move by less are left out."""
+
+_FEW = 3.0
+"""Tolerances of a parameter that another may replace if no reading and no tool shows it."""
+
+_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
+_NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
 
 _VISIBLE = 0.3
 """A cause is weighed if one tolerance lifts it this far above the noise, in all."""
@@ -41,6 +49,10 @@ class Everything:
         places: with their coefficients behind the parameters, in order.
         candidates: causes that the readings could show, in the order of the linear groups.
         linear: for the mixture.
+        twins: of a parameter, others of the same readings and the same tool, each with the value
+            that stands for one of it; these have no coefficient.
+        translations: orthonormal directions of the parameters that move the machine as a whole
+            ``(P, 3)``, in tolerances.
         rows: readings by coefficient ``(n, C)``, metres.
         value: readings where everything is zero, as linearised ``(n,)``, metres.
         known_rows: what an earlier calibration says of the parameters: matrix and target.
@@ -54,6 +66,8 @@ class Everything:
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
     linear: Linear
+    twins: Mapping[str, tuple[tuple[str, float], ...]]
+    translations: Array
     rows: Array
     value: Array
     known_rows: tuple[Array, Array]
@@ -138,11 +152,21 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     columns, residual = project(rows), project(problem.measured - value)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
     fixed, known = _fixed(problem, len(scale))
+    slopes = _tool(wide, x) * sd
+    twins = _twins(wide.names, free, columns[:, : len(sd)], slopes, problem.noise.typical)
+    for name in (other for others in twins.values() for other, _ in others):
+        k = wide.names.index(name)
+        rows[:, k] = columns[:, k] = 0.0
+        fixed[k] = _NOTHING
     if len(known[1]):
         matrix = np.pad(known[0], [(0, 0), (0, len(scale) - known[0].shape[1])]) * scale
         columns = np.vstack([columns, matrix])
         residual = np.concatenate([residual, known[1]])
     groups, causes, hidden = _groups(wide, free, columns, found)
+    by_name = {
+        n: tuple((o, f * sd[wide.names.index(o)] / sd[wide.names.index(n)]) for o, f in others)
+        for n, others in twins.items()
+    }
     stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
                        * problem.sigma[:, None])  # fmt: skip
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
@@ -150,8 +174,70 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     linear = Linear(columns, residual, fixed, is_free, groups, stations)
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     return Everything(
-        wide, x, scale, found, causes, _reduced(linear), rows, value, (padded, known[1]), hidden
-    )
+        wide, x, scale, found, causes, _reduced(linear), by_name, _translations(slopes), rows,
+        value, (padded, known[1]), tuple(n for n in hidden if not _is_twin(n, twins)),
+    )  # fmt: skip
+
+
+def _is_twin(name: str, twins: Mapping[str, Sequence[tuple[str, float]]]) -> bool:
+    return any(name == other for others in twins.values() for other, _ in others)
+
+
+def _tool(problem: Problem, x: Array) -> Array:
+    """TCP of the last campaign's machine over the workspace by unknown ``(g, 3, P)``, SI."""
+    machine, last = problem.machine, problem.last
+    names, matrix = problem.elementary(last)
+    kept = [k for k, name in enumerate(names) if name in machine.catalogue.motions]
+    values = {n: v for n, v in problem.values(last, x).items() if n in machine.catalogue.motions}
+    where = Conditions.at(workspace(machine.geometry))
+    _, slopes = machine.model.sensitivities(values, where, [names[k] for k in kept])
+    return slopes[:, :3] @ matrix[kept]
+
+
+def _translations(slopes: Array) -> Array:
+    """Orthonormal directions ``(P, 3)`` of the parameters that move the machine as a whole.
+
+    Args:
+        slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
+    """
+    mean = slopes.mean(axis=0)
+    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
+    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
+    return np.asarray(np.linalg.qr(directions)[0])
+
+
+def _twins(
+    names: Sequence[str], free: int, columns: Array, slopes: Array, noise: float
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Parameters of which a few tolerances show the same as those of an earlier one, readings and
+    tool alike: they are one cause.
+
+    Args:
+        names: of the parameters ``P``.
+        free: the first so many are free already and stay.
+        columns: readings ``(m, P)``, whitened, in tolerances.
+        slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
+        noise: of one reading, metres.
+    """
+    tool = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
+    length = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(length > 0, length, 1.0)
+    cosine = unit.T @ unit
+    found: dict[str, tuple[tuple[str, float], ...]] = {}
+    gone: set[int] = set()
+    for one in range(len(names)):
+        for other in range(max(one + 1, free), len(names)):
+            if {one, other} & gone or not length[one] or not length[other]:
+                continue
+            factor = float(cosine[one, other]) * length[other] / length[one]
+            if abs(factor) < _SHAPELESS or not 0.99 < abs(cosine[one, other]):
+                continue
+            apart = np.linalg.norm(columns[:, other] - factor * columns[:, one])
+            moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
+            if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
+                gone.add(other)
+                found[names[one]] = (*found.get(names[one], ()), (names[other], 1 / factor))
+    return found
 
 
 def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:

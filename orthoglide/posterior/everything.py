@@ -50,10 +50,20 @@ class FullPosterior:
         """Of all coefficients, in their units ``(C,)``."""
         return self.known.mean
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
-        """Of these ``(C, C)``."""
-        return self.known.covariance
+        """Of these ``(C, C)``.
+
+        Where the machine as a whole sits is known to the full tolerances, whatever the background,
+        and as well as the readings tell.
+        """
+        count, along = self.about.known, self.about.translations
+        seen = self.mixture.linear.columns[:, :count] @ along
+        missing = max(1 - min(self.share, 1.0) ** 2, 1e-6)
+        spread = np.linalg.inv(np.eye(along.shape[1]) / missing + seen.T @ seen)
+        found = self.known.covariance.copy()
+        found[:count, :count] += along @ spread @ along.T
+        return found
 
     @property
     def share(self) -> float:

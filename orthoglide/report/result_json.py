@@ -214,10 +214,11 @@ def _parameters(result: Result) -> dict[str, Any]:
 
 
 def _correlations(result: Result) -> dict[str, Any]:
-    at = [result.after.names.index(n) for n in result.shown]
+    names = result.after.names if result.posterior is None else result.before.names
+    at = [result.after.names.index(n) for n in names]
     matrix = result.after.correlation[at][:, at].tolist()
     return {
-        "parameters": list(result.shown),
+        "parameters": list(names),
         "matrix": [[round(v, 6) + 0.0 for v in row] for row in matrix],
     }
 

@@ -151,34 +151,32 @@ class Result:
         return machine.with_posterior(base, machine.posterior)
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """Parameters that tables show: those of the base, and of the causes found."""
-        if self.posterior is None:
-            return self.after.names
-        problem = self.after.problem
-        setups = tuple(s for f in problem.factors for s in f.setup_names)
-        causes = [n for e in self.effects for one in e.explanations for n in one.parameters]
-        named = [p for n in causes for p in self.catalogue.elementary(n, setups)]
-        wanted = {*self.before.names, *named}
-        return tuple(u.name for u in problem.unknowns if {u.name, u.name.plain} & wanted)
-
-    @property
     def columns(self) -> dict[str, list[Any]]:
-        """What was identified in the units of files, a row a parameter.
+        """What was identified in the units of files, a row a parameter: the base, and each cause as
+        if it were the right one of its set.
 
         ``sigma`` and the 95 % interval from ``lower`` to ``upper`` allow everything else but by
         ``identify``, where they count the noise alone.
         """
-        fit, found = self.after, []
-        tolerances = dict(zip(fit.names, fit.problem.tolerance.tolist(), strict=True))
-        for name in self.shown:
+        fit, causes = self.after, [e.chosen for e in self.effects]
+        names = fit.names if self.posterior is None else self.before.names
+        found = {n: (fit.values[n], fit.sigmas[n], *fit.interval(n)) for n in names}
+        for one in causes:
+            for n, value in one.values.items():
+                half = fit.coverage_factor * one.sigmas[n]
+                found[n] = (value, one.sigmas[n], value - half, value + half)
+        rows = []
+        for name, figures in found.items():
             unit = self.catalogue.effect_of(name).unit
-            figures = (
-                fit.values[name], fit.sigmas[name], *fit.interval(name), tolerances[name]
-            )  # fmt: skip
-            found.append((name, *(figure / unit.si for figure in figures), unit.name))
-        names = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
-        return dict(zip(names, map(list, zip(*found, strict=True)), strict=True))
+            every = (*figures, self.request.machine.tolerance(name))
+            rows.append((name, *(figure / unit.si for figure in every), unit.name))
+        titles = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
+        return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Parameters that tables show: those of the base, and of the causes found."""
+        return tuple(self.columns["parameter"])
 
     def to_frame(self) -> pd.DataFrame:
         """What was identified as a data frame; see :attr:`columns`.
@@ -228,8 +226,11 @@ class Result:
 
         if not self.request.searches:
             return ()
-        rivals = [(e.name, e.machine) for c in self.effects if c.rivals for e in c.explanations]
-        return next_measurements(self.after, rivals, count=_PROPOSED)
+        rivals = [
+            (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
+        ]
+        apart = next_measurements(self.after, rivals, count=_PROPOSED, directions=())
+        return (*apart, *next_measurements(self.before, count=_PROPOSED))
 
     @cached_property
     def next_sheet(self) -> Campaign | None:
