@@ -274,7 +274,7 @@ class _Reader:
         parts = [dict(catalogue.elementary(n, setups)) for n in one.parameters]
         whole = {p for part in parts for p in part}
         twins = [dict(about.twins.get(p, ())) for p in whole]
-        others = [set(catalogue.effect_of(n).name for n in twin) for twin in twins]
+        others = [{catalogue.effect_of(n).name for n in twin} for twin in twins]
         found = [one]
         for effect in sorted(set.intersection(*others)) if others else []:
             factor = {

@@ -153,7 +153,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
     fixed, known = _fixed(problem, len(scale))
     slopes = _tool(wide, x) * sd
-    twins = _twins(wide.names, free, columns[:, : len(sd)], slopes, problem.noise.typical)
+    twins = _twins(wide, free, columns[:, : len(sd)], slopes)
     for name in (other for others in twins.values() for other, _ in others):
         k = wide.names.index(name)
         rows[:, k] = columns[:, k] = 0.0
@@ -207,18 +207,19 @@ def _translations(slopes: Array) -> Array:
 
 
 def _twins(
-    names: Sequence[str], free: int, columns: Array, slopes: Array, noise: float
+    wide: Problem, free: int, columns: Array, slopes: Array
 ) -> dict[str, tuple[tuple[str, float], ...]]:
     """Parameters of which a few tolerances show the same as those of an earlier one, readings and
     tool alike: they are one cause.
 
     Args:
-        names: of the parameters ``P``.
+        wide: its unknowns ``P``; those of dials, or of other campaigns, are no twins.
         free: the first so many are free already and stay.
         columns: readings ``(m, P)``, whitened, in tolerances.
         slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
-        noise: of one reading, metres.
     """
+    names, noise = wide.names, wide.noise.typical
+    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in names]
     tool = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
     length = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(length > 0, length, 1.0)
@@ -229,8 +230,10 @@ def _twins(
         for other in range(max(one + 1, free), len(names)):
             if {one, other} & gone or not length[one] or not length[other]:
                 continue
+            if of_dial[one] or of_dial[other] or names[one].campaign != names[other].campaign:
+                continue
             factor = float(cosine[one, other]) * length[other] / length[one]
-            if abs(factor) < _SHAPELESS or not 0.99 < abs(cosine[one, other]):
+            if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
                 continue
             apart = np.linalg.norm(columns[:, other] - factor * columns[:, one])
             moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
