@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"accuracy"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"posterior", "judging", "simulation"}),
+    frozenset({"posterior", "judging", "simulation", "klipper"}),
     frozenset({"planning", "request"}),
     frozenset({"result"}),
     frozenset({"report"}),

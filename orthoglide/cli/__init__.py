@@ -18,6 +18,7 @@ from orthoglide.cli import (
     compensate,
     design,
     identification,
+    importing,
     kinematics,
     rerun,
     sheets,
@@ -47,6 +48,7 @@ _MODULES = (
     compensate,
     compare,
     kinematics,
+    importing,
 )
 for _module in _MODULES:
     for _command in _module.COMMANDS:

@@ -40,6 +40,7 @@ def read_request(
     Raises:
         InputError: where a file or an option cannot be used.
     """
+    from orthoglide.fit import sorted_out
     from orthoglide.observations import read_campaign, read_tcp
     from orthoglide.request import Request
 
@@ -50,11 +51,11 @@ def read_request(
         raise InputError("name at least one campaign, or TCP points with --fit-tcp")
     machine = load_machine(machine_path, effects_file)
     fitted = tuple(read_tcp(path, machine.spec) for path in fit_tcp)
-    several = tuple(read_campaign(path, machine.spec) for path in campaigns)
+    several, tool = sorted_out((*campaigns, *fitted), machine)
     held = None if holdout is None else read_campaign(holdout, machine.spec)
     points = None if tcp is None else read_tcp(tcp, machine.spec)
     return Request(
-        command, several, machine, own, noise, seed, held, points, points=fitted, frame=frame,
+        command, several, machine, own, noise, seed, held, points, points=tool, frame=frame,
         effects_file=shown(effects_file.name) if effects_file else "",
     )  # fmt: skip
 

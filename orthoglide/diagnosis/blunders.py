@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.diagnosis.changes import Change, separated
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
@@ -19,10 +20,12 @@ from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
 from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
-from orthoglide.diagnosis.station_means import StationMeans, orthonormal, past
+from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
+from orthoglide.fit.weighing import Weighing
+from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 _REFITS = 3
@@ -138,32 +141,54 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
 def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     """The faults with what each explains once those before it are set aside."""
     problem, names = base.estimate.problem, setup_names(base.estimate.problem)
-    kept = np.ones(base.count, dtype=bool)
-    residual, free = base.residual, np.zeros((len(base.residual), 0))
-
-    def rms() -> float:
-        metres = base.estimate.nuisance.weighing.metres(residual[: base.count])[kept]
-        return float(np.sqrt(np.mean(metres**2))) if len(metres) else 0.0
-
+    n = base.count
+    kept, steps = np.ones(n, dtype=bool), np.zeros((n, 0))
+    chi2, rms = _left(base.estimate, kept, steps)
     blunders = []
     for fault in faults:
-        chi2, rms_with = float(residual @ residual), rms()
-        free = orthonormal(np.hstack([free, base.whiten(fault.columns(problem))]))
-        residual = past(free, base.residual)
-        if fault.kind != "knocked_stand":
-            kept[fault.rows] = False
+        before, with_it = chi2, rms
+        rows = np.isin(np.arange(n), fault.rows)
+        if fault.kind == "knocked_stand":
+            steps = np.column_stack([steps, rows])
+        else:
+            kept = kept & ~rows
+        chi2, rms = _left(base.estimate, kept, steps)
         blunders.append(
             Blunder(
                 fault.kind,
                 places(problem, fault.rows),
                 tuple(names[s] for s in fault.setups),
                 message(problem, fault),
-                chi2 - float(residual @ residual),
-                rms_with,
-                rms(),
+                before - chi2,
+                with_it,
+                rms,
             )
         )
     return tuple(blunders)
+
+
+def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[float, float]:
+    """Least cost of a linearised fit to some readings ``(n,)``, with steps free, and its rms."""
+    problem, nuisance, at = estimate.problem, estimate.nuisance, estimate.at
+    if not kept.any():
+        return 0.0, 0.0
+    all_rows = problem.weighing
+    station = np.unique(all_rows.station[kept], return_inverse=True)[1].reshape(-1)
+    weighing = Weighing(all_rows.sigma[kept], all_rows.common[kept], station)
+    columns = np.hstack([at.jacobian, nuisance.columns, steps])
+    matrix, target = problem.prior_rows
+    count, free = at.jacobian.shape[1], nuisance.count
+    known = np.zeros((len(matrix) + free, columns.shape[1]))
+    known[: len(matrix), :count] = matrix
+    known[len(matrix) :, count : count + free] = np.diag(np.sqrt(nuisance.precision))
+    rows = np.vstack([weighing.whiten(columns[kept]), known])
+    rest = (problem.measured - at.value + at.jacobian @ at.x)[kept]
+    aim = np.concatenate([weighing.whiten(rest), target, np.zeros(free)])
+    scale = np.linalg.norm(rows, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    found = np.linalg.lstsq(rows / scale, aim, rcond=1e-10)[0] / scale
+    left = aim - rows @ found
+    return float(left @ left), float(np.sqrt(np.mean((rest - columns[kept] @ found) ** 2)))
 
 
 def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:

@@ -95,7 +95,7 @@ def _hypotheses(means: StationMeans) -> Iterator[_Hypothesis]:
             since = plain.at(campaign.name)
             if since not in means.signatures.slopes:
                 later = np.where(np.arange(len(slope)) >= rows.start, slope, 0.0)
-                columns = means.by_reading @ np.stack([*common, later], axis=1)
+                columns = means.shown(np.stack([*common, later], axis=1))
                 yield _Hypothesis.of(since, columns, means.residual)
 
 

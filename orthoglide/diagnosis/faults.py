@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit import Problem
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import LEGS
 
 Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck"]
 Rows = NDArray[np.int64]
@@ -51,13 +51,6 @@ class Fault:
     setups: tuple[int, ...]
     size: float
     evidence: float = 0.0
-
-    def columns(self, problem: Problem) -> Array:
-        """Readings ``(n, k)`` that are set free once the fault is known."""
-        n = len(problem.measured)
-        if self.kind == "knocked_stand":
-            return np.isin(np.arange(n), self.rows).astype(float)[:, None]
-        return np.eye(n)[:, self.rows]
 
 
 def in_order(problem: Problem, setup: int) -> Rows:

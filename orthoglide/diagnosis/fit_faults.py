@@ -32,6 +32,7 @@ _REPEATS = 4  # degrees of freedom from which the scatter of a setup says someth
 _LARGEST = 10.0  # log Bayes factor that the scatter may add
 _MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
+_VISIBLE = 0.2  # of its square, that the fit leaves of a fault
 _SPOILT = 3.0  # resolutions that it must reach
 
 
@@ -85,8 +86,8 @@ def _misread(
     """A sign, a unit, an exchange: readings that fit once they are changed back."""
     if not hypotheses:
         return []
-    change = np.stack([h.change for h in hypotheses], axis=-1)
-    after = means.residual[:, None] + means.by_reading @ change
+    shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
+    after = means.residual[:, None] + shown
     evidence = means.evidence(np.sum(after**2, axis=0)) - np.log(len(hypotheses))
     evidence += [digits(means.problem, h.fault) for h in hypotheses]
     found = []
@@ -117,9 +118,10 @@ def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) ->
 
 def _mended(means: StationMeans, fault: Fault, after: np.ndarray) -> bool:
     """Whether the setups' own residuals shrink: a fault that mends others is none."""
-    rows = np.isin(means.problem.setup_of_row, fault.setups)
-    here = means.averaging[rows]
-    before, size = (float(np.linalg.norm(here @ r)) for r in (means.residual, after))
+    problem = means.problem
+    rows = np.isin(problem.setup_of_row, fault.setups)
+    here = np.flatnonzero(rows[problem.weighing.first])
+    before, size = (float(np.linalg.norm(r[here])) for r in (means.residual, after))
     return size <= max(_HALVED * before, 2 * float(np.sqrt(rows.sum())))
 
 
@@ -133,9 +135,12 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     rows = np.flatnonzero((visits == 1) & np.isin(problem.setup_of_row, setups))
     if not len(rows):
         return []
-    shown = means.by_reading[:, rows]
-    square = np.sum(shown**2, axis=0)
-    along = shown.T @ means.residual
+    stations = problem.station[rows]
+    sigma = problem.weighing.mean_sigma[stations]
+    square, along = (values[stations] for values in means.lone())
+    # What the fit can imitate almost wholly is no fault that it could show.
+    visible = square > _VISIBLE
+    square, along = square / sigma**2, along / sigma
     size = along / np.maximum(square, 1e-300)
     after = means.chi2 - along * size
     evidence = means.evidence(after, 1) - np.log(len(rows))
@@ -144,8 +149,6 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     least = _SPOILT * problem.machine.spec.dial.resolution
     witnessed = np.bincount(problem.place)[problem.place][rows] > 1
     needed = np.where(witnessed, least, max(least, _ALONE))
-    # What the fit can imitate almost wholly is no fault that it could show.
-    visible = square > 0.2 * means.signatures.weight[rows] ** 2
     sure = visible & (np.abs(size) >= needed) & (after <= _MENDS * means.dof)
     return [
         Fault(

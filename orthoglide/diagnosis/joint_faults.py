@@ -17,7 +17,7 @@ import numpy as np
 
 from orthoglide.diagnosis.evidence import best_pairs
 from orthoglide.diagnosis.faults import Fault, untouched
-from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
+from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings, only
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
@@ -66,7 +66,7 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     hypotheses = misreadings(means, untouched(problem, known))
     if _is_noise(means, bare_left) or not hypotheses:
         return None
-    shown = means.by_reading @ np.stack([h.change for h in hypotheses], axis=-1)
+    shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
     ranked = np.argsort([-e.score for e in _explained(means, means.residual[:, None] + shown)])
     faults = []
     for k in ranked[:_REFITS]:
@@ -132,7 +132,7 @@ def _swings(after: StationMeans, explained: _Explained, hypothesis: Misreading) 
     for place in explained.places:
         after = after.beside(place)
     rows = hypothesis.fault.rows
-    shown = after.by_reading[:, rows] @ after.problem.measured[rows]
+    shown = after.shown(only(rows, after.problem.measured))
     # Readings made small lose their say, and whatever troubled the setup is gone with them.
     least = _SIGMAS if hypothesis.fault.kind == "unit" else 0.0
     return float(np.linalg.norm(shown)) >= least and factor_fits(after, rows, 1.0)

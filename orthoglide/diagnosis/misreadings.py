@@ -84,12 +84,11 @@ def _under_each_label(problem: Problem, x: Array) -> Array:
     predicted = np.full((len(problem.measured), problem.setup_count), np.nan)
     first = 0
     for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):
-        count, n = len(campaign.setups), len(campaign)
-        every = campaign.subset(np.tile(np.arange(n), count))
-        every = replace(every, setup=np.repeat(np.arange(count), n))
-        values = problem.machine.model.readings(problem.values(k, x), every)
-        predicted[rows, first : first + count] = values.reshape(count, n).T
-        first += count
+        values = problem.values(k, x)
+        for place in range(len(campaign.setups)):  # one after the other: large campaigns
+            under = replace(campaign, setup=np.full(len(campaign), place))
+            predicted[rows, first + place] = problem.machine.model.readings(values, under)
+        first += len(campaign.setups)
     return predicted
 
 
@@ -129,9 +128,14 @@ def digits(problem: Problem, fault: Fault) -> float:
     return min(-values * float(np.log(chance)), _DIGITS)
 
 
+def only(rows: Rows, readings: Array) -> Array:
+    """Readings ``(n,)`` with zeros in all but some rows."""
+    return np.where(np.isin(np.arange(len(readings)), rows), readings, 0.0)
+
+
 def factor_fits(means: StationMeans, rows: Rows, factor: float) -> bool:
     """Whether the factor that fits best is this one: flat readings would fit any small factor."""
-    shown = means.by_reading[:, rows] @ means.problem.measured[rows]
+    shown = means.shown(only(rows, means.problem.measured))
     square = max(float(shown @ shown), 1e-300)
     best, sigma = 1 - float(shown @ means.residual) / square, 1 / np.sqrt(square)
     allowed = _FACTOR * abs(factor)

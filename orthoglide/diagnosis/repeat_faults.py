@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, Rows, in_order, untouched
 from orthoglide.diagnosis.station_means import orthonormal, past
@@ -36,19 +36,21 @@ class Scatter:
         setup: numbered over all campaigns.
         rows: stacked ``(k,)``.
         weight: 1 / sigma ``(k,)``.
-        free: orthonormal columns of station means and what was found already ``(k, q)``.
-        rest: whitened and projected ``(k,)``.
-        trend: whitened, projected powers of time 1 to 3 ``(k, 3)``.
+        station: of each ``(k,)``, numbered within the setup.
+        read: whitened readings less the fit ``(k,)``.
+        trend: whitened powers of time 1 to 3 ``(k, 3)``.
         fitted: whitened residuals of the fit to all readings ``(k,)``.
+        found: orthonormal columns of what was found already, past the means ``(k, q)``.
     """
 
     setup: int
     rows: Rows
     weight: Array
-    free: Array
-    rest: Array
+    station: Rows
+    read: Array
     trend: Array
     fitted: Array
+    found: Array
 
     @classmethod
     def of(cls, estimate: Estimate, setup: int) -> Scatter:
@@ -56,55 +58,82 @@ class Scatter:
         problem = estimate.problem
         rows = in_order(problem, setup)
         weight = 1 / np.hypot(problem.sigma, problem.noise.common)[rows]
-        stations = np.unique(problem.station[rows], return_inverse=True)[1].reshape(-1)
-        free = orthonormal(np.eye(int(stations.max()) + 1)[stations] * weight[:, None])
+        station = np.unique(problem.station[rows], return_inverse=True)[1].reshape(-1)
         rest = (problem.measured - estimate.at.value)[rows] * weight
         powers = _clock(problem, rows)[:, None] ** [1, 2, 3] * weight[:, None]
         fitted = estimate.residuals[rows] * weight
-        return cls(setup, rows, weight, free, past(free, rest), past(free, powers), fitted)
+        return cls(setup, rows, weight, station, rest, powers, fitted, np.zeros((len(rows), 0)))
 
     @property
     def dof(self) -> int:
         """Degrees of freedom of the scatter."""
-        return len(self.rows) - self.free.shape[1]
+        return len(self.rows) - len(np.unique(self.station)) - self.found.shape[1]
+
+    @cached_property
+    def share(self) -> Array:
+        """Of each reading in its station's mean ``(k,)``."""
+        square = self.weight**2
+        return np.asarray(square / np.bincount(self.station, square)[self.station])
+
+    def past(self, columns: Array) -> Array:
+        """Whitened columns ``(k, ...)`` about their stations' means, past what was found."""
+        metres = (columns.T / self.weight * self.share).T
+        total = np.zeros((int(self.station.max()) + 1, *columns.shape[1:]))
+        np.add.at(total, self.station, metres)
+        return past(self.found, columns - (total[self.station].T * self.weight).T)
+
+    @cached_property
+    def rest(self) -> Array:
+        """Whitened readings about their stations' means, past what was found ``(k,)``."""
+        return self.past(self.read)
 
     @property
     def chi2(self) -> float:
         """Square of ``rest``."""
         return float(self.rest @ self.rest)
 
-    @cached_property
-    def outliers(self) -> Array:
-        """One reading off, each in turn ``(k, k)``."""
-        return past(self.free, np.diag(self.weight))
+    def only(self, kept: NDArray[np.bool_]) -> Scatter:
+        """Of some of the readings ``(k,)``, nothing found yet."""
+        names = ("rows", "weight", "read", "trend", "fitted")
+        parts = {name: getattr(self, name)[kept] for name in names}
+        station = np.unique(self.station[kept], return_inverse=True)[1].reshape(-1)
+        return replace(self, **parts, station=station, found=np.zeros((int(kept.sum()), 0)))
 
-    @cached_property
-    def steps(self) -> Array:
-        """A step before each reading in turn ``(k, k)``; zero near the ends."""
-        k = len(self.rows)
-        after = np.tri(k)
-        after[:, : min(_FEWEST, k)] = 0.0
-        after[:, max(k - _FEWEST + 1, 0) :] = 0.0
-        return past(self.free, after * self.weight[:, None])
-
-    def columns(self, kind: Kind) -> Array:
-        """What a fault at each reading in turn would show ``(k, k)``."""
-        return self.outliers if kind == "outlier" else self.steps
+    def column(self, kind: Kind, place: int) -> Array:
+        """What a fault at a reading would show: that one off, or all from there on ``(k, 1)``."""
+        k = np.arange(len(self.rows))
+        shown = k == place if kind == "outlier" else k >= place
+        return self.past((shown * self.weight)[:, None])
 
     def without(self, columns: Array) -> Scatter:
         """With whitened columns ``(k, c)`` set free besides."""
-        free = orthonormal(np.hstack([self.free, columns]))
-        return replace(self, free=free, rest=past(free, self.rest), trend=past(free, self.trend))
+        free = orthonormal(np.hstack([self.found, self.past(columns)]))
+        return replace(self, found=free)
 
     def gain(self, columns: Array) -> float:
         """Fall of chi2 by several columns together."""
         return float(np.sum((orthonormal(columns).T @ self.rest) ** 2))
 
-    def gains(self, columns: Array) -> tuple[Array, Array]:
-        """Fall of chi2 by each column alone, its coefficient in metres; 0 if it is not seen."""
-        square = np.sum(columns**2, axis=0)
-        visible = square > 1e-3 * float(np.min(self.weight)) ** 2
-        size = np.where(visible, columns.T @ self.rest / np.where(visible, square, 1.0), 0.0)
+    def gains(self, kind: Kind) -> tuple[Array, Array]:
+        """Fall of chi2 by a fault at each reading, its size in metres; 0 if it is not seen.
+
+        The squares of all columns at once: of a step, from sums over the readings behind it.
+        """
+        w, found = self.weight, self.found * self.weight[:, None]
+        if kind == "outlier":
+            square = w**2 * (1 - self.share) - np.sum(found**2, axis=1)
+            along = w * self.rest
+        else:
+            own = _behind(w**2, self.station)
+            total = np.bincount(self.station, w**2)[self.station]
+            # A reading adds to its station's part of the step: (s + w^2)^2 - s^2 over the total.
+            taken = (2 * own * w**2 + w**4) / total
+            square = _after(w**2 - taken) - np.sum(_after(found) ** 2, axis=1)
+            along = _after(w * self.rest)
+            near = np.arange(len(w))
+            square[(near < _FEWEST) | (near > len(w) - _FEWEST)] = 0.0
+        visible = square > 1e-3 * float(np.min(w)) ** 2
+        size = np.where(visible, along / np.where(visible, square, 1.0), 0.0)
         return size**2 * square, size
 
     def evidence(self, gain: ArrayLike, size: int, scale: float) -> Array:
@@ -116,6 +145,22 @@ class Scatter:
         fall = np.asarray(gain, dtype=float)
         left = np.maximum(self.chi2 - fall, 0) + _PRIOR_DOF * scale
         return np.asarray((max(self.dof - size, 0) + _PRIOR_DOF) / 2 * np.log1p(fall / left))
+
+
+def _after(values: Array) -> Array:
+    """Sums of a reading's value and of all behind it ``(k, ...)``."""
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
+
+
+def _behind(values: Array, station: Rows) -> Array:
+    """Sums over the later readings of each reading's station ``(k,)``."""
+    order = np.argsort(station, kind="stable")
+    sums = _after(values[order]) - values[order]
+    last = np.flatnonzero(np.diff(station[order], append=-1))
+    ends = np.repeat(sums[last], np.diff(last, prepend=-1))
+    found = np.empty(len(values))
+    found[order] = sums - ends
+    return found
 
 
 def _clock(problem: Problem, rows: Rows) -> Array:
@@ -173,8 +218,8 @@ class _Test:
         """What it would show of the setup's readings ``(k, c)``."""
         kind, place = item
         if kind == "trend":
-            return self.scatter.trend[:, :place]
-        return self.scatter.columns(kind)[:, [place]]
+            return self.scatter.past(self.scatter.trend[:, :place])
+        return self.scatter.column(kind, place)
 
     def found(self) -> list[_Place]:
         """The best of outliers, steps and trends, one after the other, until none is left."""
@@ -191,7 +236,7 @@ class _Test:
     def _choices(self, now: Scatter) -> Iterator[tuple[float, _Place]]:
         """The best of each kind, its evidence less the logarithm of the number of its like."""
         for kind, least in _STEPS.items():
-            gain, size = now.gains(now.columns(kind))
+            gain, size = now.gains(kind)
             evidence = self._evidence(now, gain)
             too_small = (least - 0.5) * self.problem.machine.spec.dial.resolution
             evidence[np.abs(size) < too_small] = -np.inf
@@ -200,7 +245,7 @@ class _Test:
             place = int(even[np.argmax(np.abs(now.fitted[even]))])
             yield float(evidence[place]), (kind, place)
         for power in (1, 3):
-            fall = now.gain(now.trend[:, :power])
+            fall = now.gain(now.past(now.trend[:, :power]))
             yield float(now.evidence(fall, power, self.scale)) - 2 * power, ("trend", power)
 
     def _evidence(self, now: Scatter, gain: ArrayLike) -> Array:
@@ -220,7 +265,7 @@ class _Test:
                 continue
             others = columns[:k] + columns[k + 1 :]
             rest = scatter.without(np.hstack(others)) if others else scatter
-            (gain,), (size,) = rest.gains(rest.columns(kind)[:, [place]])
+            gain, size = (values[place] for values in rest.gains(kind))
             evidence = float(self._evidence(rest, gain))
             step = kind == "knocked_stand"
             if evidence >= EVIDENCE and not (step and self._smooth(rest, float(gain))):
@@ -231,4 +276,4 @@ class _Test:
     def _smooth(self, rest: Scatter, gain: float) -> bool:
         """Whether a drift over time explains a step of some gain nearly as well."""
         noise = max(self.scale, max(rest.chi2 - gain, 0.0) / max(rest.dof - 1, 1))
-        return gain - rest.gain(rest.trend[:, :2]) <= _TREND_MARGIN * noise
+        return gain - rest.gain(rest.past(rest.trend[:, :2])) <= _TREND_MARGIN * noise

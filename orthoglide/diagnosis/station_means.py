@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.faults import Fault
@@ -33,41 +34,80 @@ def past(basis: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True)
 class StationMeans:
-    """A residual and the signatures of all effects as station means, ``g`` of them.
+    """A residual and the signatures of all effects as station means.
+
+    Vectors ``(g,)`` have a place for each of ``G`` stations and for what is known before. What the
+    fit explains is projected out as ``x - left (right^T x)``, so that nothing of stations times
+    readings is ever held.
 
     Attributes:
         signatures: with ``columns`` ``(g, E)`` and ``residual`` ``(g,)`` as station means.
-        by_reading: station means of one metre in each reading ``(g, n)``.
-        averaging: the part of each station mean that lies in each reading ``(n, g)``, whitened.
+        seen: stations with a reading that counts ``(G,)``.
+        left: ``(g, q)``.
+        right: ``(g, q)``.
         dof: what noise alone makes of the residual's square.
     """
 
     signatures: Signatures
-    by_reading: Array
-    averaging: Array
+    seen: NDArray[np.bool_]
+    left: Array
+    right: Array
     dof: float
 
     @classmethod
     def of(cls, signatures: Signatures, known: Sequence[Fault] = ()) -> StationMeans:
         """Average over stations, the rows of known faults set free."""
         problem, n = signatures.estimate.problem, signatures.count
-        groups = signatures.groups
-        stations = signatures.whiten(np.eye(int(groups.max()) + 1)[groups])
-        if known:
-            free = np.hstack([fault.columns(problem) for fault in known])
-            stations = past(orthonormal(signatures.whiten(free)), stations)
-        # By the small Gram matrix: stations are far fewer than readings.
-        values, vectors = np.linalg.eigh(stations.T @ stations)
-        kept = values > 1e-12 * max(values.max(initial=0.0), 1e-300)
-        averaging = stations @ (vectors[:, kept] / np.sqrt(values[kept]))
-        means = replace(
+        weighing = problem.weighing
+        counts = np.ones(n, dtype=bool)
+        steps = [np.zeros((n, 0))]
+        for fault in known:
+            if fault.kind == "knocked_stand":
+                steps.append(np.isin(np.arange(n), fault.rows)[:, None].astype(float))
+            else:
+                counts[fault.rows] = False
+        seen = np.bincount(weighing.station, counts) > 0
+
+        def means(rows: Array) -> Array:
+            stations = (weighing.along(rows[:n]).T * seen).T
+            return np.concatenate([stations, rows[n:]])
+
+        shown = signatures.whiten(np.hstack(steps))
+        free = orthonormal(np.hstack([means(signatures.fitted), means(shown)]))
+        averaged = replace(
             signatures,
-            columns=averaging.T @ signatures.columns,
-            residual=averaging.T @ signatures.residual,
+            columns=past(free, means(signatures.columns)),
+            residual=past(free, means(signatures.residual)),
         )
-        rows = averaging[:n]
-        weighing = signatures.estimate.nuisance.weighing
-        return cls(means, rows.T @ weighing.whiten(np.eye(n)), rows, float(np.sum(rows**2)))
+        dof = float(seen.sum() - np.sum(free[: len(seen)] ** 2))
+        return cls(averaged, seen, free, free, dof)
+
+    def shown(self, readings: Array) -> Array:
+        """Station means ``(g, ...)`` of what is added to the readings ``(n, ...)``, metres."""
+        weighing = self.problem.weighing
+        padded = np.zeros((len(self.residual), *readings.shape[1:]))
+        stations = weighing.along(weighing.whiten(readings))
+        padded[: len(self.seen)] = (stations.T * self.seen).T
+        return np.asarray(padded - self.left @ (self.right.T @ padded))
+
+    def lone(self) -> tuple[Array, Array]:
+        """Of a unit in each station's mean ``(G,)``: its square, and what of the residual it is."""
+        left, right = self.left[: len(self.seen)], self.right[: len(self.seen)]
+        square = 1 + np.einsum("gq,gq->g", right @ (self.left.T @ self.left) - 2 * left, right)
+        back = self.residual - self.right @ (self.left.T @ self.residual)
+        return self.seen * square, self.seen * back[: len(self.seen)]
+
+    def freed(self, stations: NDArray[np.intp]) -> tuple[float, int]:
+        """Fall of chi2 where the means of some stations are set free, and how many these are.
+
+        Before any effect is taken beside the fit.
+        """
+        base, rest = self.right[stations], self.residual[stations]
+        values, vectors = np.linalg.eigh(np.eye(base.shape[1]) - base.T @ base)
+        kept = values > 1e-9
+        along = vectors[:, kept].T @ (base.T @ rest)
+        gain = float(rest @ rest + np.sum(along**2 / values[kept]))
+        return gain, len(stations) - int(np.sum(~kept))
 
     @property
     def problem(self) -> Problem:
@@ -128,5 +168,9 @@ class StationMeans:
         )
         taken = float(np.sum(singular**2 / (1 + singular**2)))
         return replace(
-            self, signatures=means, by_reading=past(left, self.by_reading), dof=self.dof - taken
+            self,
+            signatures=means,
+            left=np.hstack([past(left, self.left), left]),
+            right=np.hstack([self.right, left]),
+            dof=self.dof - taken,
         )

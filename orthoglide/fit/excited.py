@@ -14,14 +14,13 @@ from orthoglide.fit.problem import Problem
 def excited_effects(problem: Problem) -> tuple[Effect, ...]:
     """Effects beyond the base whose conditions the readings vary."""
     catalogue = problem.machine.catalogue
-    dials = bool(problem.campaigns)
     return tuple(
         effect
         for effect in catalogue.effects
         if effect.name not in catalogue.base
         and all(_MET[need](problem) for need in effect.needs)
         and not (effect.instead_of and _MET[effect.instead_of](problem))
-        and (dials or not effect.of_dial)
+        and (not effect.of_dial or any(f.setups_of(effect) for f in problem.factors))
     )
 
 
@@ -40,10 +39,14 @@ def _varies(what: str) -> Callable[[Problem], bool]:
     return vary
 
 
+def _loaded(problem: Problem) -> bool:
+    return any(f.conditions().load.any() for f in problem.factors)
+
+
 _MET: Mapping[str, Callable[[Problem], bool]] = {
     "approach": _varies("approach"),
     "time": _varies("time"),
     "temperature": _varies("temperature"),
-    "load": lambda problem: any(c.load.any() for c in problem.campaigns),
+    "load": _loaded,
     "pitch": lambda problem: problem.machine.spec.screw_pitch is not None,
 }

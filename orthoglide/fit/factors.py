@@ -7,7 +7,7 @@ with everything else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, TcpPoints
 from orthoglide.prediction import Conditions, Model
@@ -24,6 +25,11 @@ Ints = NDArray[np.int64]
 
 TCP_SIGMA = 1e-5
 """Metres: of a coordinate of a TCP point where its file declares none."""
+
+
+ByJoints = Callable[[Array, Array], Array]
+"""From a motion of the virtual joints ``(30,)`` and functions of the conditions ``(N, K)`` that it
+follows, to the rows ``(n, K)`` by each."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,10 @@ class DialReadings:
         """The mountings."""
         return tuple(s.name for s in self.campaign.setups)
 
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """Mountings of which an instrument's effect has parameters."""
+        return self.setup_names if effect.dial is not None else ()
+
     @property
     def measured(self) -> Array:
         """The readings."""
@@ -112,9 +122,10 @@ class DialReadings:
         found = model.linearised(values, self.campaign, names)
         return Linear(found.value, found.jacobian, found.by_gauge[:, None])
 
-    def by_joints(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Derivative of the rows by the virtual joints ``(n, 30)``."""
-        return model.readings_by_joints(values, self.campaign)
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+        """How the rows follow virtual joints that move as functions of the conditions."""
+        slopes = model.readings_by_joints(values, self.campaign)
+        return lambda joints, functions: (slopes @ joints)[:, None] * functions
 
     def nuisances(self, slopes: Array) -> Block:
         """A datum and a placement for each setup."""
@@ -149,6 +160,10 @@ class TcpReadings:
     @property
     def setup_names(self) -> tuple[str, ...]:
         """No dial has parameters here."""
+        return ()
+
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """No instrument's effect has parameters here."""
         return ()
 
     @cached_property
@@ -207,9 +222,14 @@ class TcpReadings:
         turn = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)  # (n, xyz, axis)
         return Linear(np.asarray(p[self.known]), jacobian, turn[self.known])
 
-    def by_joints(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Derivative of the rows by the virtual joints ``(n, 30)``."""
-        return np.asarray(model.by_joints(values, self.conditions())[:, :3][self.known])
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+        """How the rows follow virtual joints that move as functions of the conditions."""
+        slopes = model.by_joints(values, self.conditions())[:, :3]
+
+        def moved(joints: Array, functions: Array) -> Array:
+            return np.asarray(((slopes @ joints)[:, :, None] * functions[:, None])[self.known])
+
+        return moved
 
     def nuisances(self, slopes: Array) -> Block:
         """A datum a coordinate, and three turns, as far as the frame is free."""
@@ -220,10 +240,6 @@ class TcpReadings:
         kept = np.abs(columns).max(axis=0, initial=0.0) > 0
         count = int(kept.sum())
         return Block(columns[:, kept], np.full(count, np.inf), np.zeros(count, dtype=bool))
-
-
-Factor = DialReadings | TcpReadings
-"""All kinds of readings: each predicts its rows, differentiates them, and has its nuisances."""
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:

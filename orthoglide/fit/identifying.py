@@ -14,16 +14,17 @@ from orthoglide.fit.earlier import account_for_changes, earlier_of
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Frame, TcpReadings, turned_to
 from orthoglide.fit.noise import noise_of
-from orthoglide.fit.problem import Problem
+from orthoglide.fit.problem import Beside, Problem
 from orthoglide.fit.solving import Method, solve
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.unknowns import build_problem
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, Given, TcpPoints, as_campaigns
+from orthoglide.observations import Campaign, Given, TcpPoints, ToolCampaign, read_readings
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
-Source = Given | TcpPoints
-"""A campaign of dial readings, or the path of one, or TCP points."""
+Source = Given | TcpPoints | ToolCampaign
+"""A campaign of dial readings, readings of the tool, the path of either, or TCP points."""
 
 
 def identify(
@@ -91,10 +92,13 @@ def assemble(
     bounds: Mapping[str, float] | None = None,
     frame: Frame = "rigid",
 ) -> Problem:
-    """The problem of dial readings and TCP points together; arguments as of :func:`identify`."""
+    """The problem of readings of all kinds together; arguments as of :func:`identify`."""
     campaigns, points = sorted_out(given, machine)
     level = noise_of(campaigns, machine.spec.dial, noise)
-    readings = [_tcp_readings(p, machine, frame, None if campaigns else noise) for p in points]
+    readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
+    if readings and not campaigns and noise is None:
+        sigma = np.concatenate([r.sigma for r in readings])
+        level = replace(level, typical=float(np.sqrt(np.mean(sigma**2))))
     return build_problem(
         machine, campaigns, free, level, own=own, priors=priors, bounds=bounds, points=readings,
         earlier=earlier_of(machine) if priors else None,
@@ -103,25 +107,31 @@ def assemble(
 
 def sorted_out(
     given: Source | Sequence[Source], machine: Machine
-) -> tuple[tuple[Campaign, ...], tuple[TcpPoints, ...]]:
-    """Campaigns, paths read, and TCP points apart.
+) -> tuple[tuple[Campaign, ...], tuple[TcpPoints | ToolCampaign, ...]]:
+    """Campaigns of dial readings, and readings of the tool apart; paths are read.
 
     Raises:
         InputError: where there is neither, or a file cannot be read.
     """
-    alone = isinstance(given, Campaign | TcpPoints | str | PathLike)
+    alone = isinstance(given, Campaign | TcpPoints | ToolCampaign | str | PathLike)
     several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
-    points = tuple(g for g in several if isinstance(g, TcpPoints))
-    others = [g for g in several if not isinstance(g, TcpPoints)]
-    if points and not others:
-        return (), points
-    return as_campaigns(others, machine.spec), points
+    read = [
+        r
+        for g in several
+        for r in (read_readings(g, machine.spec) if isinstance(g, str | PathLike) else (g,))
+    ]
+    if not read:
+        raise InputError("there is no campaign: give at least one file of readings")
+    campaigns = tuple(r for r in read if isinstance(r, Campaign))
+    return campaigns, tuple(r for r in read if not isinstance(r, Campaign))
 
 
-def _tcp_readings(
-    points: TcpPoints, machine: Machine, frame: Frame, sigma: float | None
-) -> TcpReadings:
+def _beside(
+    points: TcpPoints | ToolCampaign, machine: Machine, frame: Frame, sigma: float | None
+) -> Beside:
     """Points as readings; a large turn of the instrument's frame is taken out beforehand."""
+    if isinstance(points, ToolCampaign):
+        return ToolReadings.of(points, machine, sigma)
     if len(points) < 3:
         raise InputError(
             f"{points.name}: these are too few TCP points to identify anything: measure three or "

@@ -131,7 +131,7 @@ class Nlp:
             outputs = self._functions.outputs.map(count)(own, given)
             if isinstance(factor, DialReadings):
                 rows.append(_dials(model, factor, outputs, layout.place, values))
-            else:
+            elif isinstance(factor, TcpReadings):
                 rows.append(_coordinates(factor, outputs, layout.place))
             first += count
         return ca.horzcat(*closures), ca.vertcat(*rows)

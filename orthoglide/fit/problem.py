@@ -10,14 +10,21 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.fit.factors import Block, DialReadings, Factor, TcpReadings
+from orthoglide.fit.factors import Block, DialReadings, TcpReadings
 from orthoglide.fit.noise import Noise
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
+
+Beside = TcpReadings | ToolReadings
+"""Readings beside those of dials: where the tool is."""
+
+Factor = DialReadings | Beside
+"""All kinds of readings: each predicts its rows, differentiates them, and has its nuisances."""
 
 FAR = 4.0
 """Tolerances: one parameter in sixteen thousand of a machine as it is expected to be."""
@@ -99,7 +106,7 @@ class Problem:
         placement: standard deviation of a dial's place along its leg, metres; 0: exact.
         own: what has a value of its own in each campaign, free or not yet: effects and
             parameters; with ``@`` and a file's stem, from that campaign on.
-        points: TCP points that are readings like the others.
+        points: readings of the tool: TCP points and what instruments at the tool say.
         earlier: what an earlier calibration says.
         prior: rows and target ``|W x - t|^2`` in place of the tolerances and what was earlier.
         curves: rows by what stands out and has no parameters: free functions, as nuisances.
@@ -113,7 +120,7 @@ class Problem:
     held: tuple[Mapping[str, float], ...]
     placement: float
     own: tuple[str, ...] = ()
-    points: tuple[TcpReadings, ...] = ()
+    points: tuple[Beside, ...] = ()
     earlier: Posterior | None = None
     prior: tuple[Array, Array] | None = None
     curves: Block | None = None

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from orthoglide.errors import InputError, SolverError, UnidentifiableError
+from orthoglide.errors import InputError, NumericsError, SolverError, UnidentifiableError
 from orthoglide.fit.crosscheck import cross_check, reduction_fit
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import (
@@ -22,6 +22,7 @@ from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.notes import notes
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import LACK_OF_FIT, score
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weakness import sparse_basis, weak_directions
 from orthoglide.geometry import Array
 
@@ -33,7 +34,7 @@ NLP_POSTURES = 200
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
 
-_WIDENINGS = 3
+_WIDENINGS, _WIDER = 8, 1.2  # rounds, and the growth of a value that asks for one more
 
 
 def solve(
@@ -43,20 +44,32 @@ def solve(
 
     A value that ends far beyond its tolerance shows that the tolerance was no knowledge of this
     machine: its prior is widened to the value's own size (the scale of a normal prior that fits it
-    best), so that it neither pulls on the readings nor counts as something that they lack. Not so
-    with ``widen=False``, where readings are still in doubt themselves.
+    best), so that it does not pull on the readings. Where something is left of them even so, the
+    value was bent by what the model lacks, and the tolerances hold. So they do with
+    ``widen=False``, where readings are still in doubt themselves.
     """
+    first = _solve(problem, method, start)
+    wide = _widened(first, method) if widen and problem.priors else first
+    return wide if wide.sigma_scale == 1.0 else first
+
+
+def _widened(found: Estimate, method: Method) -> Estimate:
+    """A fit again with the priors of values beyond their tolerances as wide as these are far."""
     for _ in range(_WIDENINGS):
-        found = _solve(problem, method, start)
-        far = problem.far(found.x) & np.array([u.width == 1.0 for u in problem.unknowns])
-        if not (widen and problem.priors and far.any()):
-            break
+        problem = found.problem
+        width = np.array([u.width for u in problem.unknowns])
         size = np.abs(found.x) / problem.tolerance
-        wide = [
-            replace(u, width=float(s)) if f else u
-            for u, s, f in zip(problem.unknowns, size, far, strict=True)
+        wider = problem.far(found.x) & (size > _WIDER * width)
+        if not wider.any():
+            break
+        unknowns = [
+            replace(u, width=float(w)) if more else u
+            for u, w, more in zip(problem.unknowns, size, wider, strict=True)
         ]
-        problem, start = replace(problem, unknowns=tuple(wide)), found.x
+        try:
+            found = _solve(replace(problem, unknowns=tuple(unknowns)), method, found.x)
+        except NumericsError:
+            break
     return found
 
 
@@ -119,11 +132,13 @@ def _solved(
     if method == "reduction":
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
-    elastic = _elastic(problem)
+    elastic, tool = _elastic(problem), any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
         raise InputError("the programme closes unloaded loops: take the nested method under load")
+    if tool and method == "nlp":
+        raise InputError("the programme reads dials and coordinates only: take the nested method")
     large = posture_count(problem) > NLP_POSTURES
-    if method == "nested" or (method == "auto" and (large or elastic)):
+    if method == "nested" or (method == "auto" and (large or elastic or tool)):
         nested = solve_nested(problem, nuisance, near)
         return nested.at, nested.iterations + 1, "nested"
     from orthoglide.fit.nlp import Nlp

@@ -7,11 +7,10 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Protocol
 
-from orthoglide.effects import Catalogue
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import InputError
-from orthoglide.fit.factors import TcpReadings
 from orthoglide.fit.noise import Noise
-from orthoglide.fit.problem import Problem, Unknown
+from orthoglide.fit.problem import Beside, Problem, Unknown
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
@@ -33,6 +32,9 @@ class Source(Protocol):
     @property
     def setup_names(self) -> tuple[str, ...]:
         """Of its mountings."""
+
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """Those of which an instrument's effect has parameters."""
 
 
 def build_unknowns(
@@ -70,7 +72,7 @@ def build_unknowns(
 def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]) -> bool:
     """Whether a parameter has another value from a campaign on than before it."""
     if catalogue[name.effect].of_dial:
-        return True
+        return not (catalogue[name.effect].plate and name.member)  # one plate, probed again
     for chosen in own:
         plain, _, at = chosen.partition("@")
         if at in ("", stem) and (name == plain or name.startswith(f"{plain}.")):
@@ -89,12 +91,13 @@ def _expanded(
 
 
 def _parts(catalogue: Catalogue, name: Parameter, source: Source) -> Mapping[str, float]:
-    if catalogue[name.effect].of_dial:
-        if name.setup and name.setup not in source.setup_names:  # another campaign's setup
-            return {}
-        if not source.setup_names:
-            return {}
-    return catalogue.elementary(name, source.setup_names)
+    effect = catalogue[name.effect]
+    if not effect.of_dial:
+        return catalogue.elementary(name)
+    setups = source.setups_of(effect)
+    if not setups or (name.setup and name.setup not in setups):  # another campaign's setup
+        return {}
+    return catalogue.elementary(name, setups)
 
 
 def _unknown(machine: Machine, name: Parameter, parts: tuple[Mapping[str, float], ...]) -> Unknown:
@@ -113,7 +116,7 @@ def build_problem(
     own: Sequence[str] = (),
     priors: bool = True,
     bounds: Mapping[str, float] | None = None,
-    points: Sequence[TcpReadings] = (),
+    points: Sequence[Beside] = (),
     earlier: Posterior | None = None,
 ) -> Problem:
     """Put an identification together.
@@ -126,7 +129,7 @@ def build_problem(
         own: what each campaign has for itself, see :func:`build_unknowns`; it need not be free.
         priors: whether tolerances act as priors.
         bounds: by unknown or effect, SI; the value stays within plus and minus.
-        points: TCP points that are readings like the others.
+        points: readings of the tool.
         earlier: what an earlier calibration says.
 
     Raises:

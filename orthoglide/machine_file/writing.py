@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from orthoglide import files, units
-from orthoglide.effects import CATALOGUE
+from orthoglide.effects import catalogue_of
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import LinearDelta
@@ -122,7 +122,8 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
             name: units.from_si(value, catalogue.effect_of(name).unit.si)
             for name, value in machine.tolerance.items()
             # Without need of it, a file that names a user's effect could not be read alone.
-            if name in CATALOGUE or value != catalogue.default_tolerance.get(name)
+            if name in catalogue_of(catalogue.legs)
+            or value != catalogue.default_tolerance.get(name)
         },
         "stiffness": {"torsion_Nmm_per_rad": _mm(stiffness.torsion), "bar_N_per_mm": bar},
     }

@@ -10,6 +10,9 @@ from orthoglide.observations.reading import (
     read_campaign,
 )
 from orthoglide.observations.tcp import TcpPoints, read_tcp, tcp_from_rows
+from orthoglide.observations.tool import ToolCampaign, ToolSetup
+from orthoglide.observations.tool_reading import read_readings, readings_from_rows
+from orthoglide.observations.tool_writing import tool_rows
 from orthoglide.observations.writing import (
     campaign_rows,
     campaign_text,
@@ -24,6 +27,8 @@ __all__ = [
     "Moves",
     "Setup",
     "TcpPoints",
+    "ToolCampaign",
+    "ToolSetup",
     "as_campaigns",
     "campaign_from_rows",
     "campaign_rows",
@@ -32,8 +37,11 @@ __all__ = [
     "derive_approach",
     "protocol",
     "read_campaign",
+    "read_readings",
     "read_tcp",
+    "readings_from_rows",
     "tcp_from_rows",
     "tcp_rows",
+    "tool_rows",
     "write_campaign",
 ]

@@ -71,7 +71,7 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     whose = "joint coordinates rho" if travelled else "the controller's, counted from its own zero"
     if fits(given * 1e3, travelled):
         fail("the command is in metres: give millimetres", row)
-    if fits(given, not travelled):
+    if geometry.layout.zero(geometry.L) and fits(given, not travelled):
         fail(
             f"the command's values are {whose}: name the columns {other}_{names[0]}_mm to "
             f"{other}_{names[2]}_mm",

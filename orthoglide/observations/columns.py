@@ -19,6 +19,7 @@ from orthoglide.observations.table import (
     positive,
     whole,
 )
+from orthoglide.observations.tool import KINDS
 
 MM = 1e-3
 NAN = float("nan")
@@ -54,8 +55,32 @@ _COMMAND = Column(number(MM))
 DIRECTION_OF_MOVE = Column(SIGN, 0)
 
 
-def command_names(table: Table) -> tuple[str, ...]:
+TOOL_COLUMNS: dict[str, Column] = {
+    "kind": Column(choice({kind: kind for kind in KINDS})),
+    "setup": Column(label),
+    "direction": Column(DIRECTION, (0, 1)),
+}
+"""What rows of the tool have besides those of `ROW_COLUMNS`."""
+
+READING_MRAD = Column(number(MM), NAN)
+SIGMA_MRAD = Column(positive(MM), NAN)
+
+
+def names_of(leg_names: tuple[str, str, str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Columns of travel and of the second command of a distance, for legs of these names."""
+    travel = tuple(f"travel_{leg}_mm" for leg in leg_names)
+    return travel, tuple(f"travel_{leg}2_mm" for leg in leg_names)
+
+
+def approach_of(leg_names: tuple[str, str, str]) -> tuple[str, ...]:
+    """Columns of the direction of each drive's last move."""
+    return tuple(f"approach_{leg}" for leg in leg_names)
+
+
+def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
     """The three columns that hold the commands: joint coordinates or the controller's values."""
+    if machine is not None and machine.geometry.leg_names != LEGS:
+        return names_of(machine.geometry.leg_names)[0]
     if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
         table.fail("has both rho_ and travel_ columns: keep the three of one kind")
     return TRAVEL if set(TRAVEL) & set(table.names) else RHO
@@ -68,4 +93,5 @@ def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
 
 def commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:
     """Joint coordinates ``(n, 3)``, metres, of a table's commands, all within the stroke."""
-    return check_commands(columns(table, names, _COMMAND), names == TRAVEL, machine, table.fail)
+    travelled = names[0].startswith("travel")
+    return check_commands(columns(table, names, _COMMAND), travelled, machine, table.fail)

@@ -50,7 +50,7 @@ def read_campaign(
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    return _campaign(table, Path(table.file).stem, machine_file, require_readings)
+    return campaign_of_table(table, Path(table.file).stem, machine_file, require_readings)
 
 
 def campaign_from_rows(
@@ -78,7 +78,7 @@ def campaign_from_rows(
         FileError: as `read_campaign`.
     """
     table = rows_table(rows, file or name, lines, sha256)
-    campaign = _campaign(table, name, machine_file, require_readings)
+    campaign = campaign_of_table(table, name, machine_file, require_readings)
     return replace(campaign, file=file)
 
 
@@ -127,15 +127,24 @@ def campaign_from_frame(
     machine = machine_file or nominal_machine_file()
     if controller is not None:
         machine = replace(machine, controller=controller)
-    return replace(_campaign(frame_table(df, name), name, machine, require_readings), file="")
+    found = campaign_of_table(frame_table(df, name), name, machine, require_readings)
+    return replace(found, file="")
 
 
 Campaign.from_frame = staticmethod(campaign_from_frame)
 
 
-def _campaign(
-    table: Table, name: str, machine_file: MachineFile | None, require_readings: bool
+def campaign_of_table(
+    table: Table,
+    name: str,
+    machine_file: MachineFile | None,
+    require_readings: bool = True,
 ) -> Campaign:
+    """A campaign of dial readings from a table of cells.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
     machine = machine_file or nominal_machine_file()
     names = command_names(table)
     known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH)

@@ -88,14 +88,14 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
         "bar": [s.bar or "" for s in setups],
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
-        **{name: _signs(campaign.approach[:, axis]) for axis, name in enumerate(APPROACH)},
-        "time_s": _numbers(campaign.time),
-        "temperature_C": _numbers(campaign.temperature),
-        "load_N": _numbers(campaign.load),
-        "reading_mm": _numbers(campaign.reading, MM),
-        "sigma_mm": _numbers(campaign.sigma, MM),
+        **{name: signs(campaign.approach[:, axis]) for axis, name in enumerate(APPROACH)},
+        "time_s": numbers(campaign.time),
+        "temperature_C": numbers(campaign.temperature),
+        "load_N": numbers(campaign.load),
+        "reading_mm": numbers(campaign.reading, MM),
+        "sigma_mm": numbers(campaign.sigma, MM),
     }
-    rows = _rows({name: cells for name, cells in columns.items() if needed.get(name, True)})
+    rows = rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
     return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
 
 
@@ -121,16 +121,17 @@ Campaign.to_frame = campaign_frame
 def tcp_rows(points: TcpPoints) -> list[Row]:
     """The rows of a file of TCP points; optional columns only where they say something."""
     columns = _commands(points.command, None) | {
-        name: _numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)
+        name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)
     }
     if points.approach.any():
-        columns |= {name: _signs(points.approach[:, axis]) for axis, name in enumerate(APPROACH)}
+        columns |= {name: signs(points.approach[:, axis]) for axis, name in enumerate(APPROACH)}
     if np.isfinite(points.sigma).any():
-        columns["sigma_mm"] = _numbers(points.sigma, MM)
-    return _rows(columns)
+        columns["sigma_mm"] = numbers(points.sigma, MM)
+    return rows_of(columns)
 
 
-def _rows(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
+def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
+    """Rows of columns of equal length."""
     cells = zip(*columns.values(), strict=True)
     return [dict(zip(columns, map(str, row), strict=True)) for row in cells]
 
@@ -138,7 +139,7 @@ def _rows(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
 def _with_moves(rows: list[Row], campaign: Campaign, machine_file: MachineFile | None) -> list[Row]:
     """Moves among the readings by line, each with the mounting that it leads to, for people."""
     moves, told = campaign.moves, ("setup", "leg", "direction", "gauge_mm", "bar")
-    commands = _rows(_commands(moves.command, machine_file))
+    commands = rows_of(_commands(moves.command, machine_file))
     sequence = np.argsort(campaign.order, kind="stable")
     following = np.searchsorted(campaign.order[sequence], moves.order)
     found = list(zip(campaign.line.tolist(), rows, strict=True))
@@ -155,12 +156,14 @@ def _commands(command: Array, machine_file: MachineFile | None) -> dict[str, lis
         names = TRAVEL
         shown = machine_file.controller.from_rho(command, machine_file.geometry)
         values = np.round(shown, DECIMALS) + 0.0
-    return {name: _numbers(values[:, axis], MM) for axis, name in enumerate(names)}
+    return {name: numbers(values[:, axis], MM) for axis, name in enumerate(names)}
 
 
-def _numbers(values: Array, factor: float = 1.0) -> list[str]:
+def numbers(values: Array, factor: float = 1.0) -> list[str]:
+    """Cells of SI numbers in a unit worth ``factor``; nan is empty."""
     return ["" if np.isnan(v) else str(units.from_si(v, factor)) for v in values.tolist()]
 
 
-def _signs(values: Array) -> list[str]:
+def signs(values: Array) -> list[str]:
+    """Cells of directions of a move; 0 is empty."""
     return ["" if v == 0 else f"{v:.0f}" for v in values.tolist()]

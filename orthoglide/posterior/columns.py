@@ -14,10 +14,10 @@ from orthoglide.effects import Effect, LegConditions
 from orthoglide.effects.places import Place, places
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.factors import Factor
+from orthoglide.fit.factors import ByJoints
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.posterior.mixture import Group, Linear, whole
 from orthoglide.prediction import Conditions
@@ -279,7 +279,7 @@ def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
     for k, factor in enumerate(problem.factors):
         values = problem.values(k, x)
         by_joints = factor.by_joints(model, values)
-        legs = _conditions(factor, problem, values)
+        legs = model.leg_conditions(values, factor.conditions())
         for place in kept:
             blocks.setdefault(place.name, []).append(_column(place, by_joints, legs[place.leg]))
     if not kept:
@@ -287,17 +287,13 @@ def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
     return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
 
 
-def _conditions(
-    factor: Factor, problem: Problem, values: dict[str, float]
-) -> tuple[LegConditions, ...]:
-    return problem.machine.model.leg_conditions(values, factor.conditions())
-
-
-def _column(place: Place, by_joints: Array, conditions: LegConditions) -> Array:
-    first = place.leg * len(VIRTUAL_NAMES)
-    moved = sum(share * by_joints[:, first + VIRTUAL_NAMES.index(j)] for j, share in place.joints)
-    functions = place.functions(conditions)
-    return np.stack([f * moved * place.unit for f in functions], axis=1)
+def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Array:
+    """Rows ``(n, K)`` by a place's coefficients in its unit."""
+    names = VIRTUAL_NAMES
+    joints = np.zeros(len(LEGS) * len(names))
+    for joint, share in place.joints:
+        joints[place.leg * len(names) + names.index(joint)] = share * place.unit
+    return by_joints(joints, np.stack(place.functions(conditions), axis=1))
 
 
 def _groups(

@@ -2,8 +2,9 @@
 
 Readings ``r = A z + noise``, whitened, with all coefficients z in their tolerances. The *spike* of
 every coefficient is N(0, s^2), with one scale s for the effects of the catalogue and one for the
-free functions, averaged over a grid with one for errors that have no structure at all. A *slab* lets one group of coefficients out, N(0, tau^2)
-more, tau averaged over a grid. With a state (which groups are out, at which tau), all is Gaussian:
+free functions, averaged over a grid with one for errors that have no structure at all. A *slab*
+lets one group of coefficients out, N(0, tau^2) more, tau averaged over a grid. With a
+state (which groups are out, at which tau), all is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
 

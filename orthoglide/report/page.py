@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import orthoglide.report.follows as follows
 import orthoglide.report.found as found
 from orthoglide import __version__
+from orthoglide.observations import ToolCampaign
 from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed
 
@@ -103,6 +104,10 @@ def _subtitle(result: Result) -> str:
     count, read = sum(map(len, problem.campaigns)), []
     if count:
         read.append(f"{count} readings in {problem.setup_count} setups")
-    if problem.points:
-        read.append(f"{sum(len(p.points) for p in problem.points)} TCP points")
+    tool = [p.points for p in problem.points if isinstance(p.points, ToolCampaign)]
+    points = sum(len(p.points) for p in problem.points) - sum(map(len, tool))
+    if tool:
+        read.append(f"{sum(map(len, tool))} readings of the tool")
+    if points:
+        read.append(f"{points} TCP points")
     return "; ".join([f"{files}: {listed(read)}", *judges])

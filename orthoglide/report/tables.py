@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide import __version__
-from orthoglide.geometry import LEGS
+from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.observations import ToolCampaign
 from orthoglide.text import csv_text
 
 if TYPE_CHECKING:
@@ -19,15 +20,19 @@ if TYPE_CHECKING:
     from orthoglide.request import Request
     from orthoglide.result import Result
 
-_PLACES = (
-    "campaign", "line", "setup", "leg", "direction", "posture",
-    *(f"rho_{leg}_mm" for leg in LEGS), "gauge_mm", "repeat", "order",
-)  # fmt: skip
 _FIGURES = (
     "reading_mm", "sigma_mm",
     "predicted_nominal_mm", "predicted_before_mm", "predicted_after_mm",
     "residual_nominal_mm", "residual_before_mm", "residual_after_mm",
 )  # fmt: skip
+
+
+def _places(geometry: Geometry) -> tuple[str, ...]:
+    names = geometry.leg_names
+    counted = "rho" if names == LEGS else "travel"
+    commands = tuple(f"{counted}_{leg}_mm" for leg in names)
+    before = ("campaign", "line", "setup", "leg", "direction", "posture")
+    return (*before, *commands, "gauge_mm", "repeat", "order")
 
 
 def calibrated_machine(result: Result) -> MachineFile:
@@ -75,6 +80,10 @@ def residual_table(result: Result) -> str:
     for points, part in zip(
         problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
     ):
+        if isinstance(points.points, ToolCampaign):
+            for row, values in enumerate(figures[part]):
+                rows.append([*_tool_cells(points.points, row), *map(_mm, values), ""])
+            continue
         for values, point, axis in zip(figures[part], points.point, points.setup, strict=True):
             places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
             places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
@@ -82,7 +91,7 @@ def residual_table(result: Result) -> str:
     for campaign, row, kind in _set_aside(result):
         empty = [""] * (len(_FIGURES) - 1)
         rows.append([*_cells(campaign, row), _mm(campaign.reading[row]), *empty, kind])
-    return csv_text((*_PLACES, *_FIGURES, "set_aside"), rows)
+    return csv_text((*_places(problem.machine.geometry), *_FIGURES, "set_aside"), rows)
 
 
 def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:
@@ -100,6 +109,14 @@ def _cells(campaign: Campaign, row: int) -> list[Any]:
         campaign.name, campaign.line[row], setup.name, LEGS[setup.leg], setup.direction,
         campaign.posture[row], *map(_mm, campaign.command[row]), _mm(setup.gauge),
         campaign.repeat[row], campaign.order[row],
+    ]  # fmt: skip
+
+
+def _tool_cells(tool: ToolCampaign, row: int) -> list[Any]:
+    setup = tool.setups[tool.setup[row]]
+    return [
+        tool.name, tool.line[row], setup.name, "", setup.kind, tool.posture[row],
+        *map(_mm, tool.command[row]), "", tool.repeat[row], tool.order[row],
     ]  # fmt: skip
 
 

@@ -13,7 +13,14 @@ from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
-from orthoglide.observations import Campaign, TcpPoints, campaign_from_rows, tcp_from_rows
+from orthoglide.observations import (
+    Campaign,
+    TcpPoints,
+    ToolCampaign,
+    campaign_from_rows,
+    readings_from_rows,
+    tcp_from_rows,
+)
 from orthoglide.request.request import Request
 
 _ROLES = ("campaign", "fit_tcp", "holdout", "tcp")
@@ -56,16 +63,18 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
             f"is not as it was written ({reason}): take the original", file=file
         ) from None
     by_role = {role: [i for i in inputs if i.get("role", _ROLES[0]) == role] for role in _ROLES}
+    read = [r for i in by_role["campaign"] for r in _readings(i, machine)]
+    tool = [r for r in read if isinstance(r, ToolCampaign)]
     request = Request(
         result["command"],
-        tuple(_campaign(i, machine) for i in by_role["campaign"]),
+        tuple(r for r in read if isinstance(r, Campaign)),
         machine,
         own=tuple(given["own"]),
         noise=None if noise is None else noise * 1e-3,
         seed=seed,
         holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
         tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
-        points=tuple(_points(i, machine) for i in by_role["fit_tcp"]),
+        points=(*tool, *(_points(i, machine) for i in by_role["fit_tcp"])),
         frame=given.get("frame", "rigid"),
         effects_file=given.get("effects_file", ""),
     )
@@ -80,14 +89,26 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
     if name:
         _check_name(name)
     spec = parse_machine_file(given["toml"], name, CATALOGUE.with_effects(effects))
-    digest = given["sha256"] or ""
-    kept = given.get("npz")
-    known = kept and parse_posterior(b64decode(kept, validate=True), digest, name)
+    digest, kept = given["sha256"] or "", given.get("npz")
+    if not isinstance(digest, str) or not isinstance(kept, str | None):
+        raise ValueError("the machine's digest or covariance is no text")
+    known = None if kept is None else parse_posterior(b64decode(kept, validate=True), digest, name)
     return Machine(replace(spec, file=name, sha256=digest, posterior=known))
 
 
 def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:
     return campaign_from_rows(
+        found["rows"],
+        machine.spec,
+        name=Path(found["file"]).stem,
+        lines=found.get("lines", ()),
+        file=found["file"],
+        sha256=found["sha256"],
+    )
+
+
+def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Campaign | ToolCampaign, ...]:
+    return readings_from_rows(
         found["rows"],
         machine.spec,
         name=Path(found["file"]).stem,

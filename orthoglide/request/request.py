@@ -12,7 +12,15 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.files import sha256
 from orthoglide.fit.factors import Frame
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints, campaign_rows, csv_text, tcp_rows
+from orthoglide.observations import (
+    Campaign,
+    TcpPoints,
+    ToolCampaign,
+    campaign_rows,
+    csv_text,
+    tcp_rows,
+    tool_rows,
+)
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = ("identify", "close-loop", "diagnose", "demo")
@@ -37,7 +45,7 @@ class Request:
         free: effects or parameters that ``identify`` frees.
         priors: whether tolerances act as priors in ``identify``.
         reduced: whether the analytic reduction identifies.
-        points: TCP points that are readings like the others.
+        points: readings of the tool: TCP points to be fitted, and files of other kinds.
         frame: how the instrument of ``points`` may stand to the machine.
         effects_file: name of the file with the user's own effects, where one was given.
     """
@@ -53,7 +61,7 @@ class Request:
     free: tuple[str, ...] = CATALOGUE.base
     priors: bool = True
     reduced: bool = False
-    points: tuple[TcpPoints, ...] = ()
+    points: tuple[TcpPoints | ToolCampaign, ...] = ()
     frame: Frame = "rigid"
     effects_file: str = ""
 
@@ -66,21 +74,29 @@ class Request:
     def arguments(self) -> dict[str, Any]:
         """As ``result.json`` keeps them: names of files, no places."""
         found: dict[str, Any] = {
-            "campaigns": [name_of(c) for c in self.campaigns],
+            "campaigns": list(dict.fromkeys(name_of(c) for c in self._files)),
             "own": list(self.own),
             "machine": Path(self.machine.spec.file).name or None,
             "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
         }
         if self.effects_file:
             found["effects_file"] = self.effects_file
-        if self.points:
-            found |= {"fit_tcp": [name_of(p) for p in self.points], "frame": self.frame}
+        if self._fitted:
+            found |= {"fit_tcp": [name_of(p) for p in self._fitted], "frame": self.frame}
         if self.searches:
             held, points = self.holdout, self.tcp
             judges = {"holdout": name_of(held) if held else None}
             return found | judges | {"tcp": name_of(points) if points else None}
         options = {"free": list(self.free), "priors": self.priors, "reduced": self.reduced}
         return found | options
+
+    @property
+    def _fitted(self) -> tuple[TcpPoints, ...]:
+        return tuple(p for p in self.points if isinstance(p, TcpPoints))
+
+    @property
+    def _files(self) -> tuple[Campaign | ToolCampaign, ...]:
+        return (*self.campaigns, *(p for p in self.points if isinstance(p, ToolCampaign)))
 
     @property
     def inputs(self) -> list[dict[str, Any]]:
@@ -91,7 +107,10 @@ class Request:
         for campaign in self.campaigns:
             yield _input(campaign, "campaign", campaign_rows(campaign))
         for points in self.points:
-            yield _input(points, "fit_tcp", tcp_rows(points))
+            if isinstance(points, ToolCampaign):
+                yield _input(points, "campaign", tool_rows(points, self.machine.spec))
+            else:
+                yield _input(points, "fit_tcp", tcp_rows(points))
         if self.holdout is not None:
             yield _input(self.holdout, "holdout", campaign_rows(self.holdout))
         if self.tcp is not None:
@@ -120,20 +139,22 @@ class Request:
         }
         for option, value in options.items():
             words += [option, value] if value else []
-        for points in self.points:
+        for points in self._fitted:
             words += ["--fit-tcp", name_of(points), "--frame", self.frame]
         flags = {"--no-priors": not self.priors, "--reduced": self.reduced}
         return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
 
 
-def name_of(given: Campaign | TcpPoints) -> str:
+def name_of(given: Campaign | TcpPoints | ToolCampaign) -> str:
     """The name of a file of readings without its folder; one is made up where there is no file."""
     if given.file:
         return Path(given.file).name
-    return f"{given.name}.csv" if isinstance(given, Campaign) else "points.tcp.csv"
+    return "points.tcp.csv" if isinstance(given, TcpPoints) else f"{given.name}.csv"
 
 
-def _input(given: Campaign | TcpPoints, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
+def _input(
+    given: Campaign | TcpPoints | ToolCampaign, role: str, rows: list[dict[str, str]]
+) -> dict[str, Any]:
     found: dict[str, Any] = {
         "file": name_of(given),
         "sha256": given.sha256 or sha256(csv_text(rows).encode()),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import LEGS, Array
+from orthoglide.observations import ToolCampaign
 
 if TYPE_CHECKING:
     from orthoglide.fit import Problem
@@ -59,6 +60,9 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
     for points, part in zip(
         problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
     ):
+        if isinstance(points.points, ToolCampaign):
+            yield from _of_tool(points.points, points.setup, part.start)
+            continue
         for k, axis in enumerate(LEGS):
             there = np.flatnonzero(points.setup == k)
             if len(there):
@@ -70,3 +74,16 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
                     (points.point[there] + 1).astype(np.float64),
                     points.points.approach[points.point[there], k],
                 )
+
+
+def _of_tool(tool: ToolCampaign, place: NDArray[np.int64], first: int) -> Iterator[Mounting]:
+    for k, setup in enumerate(tool.setups):
+        there = np.flatnonzero(place == k)
+        yield Mounting(
+            f"{tool.name} · {setup.name}",
+            f"{tool.name}: {setup.name}, {setup.kind}",
+            "reading",
+            first + there,
+            np.arange(1.0, len(there) + 1),
+            np.zeros(len(there)),
+        )

@@ -1,0 +1,317 @@
+"""Readings of the tool as a factor: each kind predicts from the closed pose, with its nuisances.
+
+The pose is the tool's place p and the platform's rotation R. A distance has two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.effects import Catalogue, Effect
+from orthoglide.fit.factors import Block, ByJoints, Linear
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.machine_file import Instrument
+from orthoglide.observations import ToolCampaign
+from orthoglide.prediction import Conditions, Model
+
+Ints = NDArray[np.int64]
+
+REPEATABILITY = {"tcp": 1e-5, "plate": 2e-5, "distance": 5e-5, "ballbar": 5e-6, "incline": 2e-5}
+"""Standard deviation of one reading where nothing is known, metres or radians: a probe's touch and
+a calliper's distance as owners of linear deltas repeat them."""
+
+SCALE_SD, OFFSET_SD = 0.01, 2e-4
+"""What is known of a setup of distances: a printed part's shrinkage, the width of its pillars."""
+
+_FEWEST_REPEATS = 6
+_DEGREE, _FEWEST_ROUGH = 4, 12
+
+
+@dataclass(frozen=True)
+class ToolReadings:
+    """Readings of one file.
+
+    Attributes:
+        points: the readings.
+        sigma: standard deviation of each ``(n,)``, metres or radians.
+        place: on the plates over their largest measured radius ``(n, 2)``, of the nominal machine,
+            which is near enough.
+        ball: centre of each setup's ball ``(setups, 3)``, metres, about which it is fitted.
+    """
+
+    points: ToolCampaign
+    sigma: Array
+    place: Array
+    ball: Array
+
+    @classmethod
+    def of(
+        cls, campaign: ToolCampaign, machine: Machine, noise: float | None = None
+    ) -> ToolReadings:
+        """Readings with their noise.
+
+        Args:
+            campaign: the readings.
+            machine: its instruments say the noise, its nominal poses where plates and balls are.
+            noise: standard deviation of one reading; replaces all others.
+        """
+        p = machine.forward(campaign.command)
+        place, ball = p[:, :2].copy(), []
+        for k, setup in enumerate(campaign.setups):
+            rows = campaign.setup == k
+            place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
+            found = _centre(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
+            ball.append(np.zeros(3) if found is None else found)
+        height = p[:, 2] - campaign.reading
+        sigma = _sigma(campaign, machine.spec.instruments, noise, place, height)
+        return cls(campaign, sigma, place, np.array(ball))
+
+    @property
+    def name(self) -> str:
+        """Of the file, without its ending."""
+        return self.points.name
+
+    @property
+    def setup_names(self) -> tuple[str, ...]:
+        """The setups."""
+        return tuple(s.name for s in self.points.setups)
+
+    def setups_of(self, effect: Effect) -> tuple[str, ...]:
+        """Setups of which an instrument's effect has parameters: plates."""
+        return tuple(s.name for s in self.points.setups if s.kind == "plate" and effect.plate)
+
+    @property
+    def measured(self) -> Array:
+        """The readings."""
+        return self.points.reading
+
+    @property
+    def setup(self) -> Ints:
+        """The setup of each."""
+        return self.points.setup
+
+    @property
+    def stations(self) -> Array:
+        """What makes visits the same: setup, axis, both commands, approach, load ``(n, 12)``."""
+        c = self.points
+        return np.column_stack([self.places, c.approach, c.load])
+
+    @property
+    def places(self) -> Array:
+        """Setup, axis and both commands ``(n, 8)``."""
+        c = self.points
+        return np.column_stack([c.setup, c.axis, c.command, np.nan_to_num(c.second)])
+
+    @cached_property
+    def twice(self) -> NDArray[np.bool_]:
+        """Which readings have a second command ``(n,)``."""
+        return np.asarray(np.isfinite(self.points.second).all(axis=1))
+
+    def conditions(self) -> Conditions:
+        """Of every reading, then of the second commands."""
+        c, both = self.points, self.twice
+
+        def seen(values: Array, second: Array | None = None) -> Array:
+            return np.concatenate([values, values[both] if second is None else second[both]])
+
+        return Conditions(
+            seen(c.command, c.second),
+            seen(c.approach, np.zeros_like(c.approach)),
+            seen(np.nan_to_num(c.time)),
+            seen(c.temperature_rise),
+            seen(c.load),
+        )
+
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Readings, nuisances apart."""
+        out = model.outputs(self._of_machine(model.catalogue, values), self.conditions())
+        return self._value(out.p, out.R, self._shape(model.catalogue, values))
+
+    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+        """Readings; the slopes are the tool's place and the reading itself ``(n, 4)``."""
+        catalogue = model.catalogue
+        machine = [n for n in names if not catalogue.effect_of(n).of_dial]
+        out, by_name = model.sensitivities(
+            self._of_machine(catalogue, values), self.conditions(), machine
+        )
+        n = len(self.points)
+        jacobian = np.zeros((n, len(names)))
+        of_machine = [k for k, name in enumerate(names) if name in set(machine)]
+        jacobian[:, of_machine] = self._derivative(out.p, by_name[:, :12])
+        for k, name in enumerate(names):
+            if k not in of_machine:
+                jacobian[:, k] = self._shape(catalogue, {name: 1.0})
+        value = self._value(out.p, out.R, self._shape(catalogue, values))
+        return Linear(value, jacobian, np.column_stack([out.p[:n], value]))
+
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+        """How the rows follow virtual joints that move as functions of the conditions."""
+        known, where = self._of_machine(model.catalogue, values), self.conditions()
+        slopes, p = model.by_joints(known, where)[:, :12], model.outputs(known, where).p
+
+        def moved(joints: Array, functions: Array) -> Array:
+            return self._derivative(p, (slopes @ joints)[:, :, None] * functions[:, None])
+
+        return moved
+
+    def nuisances(self, slopes: Array) -> Block:
+        """What each kind brings: plane, datum, scale and offset, centre and length."""
+        columns, sd = [], []
+        for k, setup in enumerate(self.points.setups):
+            rows = np.flatnonzero(self.setup == k)
+            for column, size in self._of_setup(k, setup.kind, rows, slopes[rows]):
+                full = np.zeros(len(self.points))
+                full[rows] = column
+                if np.abs(full).max(initial=0.0) > 0:  # what no row shows is no nuisance
+                    columns.append(full)
+                    sd.append(size)
+        matrix = np.array(columns).reshape(-1, len(self.points)).T
+        return Block(matrix, np.array(sd), np.zeros(len(sd), dtype=bool))
+
+    # What each kind reads -----------------------------------------------------------------
+
+    def _of_setup(self, k: int, kind: str, rows: Ints, slopes: Array) -> list[tuple[Array, float]]:
+        p, value, one, free = slopes[:, :3], slopes[:, 3], np.ones(len(rows)), np.inf
+        axis, sign = self.points.axis[rows], self.points.sign[rows]
+        if kind == "plate":
+            return [(one, free), (p[:, 0], free), (p[:, 1], free)]
+        if kind == "distance":
+            return [(value, SCALE_SD), (one, OFFSET_SD)]
+        if kind == "ballbar":
+            toward = p - self.ball[k]
+            toward = toward / np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
+            return [*((toward[:, j], free) for j in range(3)), (one, free)]
+        datums = [(sign * (axis == j), free) for j in range(3)]
+        if kind == "incline" or len(np.unique(axis)) < 2:
+            return datums
+        turns = np.stack([np.cross(e, p) for e in np.eye(3)], axis=2)  # (n, xyz, about)
+        own = sign[:, None] * turns[np.arange(len(rows)), axis]
+        return [*datums, *((own[:, j], free) for j in range(3))]
+
+    def _value(self, p: Array, R: Array, shape: Array) -> Array:
+        n, rows = len(self.points), np.arange(len(self.points))
+        axis, sign = self.points.axis, self.points.sign
+        found = sign * p[rows, axis]
+        of = self.points.of_kind
+        found = np.where(of("plate"), p[:n, 2], found)
+        found[self.twice] = np.linalg.norm(p[:n][self.twice] - p[n:], axis=1)
+        found = np.where(of("ballbar"), np.linalg.norm(p[:n] - self._ball, axis=1), found)
+        turn = 0.5 * (R[:n, [2, 0, 1], [1, 2, 0]] - R[:n, [1, 2, 0], [2, 0, 1]])
+        return np.asarray(np.where(of("incline"), sign * turn[rows, axis], found) + shape)
+
+    def _derivative(self, p: Array, by_name: Array) -> Array:
+        """Of the readings ``(n, P)``, by that of places and rotations ``(N, 12, P)``."""
+        n, rows = len(self.points), np.arange(len(self.points))
+        axis, sign = self.points.axis, self.points.sign
+        of, by_p = self.points.of_kind, by_name[:, :3]
+        found = sign[:, None] * by_p[rows, axis]
+        plate, ball, level = of("plate"), of("ballbar"), of("incline")
+        found[plate] = by_p[:n][plate, 2]
+        apart = p[:n][self.twice] - p[n:]
+        apart /= np.maximum(np.linalg.norm(apart, axis=1), 1e-9)[:, None]
+        found[self.twice] = np.einsum("ni,nip->np", apart, by_p[:n][self.twice] - by_p[n:])
+        toward = p[:n] - self._ball
+        toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
+        found[ball] = np.einsum("ni,nip->np", toward, by_p[:n])[ball]
+        by_R = by_name[:n, 3:].reshape(n, 3, 3, -1)
+        turn = 0.5 * (by_R[:, [2, 0, 1], [1, 2, 0]] - by_R[:, [1, 2, 0], [2, 0, 1]])
+        found[level] = (sign[:, None] * turn[rows, axis])[level]
+        return found
+
+    @property
+    def _ball(self) -> Array:
+        return np.asarray(self.ball[self.setup])
+
+    @cached_property
+    def _on_plate(self) -> NDArray[np.bool_]:
+        return self.points.of_kind("plate")
+
+    def _shape(self, catalogue: Catalogue, values: Mapping[str, float]) -> Array:
+        """What the plates' own shapes take from the readings ``(n,)``, metres."""
+        found = np.zeros(len(self.points))
+        for name, value in values.items():
+            parameter = catalogue.parameter(name, self.setup_names) if value else None
+            if parameter is None or not parameter.setup:
+                continue
+            shapes = catalogue.effect_of(parameter).shapes
+            if shapes and parameter.setup in self.setup_names:
+                rows = (self.setup == self.setup_names.index(parameter.setup)) & self._on_plate
+                x, y = self.place[rows].T
+                found[rows] -= value * shapes[parameter.direction](x, y)
+        return found
+
+    @staticmethod
+    def _of_machine(catalogue: Catalogue, values: Mapping[str, float]) -> dict[str, float]:
+        return {n: v for n, v in values.items() if not catalogue.effect_of(n).of_dial}
+
+
+def _sigma(
+    campaign: ToolCampaign,
+    instruments: Mapping[str, Instrument],
+    noise: float | None,
+    place: Array,
+    height: Array,
+) -> Array:
+    found = np.empty(len(campaign))
+    for kind in dict.fromkeys(campaign.kind):
+        rows = campaign.of_kind(kind)
+        own = instruments.get(kind, Instrument())
+        level = own.repeatability or _of_repeats(campaign, rows) or REPEATABILITY[kind]
+        found[rows] = noise or np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
+    if noise is None:
+        for k, setup in enumerate(campaign.setups):
+            if setup.kind == "plate":
+                rows = campaign.setup == k
+                rough = roughness(place[rows], height[rows])
+                found[rows] = np.maximum(found[rows], rough)
+    declared = campaign.sigma if noise is None else np.full(len(campaign), np.nan)
+    return np.where(np.isfinite(declared), declared, found)
+
+
+def roughness(place: Array, height: Array) -> float:
+    """Standard deviation of heights about the smoothest surface, metres; 0 where there are too few.
+
+    A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
+    more than any rigid cause makes, counts as noise of its touches.
+
+    Args:
+        place: on the plate over its radius ``(n, 2)``.
+        height: ``(n,)``, metres.
+    """
+    x, y = place.T
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    columns = np.stack([x**i * y**j for i, j in powers], axis=1)
+    found, _, rank, _ = np.linalg.lstsq(columns, height, rcond=1e-9)
+    dof = len(height) - int(rank)
+    if dof < _FEWEST_ROUGH:
+        return 0.0
+    return float(np.sqrt(np.sum((height - columns @ found) ** 2) / dof))
+
+
+def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:
+    """Standard deviation of one reading from repeats of a kind; 0 where there are too few."""
+    table = np.column_stack(
+        [campaign.setup, campaign.axis, campaign.command, np.nan_to_num(campaign.second)]
+    )[rows]
+    _, place = np.unique(table, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    count = np.bincount(place)
+    dof = int(len(place) - len(count))
+    if dof < _FEWEST_REPEATS:
+        return 0.0
+    reading = campaign.reading[rows]
+    rest = reading - (np.bincount(place, reading) / count)[place]
+    return float(np.sqrt(np.sum(rest**2) / dof))
+
+
+def _centre(p: Array, distance: Array) -> Array:
+    """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``."""
+    columns = np.column_stack([2 * p, np.ones(len(p))])
+    right = np.sum(p * p, axis=1) - distance**2
+    return np.asarray(np.linalg.lstsq(columns, right, rcond=1e-9)[0][:3])

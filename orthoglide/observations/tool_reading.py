@@ -1,0 +1,213 @@
+"""Files of readings of any kind: dials on legs as campaigns, readings of the tool beside them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.observations.approach import derive_approach
+from orthoglide.observations.campaign import Campaign
+from orthoglide.observations.checks import Fail, check_sequence
+from orthoglide.observations.columns import (
+    DIRECTION_OF_MOVE,
+    READING_MRAD,
+    RHO,
+    ROW_COLUMNS,
+    SETUP_COLUMNS,
+    SIGMA_MRAD,
+    TOOL_COLUMNS,
+    approach_of,
+    columns,
+    command_names,
+    commands,
+    names_of,
+)
+from orthoglide.observations.reading import campaign_of_table
+from orthoglide.observations.table import Column, Table, choice, read_table, rows_table
+from orthoglide.observations.tool import DIRECTED, KINDS, ToolCampaign, ToolSetup
+
+Readings = Campaign | ToolCampaign
+
+_KIND = Column(choice({kind: kind for kind in ("leg", "move", *KINDS)}), "leg")
+
+
+def read_readings(
+    path: str | os.PathLike[str], machine_file: MachineFile | None = None
+) -> tuple[Readings, ...]:
+    """Reads a file of readings of any kind.
+
+    Args:
+        path: the CSV file, as for `read_campaign`.
+        machine_file: whose layout, stroke and controller count; the nominal one if None.
+
+    Returns:
+        A campaign of dial readings, readings of the tool, or both.
+
+    Raises:
+        FileError: naming the line and what would be right.
+    """
+    return _readings(read_table(path), Path(path).stem, machine_file)
+
+
+def readings_from_rows(
+    rows: Sequence[Mapping[str, str]],
+    machine_file: MachineFile | None = None,
+    *,
+    name: str,
+    lines: Sequence[int] = (),
+    file: str = "",
+    sha256: str = "",
+) -> tuple[Readings, ...]:
+    """Readings from rows of text; arguments as for `campaign_from_rows`.
+
+    Raises:
+        FileError: as `read_readings`.
+    """
+    table = rows_table(rows, file or name, lines, sha256)
+    return tuple(replace(r, file=file) for r in _readings(table, name, machine_file))
+
+
+def _readings(table: Table, name: str, machine_file: MachineFile | None) -> tuple[Readings, ...]:
+    machine = machine_file or nominal_machine_file()
+    kinds = table.values("kind", _KIND)
+    of_tool = [k for k, kind in enumerate(kinds) if kind in KINDS]
+    others = [k for k, kind in enumerate(kinds) if kind not in KINDS]
+    legs = any(kinds[k] == "leg" for k in others)
+    found: list[Readings] = []
+    if legs or not of_tool:
+        if machine.geometry.leg_names != LEGS:
+            row = next((k for k in others if kinds[k] == "leg"), 0)
+            table.fail(
+                f"dials on the legs are read on an Orthoglide only, and this machine is a "
+                f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
+                f"({', '.join(KINDS)})",
+                row,
+            )
+        found.append(campaign_of_table(table.part(others), name, machine))
+    if of_tool:
+        own = f"{name}-tool" if legs else name
+        found.append(_tool(table.part(of_tool), own, machine))
+    return tuple(found)
+
+
+def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
+    legs = machine.geometry.leg_names
+    names, approach = command_names(table, machine), approach_of(legs)
+    second = _second_names(names, legs)
+    known = (
+        *TOOL_COLUMNS, *ROW_COLUMNS, *SETUP_COLUMNS, *names, *second, *approach, *RHO,
+        *names_of(legs)[0], "reading_mrad", "sigma_mrad",
+    )  # fmt: skip
+    kinds = table.values("kind", TOOL_COLUMNS["kind"])
+    reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
+    warnings = table.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
+    command = commands(table, names, machine)
+    order = np.arange(1, len(kinds) + 1)
+    if "order" in table.names:
+        order = np.array(table.values("order", ROW_COLUMNS["order"]))
+    check_sequence(command, order, table.lines, table.fail)
+    setups, setup = _setups(table, kinds)
+    direction = _directions(table, kinds)
+    row: dict[str, Any] = {key: table.values(key, c) for key, c in ROW_COLUMNS.items()
+                           if key not in ("kind", "order", "reading_mm", "sigma_mm")}  # fmt: skip
+    made = ToolCampaign(
+        name=name,
+        setups=setups,
+        setup=setup,
+        axis=np.array([axis for axis, _ in direction]),
+        sign=np.array([float(sign) for _, sign in direction]),
+        command=command,
+        second=_second(table, second, kinds, machine),
+        approach=_approach(table, approach, command, order),
+        time=np.array(row["time_s"]),
+        temperature=np.array(row["temperature_C"]),
+        load=np.array(row["load_N"]),
+        repeat=np.array(row["repeat"]),
+        order=order,
+        posture=tuple(row["posture"]),
+        reading=_either(table, kinds, "reading_mm", "reading_mrad"),
+        sigma=_either(table, kinds, "sigma_mm", "sigma_mrad"),
+        line=np.array(table.lines),
+        file=table.file,
+        sha256=table.sha256,
+        warnings=warnings,
+    )
+    _check(made, table.fail)
+    return made
+
+
+def _second_names(names: tuple[str, ...], legs: tuple[str, str, str]) -> tuple[str, ...]:
+    kind = names[0].partition("_")[0]
+    return tuple(f"{kind}_{leg}2_mm" for leg in legs)
+
+
+def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:
+    found: dict[str, ToolSetup] = {}
+    labels = table.values("setup", TOOL_COLUMNS["setup"])
+    for row, (name, kind) in enumerate(zip(labels, kinds, strict=True)):
+        if found.setdefault(name, ToolSetup(name, kind)).kind != kind:
+            table.fail(
+                f"setup {name!r} has readings of kind {found[name].kind} and {kind}: give each "
+                "instrument a setup of its own",
+                row,
+            )
+    place = {name: k for k, name in enumerate(found)}
+    return tuple(found.values()), np.array([place[name] for name in labels])
+
+
+def _directions(table: Table, kinds: list[Any]) -> list[tuple[int, int]]:
+    found = table.values("direction", TOOL_COLUMNS["direction"])
+    cells = table.values("direction", Column(str, ""))
+    for row, (kind, cell) in enumerate(zip(kinds, cells, strict=True)):
+        if kind in DIRECTED and not cell:
+            table.fail(f"a reading of kind {kind} needs its direction: x, y or z", row)
+    return found
+
+
+def _second(table: Table, names: tuple[str, ...], kinds: list[Any], machine: MachineFile) -> Array:
+    found = np.full((len(kinds), 3), np.nan)
+    rows = [k for k, kind in enumerate(kinds) if kind == "distance"]
+    if not rows:
+        return found
+    for name in names:
+        if name not in table.names:
+            table.fail(f"has no column {name}, the second command of a distance: add it")
+    found[rows] = commands(table.part(rows), names, machine)
+    return found
+
+
+def _approach(table: Table, names: tuple[str, ...], command: Array, order: Any) -> Array:
+    recorded = columns(table, names, DIRECTION_OF_MOVE)
+    given = [name in table.names for name in names]
+    return np.where(given, recorded, derive_approach(command, order))
+
+
+def _either(table: Table, kinds: list[Any], mm: str, mrad: str) -> Array:
+    """A column of millimetres or, for inclinations, of milliradians."""
+    lengths = np.array(table.values(mm, ROW_COLUMNS[mm]))
+    angles = np.array(table.values(mrad, READING_MRAD if mm == "reading_mm" else SIGMA_MRAD))
+    return np.where([kind == "incline" for kind in kinds], angles, lengths)
+
+
+def _check(campaign: ToolCampaign, fail: Fail) -> None:
+    empty = np.flatnonzero(np.isnan(campaign.reading))
+    if len(empty):
+        fail("the reading is empty: fill it in or remove the row", int(empty[0]))
+    same = np.flatnonzero(
+        (np.abs(campaign.second - campaign.command) < 1e-6).all(axis=1) & (campaign.reading > 0)
+    )
+    if len(same):
+        fail("the two commands of this distance are the same: correct one", int(same[0]))
+    short = np.flatnonzero(campaign.of_kind("distance") & (campaign.reading <= 0))
+    if len(short):
+        fail("a distance must be above 0: correct it", int(short[0]))
+    metres = np.abs(campaign.reading[campaign.of_kind("distance")])
+    if len(metres) and metres.max() < 1e-3:
+        fail("all distances are below 1 mm: give millimetres, not metres", 0)

@@ -1,0 +1,74 @@
+"""Readings of the tool as rows of text; they read back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from orthoglide import units
+from orthoglide.geometry import LEGS, Array
+from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.observations.checks import DECIMALS
+from orthoglide.observations.columns import MM
+from orthoglide.observations.tool import DIRECTED, ToolCampaign
+from orthoglide.observations.writing import Row, numbers, rows_of, signs
+
+
+def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -> list[Row]:
+    """The rows of a file of tool readings; optional columns only where they say something.
+
+    Args:
+        campaign: the readings.
+        machine_file: whose layout and controller count; the nominal one if None.
+    """
+    machine = machine_file or nominal_machine_file()
+    legs, kinds = machine.geometry.leg_names, campaign.kind
+    angles = campaign.of_kind("incline")
+    directed = np.array([kind in DIRECTED for kind in kinds], dtype=bool)
+    named = [
+        ("-" if sign < 0 else "") + LEGS[axis] if own else ""
+        for axis, sign, own in zip(campaign.axis, campaign.sign, directed, strict=True)
+    ]
+    needed = {
+        "direction": directed.any(),
+        "time_s": np.isfinite(campaign.time).any(),
+        "temperature_C": np.isfinite(campaign.temperature).any(),
+        "load_N": campaign.load.any(),
+        "reading_mm": not angles.all(),
+        "reading_mrad": angles.any(),
+        "sigma_mm": np.isfinite(campaign.sigma[~angles]).any(),
+        "sigma_mrad": np.isfinite(campaign.sigma[angles]).any(),
+        **{f"travel_{leg}2_mm": campaign.of_kind("distance").any() for leg in legs},
+    }
+    columns: dict[str, Sequence[Any]] = {
+        "kind": kinds,
+        "setup": [campaign.setups[k].name for k in campaign.setup],
+        "direction": named,
+        "posture": campaign.posture,
+        **_commands(campaign.command, machine, ""),
+        **_commands(campaign.second, machine, "2"),
+        "repeat": campaign.repeat.tolist(),
+        "order": campaign.order.tolist(),
+        **{f"approach_{leg}": signs(campaign.approach[:, k]) for k, leg in enumerate(legs)},
+        "time_s": numbers(campaign.time),
+        "temperature_C": numbers(campaign.temperature),
+        "load_N": numbers(campaign.load),
+        "reading_mm": numbers(np.where(angles, np.nan, campaign.reading), MM),
+        "reading_mrad": numbers(np.where(angles, campaign.reading, np.nan), MM),
+        "sigma_mm": numbers(np.where(angles, np.nan, campaign.sigma), MM),
+        "sigma_mrad": numbers(np.where(angles, campaign.sigma, np.nan), MM),
+    }
+    return rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
+
+
+def _commands(command: Array, machine: MachineFile, which: str) -> dict[str, list[str]]:
+    """Commands as the controller shows them."""
+    shown = np.round(machine.controller.from_rho(command, machine.geometry), DECIMALS) + 0.0
+    return {
+        f"travel_{leg}{which}_mm": [
+            "" if np.isnan(v) else str(units.from_si(v, MM)) for v in shown[:, k].tolist()
+        ]
+        for k, leg in enumerate(machine.geometry.leg_names)
+    }
