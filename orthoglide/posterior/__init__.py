@@ -7,9 +7,9 @@ from orthoglide.posterior.causes import (
     Explanation,
     Located,
     Outstanding,
-    outstanding,
 )
 from orthoglide.posterior.everything import FullPosterior, full_posterior
+from orthoglide.posterior.outstanding import outstanding
 
 __all__ = [
     "CandidateScore",
