@@ -8,12 +8,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "demo": ("demo --out demo",),
     "close-loop": (
         "close-loop april.csv --machine machine.toml --out april",
-        "close-loop april.csv may.csv --own joint_offset --holdout june.csv --out spring",
+        "close-loop april.csv may.csv --holdout june.csv --out spring",
     ),
     "diagnose": ("diagnose april.csv --machine machine.toml",),
     "identify": (
         "identify april.csv --out april",
-        "identify april.csv --free joint_offset,axis_tilt.y.z --no-priors --out april",
+        "identify april.csv may.csv --fit-tcp tracker.tcp.csv --noise 0.004 --out spring",
     ),
     "rerun": ("rerun april/result.json", "rerun april/result.json --inputs data --out again"),
     "protocol": ("protocol --kind sweep --machine machine.toml --out sheet.csv",),
@@ -24,7 +24,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "compensate": ("compensate path.csv --machine april/calibrated.toml --out commands.csv",),
     "export": ("export --machine april/calibrated.toml --out controller",),
-    "compare": ("compare --effects axis_tilt,backlash --out comparison",),
+    "compare": ("compare --machine april/calibrated.toml --out comparison",),
     "forward": (
         "forward 310.25 310.25 310.25",
         "forward --csv commands.csv --out points.csv --machine april/calibrated.toml",
