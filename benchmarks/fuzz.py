@@ -101,15 +101,15 @@ def originals() -> dict[str, str]:
 
 # command: share, files that it reads (kind by name), what may follow
 COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
-    "identify": (6, {"a.csv": "small"}, ("--out", "out")),
+    "identify": (8, {"a.csv": "small"}, ("--out", "out")),
     "identify published": (2, {"a.csv": "campaign"}, ("--out", "out", "--quiet")),
     "identify two": (2, {"a.csv": "small", "b.csv": "small"}, ("--own", "joint_offset", "--out",
     "out")),
-    "identify points": (2, {"--fit-tcp": "tcp"}, ("--out", "out")),
+    "identify points": (4, {"--fit-tcp": "tcp"}, ("--out", "out")),
     "identify by": (4, {"a.csv": "small", "--machine": "machine"}, ("--out", "out")),
-    "diagnose": (2, {"a.csv": "small", "--tcp": "tcp"}, ("--json",)),
-    "close-loop": (1, {"a.csv": "campaign", "--holdout": "small"}, ("--out", "out")),
-    "rerun": (6, {"r.json": "result"}, ()),
+    "diagnose": (4, {"a.csv": "small", "--tcp": "tcp"}, ("--json",)),
+    "close-loop": (2, {"a.csv": "campaign", "--holdout": "small"}, ("--out", "out")),
+    "rerun": (4, {"r.json": "result"}, ()),
     "rerun again": (2, {"r.json": "result"}, ("--out", "out")),
     "forward": (4, {"--csv": "rho"}, ("--out", "out")),
     "inverse": (3, {"--csv": "path", "--machine": "machine"}, ("--out", "out")),

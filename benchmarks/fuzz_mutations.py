@@ -57,7 +57,7 @@ Table = list[list[str]]
 
 def some_cell(draw: Random, old: str) -> str:
     """Another cell: a number near the old one, an odd number, a word or a name."""
-    if draw.random() < 0.5:
+    if draw.random() < 0.75:
         try:
             value = float(old)
         except ValueError:
@@ -65,7 +65,8 @@ def some_cell(draw: Random, old: str) -> str:
         else:
             change = draw.choice((
                 lambda v: -v, lambda v: v * 25.4, lambda v: v / 1000, lambda v: v * 1000,
-                lambda v: v + draw.gauss(0, 1), lambda v: v + draw.gauss(0, 100),
+                lambda v: v + draw.gauss(0, 0.01), lambda v: v + draw.gauss(0, 0.1),
+                lambda v: v + draw.gauss(0, 1), lambda v: v + draw.gauss(0, 30),
                 lambda v: v * (1 + 1e-9), lambda v: round(v, 1), lambda v: v * 1e200,
             ))  # fmt: skip
             return repr(change(value))
@@ -147,13 +148,13 @@ def _more(draw: Random, table: Table) -> None:
 
 def _names(draw: Random, table: Table) -> None:
     """Every setup gets an odd name."""
-    new = {row[0]: draw.choice(NAMES) for row in table[1:] if row}
+    new = {name: draw.choice(NAMES) for name in dict.fromkeys(r[0] for r in table[1:] if r)}
     for row in table[1:]:
         if row:
             row[0] = new[row[0]]
 
 
-_ON_TABLES = (_cells, _cells, _cells, _column, _rows, _header, _more, _names)
+_ON_TABLES = (_cells, _cells, _cells, _column, _rows, _header, _more, _more, _names, _names)
 
 
 def spoil_table(draw: Random, text: str) -> bytes:
@@ -175,7 +176,7 @@ def spoil_table(draw: Random, text: str) -> bytes:
 
 def spoil_bytes(draw: Random, content: bytes) -> bytes:
     """Bytes as they are, mostly; else cut, flipped, doubled or written in another alphabet."""
-    if draw.random() < 0.8 or not content:
+    if draw.random() < 0.93 or not content:
         return content
     place = draw.randrange(len(content))
     flipped = bytearray(content)
@@ -270,7 +271,7 @@ def _spoil_inside(draw: Random, data: Any) -> None:
         at[key] = some_cell(draw, old)
     elif kind == 2 and isinstance(old, list):
         at[key] = draw.choice((old * 2, old[:1], old[::-1]))
-    elif kind == 3 and isinstance(old, int | float) and not isinstance(old, bool):
+    elif kind == 3 and isinstance(old, int | float) and abs(old) < 1e300:
         at[key] = draw.choice((-old, old * 1000, old + 1, str(old), float(old)))
     else:
         at[key] = draw.choice(_JSON_VALUES)
