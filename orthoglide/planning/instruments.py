@@ -69,7 +69,8 @@ def deciding(fit: Estimate, causes: Sequence[Cause]) -> tuple[tuple[str, float],
         found.append(
             (
                 f"{what}: that {one}, and that {other}, would differ by up to "
-                f"{compact(apart * 1e3, 2)} {unit}, where one reading repeats to {compact(sigma * 1e3, 2)} {unit}",
+                f"{compact(apart * 1e3, 2)} {unit}, where one reading repeats to "
+                f"{compact(sigma * 1e3, 2)} {unit}",
                 apart / sigma,
             )
         )
