@@ -152,7 +152,7 @@ def shifted(old: Firmware, by: Array) -> Firmware:
     )
 
 
-SIDEWAYS = 0.1
+SIDEWAYS = 0.03
 """Weight of an error along the plate against one of height: prints are a tenth of a millimetre
 high, and what a probe says of the tool's place along the plate is uncertain."""
 
