@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orthoglide.accuracy import workspace
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect, LegConditions
-from orthoglide.effects.places import Place, places
+from orthoglide.effects.places import Place, Session, dial_places, places
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.factors import ByJoints
@@ -113,16 +113,44 @@ def with_everything(problem: Problem) -> Problem:
 
 
 def places_of(problem: Problem) -> tuple[Place, ...]:
-    """Places that these readings could show."""
-    sessions: list[tuple[int, float, float]] = []
+    """Places of the machine that these readings could show."""
+    sessions: list[Session] = []
     if len(problem.campaigns) == 1 and not problem.points:
         (campaign,) = problem.campaigns
-        leg = campaign.leg
-        for k in range(3):
-            time = campaign.time[leg == k]
+        for leg in (*range(len(LEGS)), None):
+            time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
-                sessions.append((k, float(time.min()), float(time.max())))
+                sessions.append(Session(float(time.min()), float(time.max()), leg))
     return places(sessions)
+
+
+def _of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
+
+    Args:
+        problem: its campaigns.
+        value: predicted readings ``(n,)``, metres.
+    """
+    columns, found = [np.zeros((len(value), 0))], list[Place]()
+    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
+        for k, setup in enumerate(campaign.setups):
+            rows = part.start + np.flatnonzero(campaign.setup == k)
+            time, shown = campaign.time[rows - part.start], value[rows]
+            if np.ptp(shown) <= 0:
+                continue
+            name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
+            timed = np.isfinite(time).all() and np.ptp(time) > 0
+            span = (float(time.min()), float(time.max())) if timed else None
+            dial = dial_places(name, setup.leg, span, (float(shown.min()), float(shown.max())))
+            for place in dial:
+                low, high = place.span or (0.0, 1.0)
+                by = time if place.against == "time" else shown
+                functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
+                block = np.zeros((len(value), len(functions)))
+                block[rows] = np.stack(functions, axis=1) * place.unit
+                columns.append(block)
+                found.append(place)
+    return np.hstack(columns), tuple(found)
 
 
 def everything(estimate: Estimate, at: Array | None = None) -> Everything:
@@ -147,7 +175,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
     project, sd = estimate.nuisance.project, wide.tolerance
     curves, found = _curves(wide, x)
-    rows = np.hstack([here.jacobian * sd, curves])
+    of_dials, dials = _of_dials(wide, here.value)
+    rows, found = np.hstack([here.jacobian * sd, curves, of_dials]), (*found, *dials)
     value = here.value - here.jacobian @ x
     columns, residual = project(rows), project(problem.measured - value)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])

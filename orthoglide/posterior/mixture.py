@@ -33,6 +33,9 @@ FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
 """Scales of the free functions that no slab lets out, in their units, and of an error of its own at
 every station, in the noise of a reading: what has no structure at all is noise to all causes."""
 
+SOUND = 0.03
+"""Tolerances: a machine of which everything is off by less is sound."""
+
 SLABS = (0.3, 1.0, 3.0, 10.0)
 """Scales of what stands out."""
 
@@ -218,6 +221,23 @@ class Mixture:
         self._best_child(state)
         table = self.children[state][:, group]
         return self._child(state, group, int(np.argmax(np.exp(table - table.max()).sum(axis=0))))
+
+    @property
+    def _sound(self) -> list[int]:
+        """Scales of a machine that is sound but for what stands out."""
+        return [k for k, s in enumerate(self.scales) if s.share <= SOUND and s.rough == 0]
+
+    def over_sound_machine(self) -> Array:
+        """Log Bayes factor of each group alone, on a sound machine, by tau ``(groups, taus)``."""
+        self._best_child(())
+        return np.asarray(
+            self.children[()][self._sound].max(axis=0) - self.visited[()][self._sound].max()
+        )
+
+    def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """As `likeliest`, on a sound machine."""
+        logs = {k: self._log_z(self.scales[k], state) for k in self._sound}
+        return self.moments(state, self.scales[max(logs, key=lambda k: logs[k])], at)
 
     def next_odds(self) -> Array:
         """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
