@@ -18,12 +18,13 @@ from orthoglide.diagnosis.changes import Change, separated
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults
+from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults, scatter_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
+from orthoglide.fit.factors import SILENT
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
@@ -33,7 +34,6 @@ _REFITS = 3
 
 _MOST_CHANGES = 4
 _MEANINGS = ("sign", "unit", "exchanged_labels")
-_SILENT = 1e6  # times its sigma: a reading of no weight
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,9 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     base = signatures(estimate)
     means = StationMeans.of(base)
     setups = [Scatter.of(estimate, s) for s in range(estimate.problem.setup_count)]
-    found = stuck_faults(base, means, setups)
+    found = scatter_faults(estimate.problem, setups)
+    most = max(most, len(found))
+    found += [f for f in stuck_faults(base, means, setups) if not f.among(found)]
     found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
     stale = 0 < len(found) < most
@@ -133,7 +135,7 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
             readings[fault.rows] -= fault.size
         else:
             silent[fault.rows] = True
-    sigma = np.where(silent, _SILENT * problem.sigma, problem.sigma)
+    sigma = np.where(silent, SILENT * problem.sigma, problem.sigma)
     noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
     return replace(problem.with_readings(readings), noise=noise)
 
@@ -215,8 +217,8 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
                 split = _split(split, rows)
         if not kept.any():
             raise InputError(
-                f"nothing is left of {campaign.name} once its faulty rows are set aside: "
-                f"measure it again"
+                f"{blunders[0].message}. Nothing is left of {campaign.name} once its faulty rows "
+                f"are set aside: measure it again"
             )
         campaigns.append(split.subset(kept))
         sigmas.append(problem.noise.sigma[k][kept])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS
 
-Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck"]
+Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck", "scatter"]
 Rows = NDArray[np.int64]
 
 EVIDENCE = 7.0
@@ -51,6 +51,10 @@ class Fault:
     setups: tuple[int, ...]
     size: float
     evidence: float = 0.0
+
+    def among(self, others: Sequence[Fault]) -> bool:
+        """Whether one of its setups is in others already."""
+        return any(set(self.setups) & set(other.setups) for other in others)
 
 
 def in_order(problem: Problem, setup: int) -> Rows:
@@ -128,6 +132,12 @@ def _clause(problem: Problem, fault: Fault) -> str:
             return (
                 f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
                 f"be {UNITS[factor]}: put this setup into millimetres"
+            )
+        case "scatter":
+            return (
+                f"visits to the same posture differ by {fault.size * 1e3:.2g} mm as often as not, "
+                f"which is no noise of a dial: rows were exchanged, the readings have another "
+                f"unit, or the dial is loose; put it right, or declare the noise with --noise"
             )
         case "stuck":
             return (

@@ -15,11 +15,23 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, Rows, in_order, untouched
+from orthoglide.diagnosis.faults import (
+    EVIDENCE,
+    Fault,
+    Kind,
+    Rows,
+    in_order,
+    message,
+    untouched,
+)
 from orthoglide.diagnosis.station_means import orthonormal, past
+from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.geometry import Array
 
+_BEYOND = 3.0  # times what a dial scatters, that nothing of it explains
+_FEWEST_STEPS = 4  # from visit to visit of a station
 _FEWEST = 2  # readings on either side of a knock: fewer are outliers
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one
 _STEPS: dict[Kind, float] = {"outlier": 3.0, "knocked_stand": 2.0}  # of the dial: least size
@@ -178,6 +190,35 @@ def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
         least = (problem.machine.spec.dial.resolution / problem.noise.typical) ** 2 / 12
     spread = [scatter.chi2 / scatter.dof for scatter in setups if scatter.dof >= 2]
     return max(least, float(np.median(spread)) if spread else 0.0)
+
+
+def scatter_faults(problem: Problem, setups: Sequence[Scatter]) -> list[Fault]:
+    """Setups whose repeats do not repeat: by more than any dial scatters, in most visits.
+
+    Noise that is taken from the repeats believes anything of them: here it is held against what
+    the machine file says of the dial, or what dials are like. A few slips do not move a median.
+
+    Raises:
+        InputError: where most setups are like that: then none of their rows can be believed.
+    """
+    if problem.noise.source == "declared":
+        return []
+    dial = max(PUBLISHED_REPEATABILITY, problem.machine.spec.dial.resolution)
+    limit = _BEYOND * max(dial, problem.machine.spec.dial.repeatability or 0.0)
+    found = []
+    for scatter in setups:
+        order = np.argsort(scatter.station, kind="stable")
+        steps = np.diff((scatter.read / scatter.weight)[order])[
+            np.diff(scatter.station[order]) == 0
+        ]
+        if len(steps) < _FEWEST_STEPS:
+            continue
+        size = float(np.median(np.abs(steps - np.median(steps))))
+        if size > 0.6745 * np.sqrt(2) * limit:
+            found.append(Fault("scatter", scatter.rows, (scatter.setup,), size))
+    if len(found) > len(setups) / 2:
+        raise InputError(message(problem, found[0]) + "; most other setups are no better")
+    return found
 
 
 def repeat_faults(
