@@ -34,7 +34,7 @@ def shuffled(campaign: og.Campaign, seed: int, within: bool) -> og.Campaign:
 @pytest.mark.parametrize("number", [2, 5])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_shuffled_readings_are_refused(number: int, seed: int, within: bool) -> None:
-    with pytest.raises(InputError, match=rf"rig-{number}.csv.*visits to the same posture differ"):
+    with pytest.raises(InputError, match=rf"rig-{number}.csv.*visits to the same posture scatter"):
         og.close_loop(shuffled(rig(number), seed, within))
 
 

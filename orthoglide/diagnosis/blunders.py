@@ -96,9 +96,7 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     base = signatures(estimate)
     means = StationMeans.of(base)
     setups = [Scatter.of(estimate, s) for s in range(estimate.problem.setup_count)]
-    found = scatter_faults(estimate.problem, setups)
-    most = max(most, len(found))
-    found += [f for f in stuck_faults(base, means, setups) if not f.among(found)]
+    found = stuck_faults(base, means, setups)
     found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
     stale = 0 < len(found) < most
@@ -122,8 +120,9 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     if len(found) < most and not any(f.kind in _MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
+    found = found[:most] + scatter_faults(estimate.problem, setups, found)
     last = means.signatures.estimate
-    return Findings(_reported(base, found[:most]), tuple(c.measured(last) for c in changes))
+    return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
@@ -217,8 +216,8 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
                 split = _split(split, rows)
         if not kept.any():
             raise InputError(
-                f"{blunders[0].message}. Nothing is left of {campaign.name} once its faulty rows "
-                f"are set aside: measure it again"
+                f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
+                f"it again ({blunders[0].message})"
             )
         campaigns.append(split.subset(kept))
         sigmas.append(problem.noise.sigma[k][kept])

@@ -52,10 +52,6 @@ class Fault:
     size: float
     evidence: float = 0.0
 
-    def among(self, others: Sequence[Fault]) -> bool:
-        """Whether one of its setups is in others already."""
-        return any(set(self.setups) & set(other.setups) for other in others)
-
 
 def in_order(problem: Problem, setup: int) -> Rows:
     """Stacked rows of a setup, in the order they were taken."""
@@ -135,9 +131,9 @@ def _clause(problem: Problem, fault: Fault) -> str:
             )
         case "scatter":
             return (
-                f"visits to the same posture differ by {fault.size * 1e3:.2g} mm as often as not, "
-                f"which is no noise of a dial: rows were exchanged, the readings have another "
-                f"unit, or the dial is loose; put it right, or declare the noise with --noise"
+                f"visits to the same posture scatter by {fault.size * 1e3:.2g} mm, which is no "
+                f"noise of a dial: rows were exchanged, the readings have another unit, or the "
+                f"dial is loose; put it right, or declare the noise with --noise"
             )
         case "stuck":
             return (
