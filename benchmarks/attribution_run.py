@@ -16,11 +16,10 @@ from benchmarks import attribution_cases as ac
 from benchmarks.attribution_cases import Array, Case, Cause
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.candidates import Candidate
-from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import OrthoglideError
-from orthoglide.fit import identify
+from orthoglide.fit import identify, solve, with_free
 from orthoglide.judging import tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
@@ -262,7 +261,7 @@ def _freed(cause: Cause, seen: Signatures) -> tuple[str, ...]:
 def _told(drawn: Drawn, verdict: Verdict, names: Sequence[str]) -> list[float]:
     """Mean and largest TCP error of an identification told the effect, millimetres."""
     base = verdict.first
-    fit = refit(base.problem, names, base)
+    fit = solve(with_free(base.problem, names), method="nested")
     values = fit.problem.values(0, fit.x)
     errors = tcp_errors(machine(), drawn.points, verdict.values_before, values)["translation"]
     return [1e3 * errors.after[0], 1e3 * errors.after[1]]

@@ -6,15 +6,10 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from orthoglide.accuracy import tcp_map
-from orthoglide.diagnosis.ranking import Diagnosis, budget, diagnose
-from orthoglide.diagnosis.significance import Detection
-from orthoglide.effects import Effect as Declared
-from orthoglide.errors import InputError
+from orthoglide.diagnosis.significance import Left, left_over
+from orthoglide.effects import Effect
 from orthoglide.fit import (
-    Estimate,
     Frame,
     Source,
     account_for_changes,
@@ -29,27 +24,19 @@ from orthoglide.judging import fitted_already, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Given, TcpPoints, as_campaigns
-from orthoglide.posterior import full_posterior
+from orthoglide.posterior import Cause, Outstanding, full_posterior, outstanding
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
-from orthoglide.result import Result, Word, by_lack_of_fit
-from orthoglide.searching import DETECTION, NAMING, Effect, Search
+from orthoglide.result import Result, Word
 
-__all__ = [
-    "DETECTION",
-    "NAMING",
-    "Effect",
-    "Verdict",
-    "close_loop",
-    "judge",
-    "run",
-]
+__all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
 
 SIGNIFICANT = 0.003
-"""Probability of calling what is left significant, whatever its shape, where nothing is."""
+"""Probability of calling what is left significant where nothing is: one false alarm in 300."""
 
-SIGNIFICANT_AFTER = 0.01
-"""The same once a cause is named, against noise alone."""
+
+FAR = 2.0
+"""Tolerances: a machine of which everything is off by more is none that the file describes."""
 
 
 class Verdict(Result):
@@ -93,7 +80,7 @@ def close_loop(
     noise: float | None = None,
     holdout: Given | None = None,
     tcp: TcpPoints | None = None,
-    effects: Sequence[Declared] = (),
+    effects: Sequence[Effect] = (),
     seed: int = 0,
     progress: Progress | None = None,
     frame: Frame = "rigid",
@@ -167,13 +154,18 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
     if blunders or changes:
         before = solve(problem)
-    search = Search(problem, progress, np.random.default_rng([request.seed, 1]))
-    search.changed = [c.parameter for c in causes]
-    verdict = _search(request, search, before)
+    progress(Step("testing"))
+    known = full_posterior(before, [c.parameter for c in causes])
+    progress(Step("allowing"))
+    found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
+    verdict = Verdict(
+        request, _word(found, left, known.share), before, known.after, found.causes, found.located,
+        found.weighed, left, known, blunders, faulty=faulty,
+    )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
     changed = (*since, *(c.measured(verdict.after) for c in changes))
     progress(Step("judging"))
-    return judge(replace(verdict, blunders=blunders, changed=changed, faulty=faulty))
+    return judge(replace(verdict, changed=changed))
 
 
 def _identified(request: Request, progress: Progress) -> Verdict:
@@ -190,19 +182,16 @@ def _identified(request: Request, progress: Progress) -> Verdict:
         method="reduction" if request.reduced else "auto",
         frame=request.frame,
     )
-    progress(Step("testing"))
-    left = _left(estimate, request.seed)
-    found = by_lack_of_fit(estimate) if left is None else left.detection
-    stopped = "no cause was to be added"
+    left = left_over(estimate)
     return Verdict(
-        request, _word((), found), estimate, estimate, (), (), left, stopped,
+        request, _word(Outstanding((), (), ()), left, 0.0), estimate, estimate, (), (), (), left,
         changed=estimate.changes,
     )  # fmt: skip
 
 
 def judge(verdict: Verdict) -> Verdict:
     """Judge a finished verdict by what its request holds back; only the scores change."""
-    request, machine = verdict.request, verdict.after.problem.machine
+    request, machine = verdict.request, verdict.machine
     before, after = verdict.values_before, verdict.values
     scored = errors = None
     if request.holdout is not None:
@@ -217,30 +206,16 @@ def judge(verdict: Verdict) -> Verdict:
     return replace(verdict, hold_out=scored, tcp=errors)
 
 
-def _search(request: Request, search: Search, before: Estimate) -> Verdict:
-    after, left, stopped = search.run(before)
-    search.progress(Step("allowing"))
-    effects, tried = tuple(search.effects), tuple(search.tried)
-    word, known = _word(effects, left.detection), full_posterior(after)
-    return Verdict(request, word, before, after, effects, tried, left, stopped, known)
+def _word(found: Outstanding, left: Left, share: float) -> Word:
+    """The verdict: what was found, and whether anything significant is left.
 
-
-def _left(estimate: Estimate, seed: int) -> Diagnosis | None:
-    """What a fit leaves, tested against the catalogue; ``None`` where all of it is free."""
-    rng = np.random.default_rng([max(seed, 0), 1])
-    try:
-        return diagnose(estimate, max(budget(diagnose(estimate, 0, rng).signatures), 1), rng)
-    except InputError:
-        return None
-
-
-def _word(effects: Sequence[Effect], test: Detection) -> Word:
-    """The verdict. Lack of fit decides with the best of the catalogue: either is significant."""
-    if not effects:
-        significant = test.p_value < DETECTION or test.lack_of_fit_p < SIGNIFICANT
+    A background beyond the tolerances of everything explains what it likes, and so nothing.
+    """
+    significant = left.p_value < SIGNIFICANT or share > FAR
+    if not found.causes and not found.located:
         return "unexplained" if significant else "adequate"
-    # To call a machine explained takes more than to leave one alone: what the named cause does not
-    # explain counts against noise alone.
-    if test.p_value < DETECTION or test.bare_lack_of_fit_p < SIGNIFICANT_AFTER:
+    if significant:
         return "partial"
-    return "ambiguous" if any(e.different for e in effects) else "explained"
+    if found.located:
+        return "located"
+    return "ambiguous" if any(c.rivals for c in found.causes) else "explained"

@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"accuracy"}),
     frozenset({"fit", "comparison", "control"}),
     frozenset({"diagnosis"}),
-    frozenset({"posterior", "judging", "searching", "simulation", "klipper"}),
+    frozenset({"posterior", "judging", "simulation", "klipper"}),
     frozenset({"planning", "request"}),
     frozenset({"result"}),
     frozenset({"report"}),
@@ -125,7 +125,7 @@ def test_no_two_files_import_each_other() -> None:
 
 
 # What draws a result computes nothing of it: the page, the file and Python cannot differ.
-COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "searching", "prediction",
+COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior", "prediction",
              "mechanism", "reduction", "closing")  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.accuracy import tcp_map
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.effects import CATALOGUE
 from orthoglide.fit import identify
@@ -71,7 +72,8 @@ def test_the_tcp_is_as_good_as_if_the_effect_had_been_told(
     assert verdict.tcp is not None
     after = verdict.tcp["translation"]
     assert after.after[0] <= 1.3 * errors.after[0]
-    assert after.after[0] <= after.before[0] * 1.001
+    sigma = tcp_map(verdict.machine, points.command).sigma
+    assert after.after[0] <= after.before[0] + np.linalg.norm(sigma, axis=1).mean()
     assert after.inside >= 0.93
 
 
@@ -94,8 +96,8 @@ def test_the_same_seed_gives_the_same_answer(machine: og.Machine) -> None:
     campaign = og.read_campaign(RIG / "rig-3.csv", machine.spec)
     one, two = (close_loop(campaign, machine, seed=7) for _ in range(2))
     assert one.values == two.values
-    assert one.detection == two.detection
-    assert one.tried == two.tried
+    assert one.left == two.left
+    assert one.candidates == two.candidates
 
 
 def test_relabelling_the_axes_relabels_the_verdict(machine: og.Machine) -> None:
@@ -117,7 +119,11 @@ def test_few_readings_carry_few_parameters() -> None:
     verdict = close_loop(og.read_campaign(path))
     added = sum(len(e.parameters) for e in verdict.effects)
     assert added < 9 / 3  # twelve deviations less the three offsets that they determine
-    assert verdict.after.scores.cv_rms < verdict.before.scores.cv_rms or not verdict.effects
+    if verdict.effects:
+        assert verdict.after.scores.cv_rms < verdict.before.scores.cv_rms
+    else:
+        assert verdict.word in ("adequate", "unexplained")
+        assert verdict.after.scores == verdict.before.scores
 
 
 def test_what_the_readings_cannot_show_is_called_invisible(verdicts: dict[str, Verdict]) -> None:

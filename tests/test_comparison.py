@@ -120,7 +120,7 @@ def test_no_six_parameters_come_nearer_to_the_readings(name: str) -> None:
     c = comparison().campaign
     axes, gauges = ([getattr(c.setups[k], f) for k in c.setup] for f in ("axis", "gauge"))
     rig = Rig(errors={name: row(name).value})
-    pose = rig.pose(c.command, c.approach, c.time, c.temperature_rise, c.load)
+    pose = rig.pose(c.command, c.approach, c.time, c.temperature - c.temperature[0], c.load)
     shown = rig.readings(pose.lines, c.leg, [c.setups[k].direction for k in c.setup], gauges)
     columns = np.hstack(
         [reduction.reading_jacobian(c.command, c.leg, axes, gauges), np.eye(len(c.setups))[c.setup]]

@@ -15,11 +15,10 @@ import orthoglide as og
 from orthoglide.cli.design import design as design_command
 from orthoglide.cli.sheets import protocol as protocol_command
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.ranking import refit
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
-from orthoglide.fit import build_problem, noise_of
+from orthoglide.fit import Estimate, Problem, build_problem, noise_of, solve, with_free
 from orthoglide.fit.least_squares import linearise, normal, nuisances
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Moves, derive_approach, protocol
@@ -64,6 +63,10 @@ def measured(machine, rig, rows, seed, name="a") -> Campaign:
 
 def base_problem(machine, campaigns):
     return build_problem(machine, campaigns, CATALOGUE.base, noise_of(campaigns, machine.spec.dial))
+
+
+def refit(problem: Problem, names: list[str]) -> Estimate:
+    return solve(with_free(problem, names), method="nested")
 
 
 def as_numbers(rows):

@@ -67,7 +67,7 @@ def campaign(load: float = 5.0) -> Campaign:
         command=GEOMETRY.L + rng.uniform(*GEOMETRY.stroke, (n, 3)),
         approach=rng.choice([-1.0, 0.0, 1.0], (n, 3)),
         time=np.linspace(0.0, 1740.0, n),
-        temperature=20 + 8 * rng.random(n),
+        temperature=np.concatenate([[24.0], 20 + 8 * rng.random(n - 1)]),
         load=load * (1 + rng.random(n)),
         repeat=np.ones(n, dtype=int),
         order=np.arange(n),
@@ -86,7 +86,9 @@ def rig_outputs(values: dict[str, float], seen: Campaign) -> tuple[Pose, Array]:
     """Poses and readings of the independent machine."""
     rig = Rig(errors=values, screw_pitch=PITCH)
     setups = [seen.setups[k] for k in seen.setup]
-    pose = rig.pose(seen.command, seen.approach, seen.time, seen.temperature_rise, seen.load)
+    rise = seen.temperature - seen.temperature[0]
+    assert rise.min() < -1 < 1 < rise.max()
+    pose = rig.pose(seen.command, seen.approach, seen.time, rise, seen.load)
     shown = rig.readings(
         pose.lines,
         seen.leg,
@@ -330,7 +332,7 @@ def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, ti
         "drive_compliance": force, "axis_offset": 1.0, "axis_tilt": told, "rail_bow": u**2 - 1,
     }  # fmt: skip
     longer: dict[str, Array | float] = {
-        "leg_length": 1.0, "thermal_growth": GEOMETRY.L * seen.temperature_rise,
+        "leg_length": 1.0, "thermal_growth": GEOMETRY.L * (seen.temperature - seen.temperature[0]),
         "thermal_drift": GEOMETRY.L * seen.time,
     }  # fmt: skip
     centres = seen.command[:, :, None] * np.eye(3)

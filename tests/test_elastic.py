@@ -308,7 +308,7 @@ def test_no_equilibrium_says_which_posture() -> None:
         closure(1e4, 0.0).close(known)
     assert isinstance(caught.value, ClosureError)
     assert caught.value.index == (3,)
-    assert caught.value.residuals
+    assert max(caught.value.residuals.values()) > 1e-9
 
 
 def test_legs_out_of_reach_say_which_posture() -> None:

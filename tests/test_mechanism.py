@@ -1,6 +1,7 @@
 """The closed mechanism: against the reduction, against itself, and where it must refuse."""
 
 import pickle
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -541,7 +542,12 @@ def test_a_batch_that_does_not_close_says_where_in_words() -> None:
     with pytest.raises(ClosureError, match=r"largest misfit of \S+ mm or mrad at \w+") as caught:
         mechanism().forward([[0.31025] * 3, [0.7] * 3])
     assert "{" not in str(caught.value)
-    assert caught.value.residuals
+    residuals = caught.value.residuals
+    assert set(residuals) == {loop.name for loop in mechanism().tree.loops}
+    told = re.search(r"misfit of (\S+) mm or mrad at (\w+)", str(caught.value))
+    assert told is not None
+    assert residuals[told[2]] == max(residuals.values()) > 0.05
+    assert float(told[1]) == pytest.approx(residuals[told[2]] * 1e3, rel=0.02)
 
 
 def test_points_are_counted_from_one_for_people() -> None:

@@ -317,7 +317,7 @@ def test_everything_can_be_freed_at_once() -> None:
     assert result.left is None
     assert result.word in ("adequate", "unexplained")
     kept = json.loads(report_files(result)["result.json"])
-    assert kept["left"]["detection_p"] is None
+    assert kept["left"]["background"] is None
     assert kept["invisible"] == []
 
 

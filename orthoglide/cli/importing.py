@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from orthoglide.cli.options import PATH, out_option
+from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 
 
@@ -32,12 +33,12 @@ def klipper(config: Path, out: Path) -> None:
         files[f"{campaign.name}.csv"] = csv_text(tool_rows(campaign, found.machine))
     write_results(out, files)
     for note in found.notes:
-        click.echo(f"warning: {note}", err=True)
+        say(f"warning: {note}", err=True)
     for campaign in found.campaigns:
         kinds = {s.name: s.kind for s in campaign.setups}
         what = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
-        click.echo(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
-    click.echo(
+        say(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
+    say(
         f"\nNext: orthoglide close-loop {click.format_filename(out)}/*.csv --machine "
         f"{click.format_filename(out / 'machine.toml')} --out OUT"
     )

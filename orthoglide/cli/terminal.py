@@ -36,7 +36,7 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
     try:
         if stream is None:
             raise OSError(errno.EBADF, "closed")
-        click.echo(text, err=err, nl=isinstance(text, str))
+        click.echo(text, file=stream, nl=isinstance(text, str))
         stream.flush()
     except (OSError, ValueError) as error:
         _silence(err)

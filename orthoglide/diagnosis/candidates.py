@@ -72,6 +72,16 @@ def _content(candidate: Candidate) -> str:
 def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:
     """Candidates of dials: each campaign has its own."""
     members = [Candidate(n, effect.name, (n,), ({n: 1.0},)) for n in names]
+    if effect.plate:  # shared by all campaigns, and of each setup only where there is one
+        shared = catalogue.structured(effect.name, tuple({n.setup for n in names}))
+        return (
+            [
+                _one(effect, member, {n: 1.0 for n in names if n.plain in weights})
+                for member, weights in shared.items()
+            ]
+            if len({n.setup for n in names}) > 1
+            else members
+        )
     for campaign in dict.fromkeys(n.campaign for n in names):
         here = [n.plain for n in names if n.campaign == campaign]
         setups = tuple(n.setup for n in here)
@@ -112,7 +122,9 @@ def _whole(effect: Effect, names: list[Parameter]) -> list[Candidate]:
     """An effect whole; and where a leg has several parameters of one cause, those of each leg."""
     if effect.of_dial or len(names) < 2:
         return []
-    blocks = {effect.name: names}
+    # Where legs share their directions an effect whole is patterns of its own: the common ones.
+    patterned = len({n.direction for n in names}) > 1 and effect.names.alike
+    blocks = {} if patterned else {effect.name: names}
     if effect.paired:
         for name in names:
             blocks.setdefault(f"{effect.name}.{name.leg}", []).append(name)

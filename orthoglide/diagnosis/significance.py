@@ -1,26 +1,19 @@
-"""Two tests, not one: is anything left beyond the noise, and does the best cause deserve its name?
-
-*Detection* compares the best evidence in the catalogue with what it reaches on noise alone, drawn
-again and again with its rounding, its dial placements and, where the noise was estimated from
-repeats, that estimate. *Naming* compares the share of the residual that the best cause explains
-with the share that the best of the catalogue would explain of a structureless residual of the same
-size: with something outside the catalogue present, every correlated cause is significant against
-the noise, and only this test keeps the tool from naming it.
-"""
+"""What is left of the readings against the noise, and noise drawn again and again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures
-from orthoglide.fit import Problem
-from orthoglide.fit.least_squares import normal
+from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
+
+Ints = NDArray[np.int64]
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
@@ -32,21 +25,43 @@ BACKGROUND = 0.02
 
 
 @dataclass(frozen=True)
-class Detection:
-    """Whether something is left beyond the noise.
+class Left:
+    """Whether a fit leaves anything beyond the noise, whatever its shape.
 
     Attributes:
-        p_value: of the best evidence in the catalogue, family-wise.
-        lack_of_fit_p: of what is left, whatever its shape: the smaller of two tests, doubled; of
-            all readings, and of the station means, which see a systematic error better.
-        bare_lack_of_fit_p: the same against noise alone, without a little of everything.
-        threshold: evidence that noise alone exceeds once in twenty.
+        p_value: of as much being left by noise alone.
     """
 
     p_value: float
-    lack_of_fit_p: float
-    bare_lack_of_fit_p: float
-    threshold: float
+
+
+def left_over(estimate: Estimate) -> Left:
+    """Test what a fit leaves against the noise.
+
+    The scatter of repeats about their station's mean is no cause of the machine. What is left of
+    the means is held against the noise as it was declared (chi-squared), or against that scatter
+    where the noise was taken from it (F, Fisher's lack of fit); where it was declared all readings
+    are tested as well, and the smaller of both is doubled.
+
+    Args:
+        estimate: the fit.
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    problem, scores = estimate.problem, estimate.scores
+    station, n = problem.station, len(problem.measured)
+    stations = int(station.max(initial=-1)) + 1
+    repeats = n - stations
+    within = float(about_means(station, estimate.nuisance.weight, estimate.residuals[:, None])[0])
+    dof, between = scores.dof - repeats, max(scores.chi2 - within, 0.0)
+    if scores.dof <= 0:
+        return Left(1.0)
+    if dof < 1 or not repeats:
+        return Left(float(chdtrc(scores.dof, scores.chi2)))
+    if problem.noise.source == "repeats" and within > 0:
+        return Left(float(fdtrc(dof, repeats, between / dof * repeats / within)))
+    both = chdtrc(scores.dof, scores.chi2), chdtrc(dof, between)
+    return Left(min(1.0, 2 * float(min(both))))
 
 
 @dataclass(frozen=True)
@@ -56,12 +71,10 @@ class Draws:
     Attributes:
         rows: whitened, projected residuals ``(m, draws)`` of noise alone.
         little: what a little of everything else adds ``(m, draws)``.
-        within: whitened sum of squares about the station means ``(draws,)``.
     """
 
     rows: Array
     little: Array
-    within: Array
 
 
 def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) -> Draws:
@@ -72,12 +85,11 @@ def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) ->
     """
     problem = signatures.estimate.problem
     readings = _noise(problem, signatures, rng, draws)
-    rows, within = signatures.whiten(readings), about_means(signatures, readings)
+    rows = signatures.whiten(readings)
     if problem.noise.source == "repeats":
         variance = np.array([repeat_variance(_with_noise(problem, r))[0] for r in readings.T])
         total = total_variance(variance, problem.machine.spec.dial.resolution)
-        factor = problem.noise.typical / np.sqrt(np.maximum(total, 1e-300))
-        rows, within = rows * factor, within * factor**2
+        rows = rows * (problem.noise.typical / np.sqrt(np.maximum(total, 1e-300)))
     # A prior that holds an unknown back leaves something of it in the readings.
     known = len(problem.prior_rows[0])
     padded = np.zeros((len(signatures.fitted), draws))
@@ -85,7 +97,7 @@ def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) ->
     rows += signatures.project(padded)
     little = rng.standard_normal((len(signatures.names), draws))
     little *= BACKGROUND * signatures.tolerance[:, None]
-    return Draws(rows, signatures.columns @ little, within)
+    return Draws(rows, signatures.columns @ little)
 
 
 def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
@@ -125,98 +137,18 @@ def on_grid(readings: Array, resolution: float) -> bool:
     return bool(np.all(np.abs(steps - np.round(steps)) < _OFF_GRID))
 
 
-def detect(
-    signatures: Signatures, scoring: Scoring, rng: np.random.Generator, draws: int = DRAWS
-) -> Detection:
-    """Test the residual of a fit against noise alone.
+def about_means(station: Ints, weights: Array, readings: Array) -> Array:
+    """Whitened sum of squares ``(k,)`` of readings ``(n, k)`` about their station means.
 
     Args:
-        signatures: at the fit.
-        scoring: of the candidates in the running.
-        rng: of the bootstrap.
-        draws: of the bootstrap.
+        station: of each reading ``(n,)``, numbered from 0.
+        weights: 1 / sigma of each reading ``(n,)``.
+        readings: ``(n, k)``, metres.
     """
-    drawn = noise_draws(signatures, rng, draws)
-    all_told = drawn.rows + drawn.little
-    best = scoring.evidences(all_told).max(axis=0) if scoring.candidates else np.zeros(draws)
-    seen = float(scoring.evidences(signatures.residual).max()) if scoring.candidates else -np.inf
-    return Detection(
-        _p_value(best, seen),
-        _lack_of_fit(signatures, all_told, drawn.within),
-        _lack_of_fit(signatures, drawn.rows, drawn.within),
-        float(np.quantile(best, 0.95)),
-    )
-
-
-def _lack_of_fit(signatures: Signatures, rows: Array, within: Array) -> float:
-    """The smaller of two tests, doubled: of all readings, and of the station means."""
-    # What tolerances ask of the unknowns is no question to the readings.
-    left, chi2 = signatures.square(signatures.residual), signatures.square(rows)
-    whole = _p_value(chi2, left)
-    means = _p_value(chi2 - within, left - within_groups(signatures))
-    return min(1.0, 2 * min(whole, means))
-
-
-def name_p_value(
-    signatures: Signatures,
-    scoring: Scoring,
-    chosen: int,
-    rng: np.random.Generator,
-    draws: int = DRAWS,
-) -> float:
-    """Probability that a structureless residual would be explained as well by anything at hand.
-
-    A systematic error repeats at every visit to a station from one side, so both residuals are
-    seen through station means; causes that change with time are seen reading by reading.
-
-    Args:
-        signatures: at the fit.
-        scoring: of the candidates in the running.
-        chosen: the candidate to be named, by place.
-        rng: of the draws.
-        draws: how many.
-    """
-    candidate = scoring.candidates[chosen]
-    effect = signatures.estimate.problem.machine.catalogue[candidate.effect]
-    by_reading = bool(effect.needs & {"time", "temperature"})
-    groups = np.arange(signatures.count) if by_reading else signatures.groups
-    left = float(signatures.square(signatures.residual))
-    size = left - (0.0 if by_reading else within_groups(signatures))
-    if size <= 0:
-        return 1.0
-    random = rng.standard_normal((int(groups.max()) + 1, draws))
-    drawn = signatures.whiten(random[groups])
-    drawn *= np.sqrt(size) / np.linalg.norm(drawn, axis=0)
-    # A cause of few parameters does not compete with families that would fit anything.
-    rivals = [k for k, c in enumerate(scoring.candidates) if c.size <= candidate.size]
-    best = scoring.gains(drawn)[rivals].max(axis=0)
-    return _p_value(best, float(scoring.gains(signatures.residual)[chosen]))
-
-
-def within_groups(signatures: Signatures) -> float:
-    """Whitened sum of squares of readings about their station's mean: no cause of the machine."""
-    rest = signatures.estimate.problem.measured - signatures.estimate.at.value
-    return float(about_means(signatures, rest[:, None])[0])
-
-
-def about_means(signatures: Signatures, readings: Array) -> Array:
-    """Whitened sum of squares ``(k,)`` of readings ``(n, k)`` about their station means."""
-    groups, weight = signatures.groups, signatures.weight[:, None] ** 2
-    order = np.argsort(groups, kind="stable")
-    starts = np.flatnonzero(np.diff(groups[order], prepend=-1))
+    weight = weights[:, None] ** 2
+    order = np.argsort(station, kind="stable")
+    starts = np.flatnonzero(np.diff(station[order], prepend=-1))
     total = np.add.reduceat((readings * weight)[order], starts, axis=0)
     share = np.add.reduceat(weight[order], starts, axis=0)
     square = np.sum(readings**2 * weight, axis=0)
     return np.asarray(square - np.sum(total**2 / share, axis=0))
-
-
-def station_degrees(signatures: Signatures) -> float:
-    """Degrees of freedom of the station means: stations less datums less what the unknowns take."""
-    estimate = signatures.estimate
-    here = normal(estimate.problem, estimate.at, estimate.nuisance)
-    stations = int(signatures.groups.max()) + 1
-    return stations - estimate.nuisance.free - here.determined
-
-
-def _p_value(draws: Array, seen: float | Array) -> float:
-    return float((1 + np.sum(draws >= seen)) / (len(draws) + 1))

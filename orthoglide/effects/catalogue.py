@@ -136,7 +136,8 @@ class Catalogue(Mapping[str, Effect]):
             for known in effect.parameters(setups):
                 if name == known or name.startswith(f"{known}@"):
                     return known.at(name[len(known) + 1 :])
-            if setup and plain != f"{effect.name}.common" and not setups:
+            members = self.structured(effect.name, ("any",))
+            if setup and plain not in members and plain != f"{effect.name}.common" and not setups:
                 return Parameter(effect.name, setup=setup, direction=shape, campaign=own)
         else:
             for known in effect.motions:
@@ -214,7 +215,11 @@ class Catalogue(Mapping[str, Effect]):
         elif directions - {""}:
             for direction in sorted(directions):
                 add(f"{direction}.common", {p: 1.0 for p in every if p.direction == direction})
-        elif len(every) > 1 and not effect.plate:  # two plates have nothing in common
+        elif effect.plate:  # the same plate, however often it was probed
+            for part in effect.shapes:
+                member = f"{part}.common" if part else "common"
+                add(member, {p: 1.0 for p in every if p.direction == part})
+        elif len(every) > 1:
             add("common", dict.fromkeys(every, 1.0))
         return found
 

@@ -46,6 +46,7 @@ class LegConditions:
         force: on the carriage along its own axis under the load, newtons.
         travel: the carriage's true travel from mechanical zero, metres.
         zero: the command at mechanical zero, metres; ``None``: L, as on the Orthoglide.
+        commands: of all drives, metres.
     """
 
     command: Any
@@ -58,6 +59,7 @@ class LegConditions:
     force: Any
     travel: Any = None
     zero: float | None = None
+    commands: tuple[Any, ...] = ()
 
     @property
     def nominal_travel(self) -> Any:
@@ -127,7 +129,7 @@ class Motion:
     @property
     def needs(self) -> frozenset[Condition]:
         """Conditions that the basis looks at, found by evaluating it."""
-        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01)
+        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3)
         probe.__dict__["used"] = set()
         self.basis(probe)
         return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])

@@ -106,8 +106,8 @@ def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None
     legs = {p.leg for p in effect.motions}
     if plain == effect.name or (effect.paired and plain in {f"{effect.name}.{k}" for k in legs}):
         return effect, None
-    if plain == f"{effect.name}.common" and effect.of_dial and not isinstance(name, Parameter):
-        return effect, Parameter(effect.name, member="common")
+    if effect.of_dial and not isinstance(name, Parameter) and plain.endswith("common"):
+        return effect, Parameter(effect.name, member=plain[len(effect.name) + 1 :])
     return effect, catalogue.parameter(name)
 
 

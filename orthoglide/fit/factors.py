@@ -7,7 +7,7 @@ with everything else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -28,6 +28,11 @@ SILENT = 1e6
 
 TCP_SIGMA = 1e-5
 """Metres: of a coordinate of a TCP point where its file declares none."""
+
+
+ByJoints = Callable[[Array, Array], Array]
+"""From a motion of the virtual joints ``(30,)`` and functions of the conditions ``(N, K)`` that it
+follows, to the rows ``(n, K)`` by each."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +124,11 @@ class DialReadings:
         """Readings; the slope is by the dial's place along the leg."""
         found = model.linearised(values, self.campaign, names)
         return Linear(found.value, found.jacobian, found.by_gauge[:, None])
+
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+        """How the rows follow virtual joints that move as functions of the conditions."""
+        slopes = model.readings_by_joints(values, self.campaign)
+        return lambda joints, functions: (slopes @ joints)[:, None] * functions
 
     def nuisances(self, slopes: Array) -> Block:
         """A datum and a placement for each setup."""
@@ -221,6 +231,15 @@ class TcpReadings:
         p = out.p
         turn = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)  # (n, xyz, axis)
         return Linear(np.asarray(p[self.known]), jacobian, turn[self.known])
+
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+        """How the rows follow virtual joints that move as functions of the conditions."""
+        slopes = model.by_joints(values, self.conditions())[:, :3]
+
+        def moved(joints: Array, functions: Array) -> Array:
+            return np.asarray(((slopes @ joints)[:, :, None] * functions[:, None])[self.known])
+
+        return moved
 
     def nuisances(self, slopes: Array) -> Block:
         """A datum a coordinate, and three turns, as far as the frame is free."""

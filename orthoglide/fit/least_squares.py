@@ -120,6 +120,9 @@ def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
         blocks, problem.factor_rows, widths[:-1], widths[1:], strict=True
     ):
         columns[rows, first:end] = block.columns
+    if problem.curves is not None:
+        columns = np.hstack([columns, problem.curves.columns])
+        blocks.append(problem.curves)
     precision = np.concatenate([b.sd for b in blocks]) ** -2.0
     weighing = problem.weighing
     augmented = np.vstack([weighing.whiten(columns), np.diag(np.sqrt(precision))])

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.fit.factors import DialReadings, TcpReadings
+from orthoglide.fit.factors import Block, DialReadings, TcpReadings
 from orthoglide.fit.noise import Noise
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weighing import Weighing
@@ -108,6 +108,8 @@ class Problem:
             parameters; with ``@`` and a file's stem, from that campaign on.
         points: readings of the tool: TCP points and what instruments at the tool say.
         earlier: what an earlier calibration says.
+        prior: rows and target ``|W x - t|^2`` in place of the tolerances and what was earlier.
+        curves: rows by what stands out and has no parameters: free functions, as nuisances.
     """
 
     machine: Machine
@@ -120,6 +122,8 @@ class Problem:
     own: tuple[str, ...] = ()
     points: tuple[Beside, ...] = ()
     earlier: Posterior | None = None
+    prior: tuple[Array, Array] | None = None
+    curves: Block | None = None
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
@@ -178,6 +182,8 @@ class Problem:
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
         """What is known before: matrix ``(k, P)`` and target ``(k,)`` of ``|W x - t|^2``."""
+        if self.prior is not None:
+            return self.prior
         tolerances = np.diag(1 / self.prior_sd)
         if self.earlier is None:
             return tolerances, np.zeros(len(tolerances))

@@ -85,7 +85,7 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
-    return _estimate(problem, nuisance, at, used, iterations, optimality)
+    return assessed(problem, nuisance, at, used, iterations, optimality)
 
 
 def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array:
@@ -200,7 +200,7 @@ def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, first: Line
     return optimality
 
 
-def _estimate(
+def assessed(
     problem: Problem,
     nuisance: Nuisances,
     at: Linearised,
@@ -208,6 +208,7 @@ def _estimate(
     iterations: int,
     optimality: float,
 ) -> Estimate:
+    """An estimate from where a method ended: scores, covariance, cross-check, warnings."""
     here = normal(problem, at, nuisance)
     scores = score(problem, nuisance, at)
     scale = 1.0

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.fit.factors import SILENT, Block, Linear
+from orthoglide.fit.factors import SILENT, Block, ByJoints, Linear
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
@@ -158,6 +158,16 @@ class ToolReadings:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
         value = self._value(out.p, out.R, self._shape(catalogue, values))
         return Linear(value, jacobian, np.column_stack([out.p[:n], value]))
+
+    def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
+        """How the rows follow virtual joints that move as functions of the conditions."""
+        known, where = self._of_machine(model.catalogue, values), self.conditions()
+        slopes, p = model.by_joints(known, where)[:, :12], model.outputs(known, where).p
+
+        def moved(joints: Array, functions: Array) -> Array:
+            return self._derivative(p, (slopes @ joints)[:, :, None] * functions[:, None])
+
+        return moved
 
     def nuisances(self, slopes: Array) -> Block:
         """What each kind brings: plane, datum, scale and offset, centre and length."""

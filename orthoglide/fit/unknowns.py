@@ -72,7 +72,7 @@ def build_unknowns(
 def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]) -> bool:
     """Whether a parameter has another value from a campaign on than before it."""
     if catalogue[name.effect].of_dial:
-        return True
+        return not (catalogue[name.effect].plate and name.member)  # one plate, probed again
     for chosen in own:
         plain, _, at = chosen.partition("@")
         if at in ("", stem) and (name == plain or name.startswith(f"{plain}.")):

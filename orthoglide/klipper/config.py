@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from orthoglide import files
 from orthoglide.errors import FileError
+from orthoglide.text import shown
 
 _SAVED = "#*#"
 _SECTION = re.compile(r"\[([^\]]*)\]\s*(?:[#;].*)?$")
@@ -137,7 +138,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     Raises:
         FileError: where it is missing, no text, or a line is neither section nor entry.
     """
-    content = files.read_bytes(path)
+    content = files.read_bytes(path, files.TEXT)
     text = files.decode(content, path)
     lines = text.split("\n")
     own, saved = [], []
@@ -150,9 +151,9 @@ def read_config(path: str | os.PathLike[str]) -> Config:
             own.append((number, line))
     sections: dict[str, Section] = {}
     includes: list[str] = []
-    _parse(own, str(path), sections, includes)
-    _parse(saved, str(path), sections, includes)
-    return Config(str(path), files.sha256(content), sections, tuple(includes))
+    _parse(own, shown(path), sections, includes)
+    _parse(saved, shown(path), sections, includes)
+    return Config(shown(path), files.sha256(content), sections, tuple(includes))
 
 
 def _parse(

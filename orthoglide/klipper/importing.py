@@ -21,13 +21,15 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign, ToolSetup
+from orthoglide.text import shown
 
 PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 """What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
 nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
 
-PROBE, CALLIPER = 1.8e-5, 5e-5
-"""Repeatability of a touch of the probe and of a calliper's distance, metres."""
+PROBE, CALLIPER, RIM = 1.8e-5, 5e-5, 1e-4
+"""Repeatability of a touch of the probe and of a calliper's distance, metres; around the rim only
+one of two pillars' widths is taken off, and pillars differ by a tenth of a millimetre."""
 
 ROD_SPREAD = 5e-4
 """Rods of one set that differ by more were fitted to something else, metres."""
@@ -73,7 +75,7 @@ def import_printer(path: str | os.PathLike[str]) -> Imported:
         raise FileError(
             "holds no readings: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and SAVE_CONFIG, and "
             "take the file that the firmware saved",
-            file=str(path),
+            file=shown(path),
         )
     machine = _machine(config, firmware, arm, stored)
     return Imported(machine, tuple(stored), tuple(_notes(firmware, stored)))
@@ -177,8 +179,9 @@ class _Reader:
                     f"by the stored numbers: is it in another place of DELTA_ANALYZE's list?",
                 )
             # The firmware's part has six spokes and six rim sides, each with pillars of its own.
-            yield _row("distance", "spokes" if k % 12 < 6 else "rim", f"{k}", ends[0], distance,
-                       ends[1])  # fmt: skip
+            spoke = k % 12 < 6
+            row = _row("distance", "spokes" if spoke else "rim", f"{k}", ends[0], distance, ends[1])
+            yield row if spoke else {**row, "sigma": RIM}
             k += 1
 
     def _mesh(self, section: Section, name: str) -> Iterator[dict[str, Any]]:
@@ -282,7 +285,7 @@ def _campaign(name: str, rows: list[dict[str, Any]]) -> ToolCampaign:
         order=np.arange(1, n + 1),
         posture=tuple(row["label"] for row in rows),
         reading=np.round([row["reading"] for row in rows], _ROUND),
-        sigma=np.full(n, np.nan),
+        sigma=np.array([row.get("sigma", np.nan) for row in rows]),
         line=np.arange(2, n + 2),
     )
 

@@ -30,6 +30,11 @@ class LegNames:
         """All names of directions."""
         return frozenset(name for pair in self.across for name in pair)
 
+    @property
+    def alike(self) -> bool:
+        """Whether the legs' directions have the same names, each leg's own meant."""
+        return self.across[0] == self.across[1]
+
     def index(self, leg: str) -> int:
         """0, 1 or 2."""
         return self.legs.index(leg)

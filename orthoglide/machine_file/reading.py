@@ -10,6 +10,7 @@ from typing import Any
 
 from orthoglide import files, units
 from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects.places import with_places
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import ORTHOGLIDE, Layout, LinearDelta
@@ -162,7 +163,7 @@ def read_machine_file(
     Raises:
         FileError: naming the line and what would be right, or a covariance of another file.
     """
-    content = files.read_bytes(path)
+    content = files.read_bytes(path, files.TEXT)
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
@@ -180,6 +181,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     """A machine file from its text; ``file`` is its name for errors, as in `read_machine_file`."""
     document = Document(text, file)
     document.check_keys((*_TOP, *_KEYS, *_FREE))
+    catalogue = with_places(catalogue, document.table("parameters"))
     top = document.section(_TOP, ("schema",))
     sections = {name: _section(document, name) for name in _KEYS}
     controller, stiffness = sections["controller"], sections["stiffness"]

@@ -57,7 +57,7 @@ DIRECTION_OF_MOVE = Column(SIGN, 0)
 
 TOOL_COLUMNS: dict[str, Column] = {
     "kind": Column(choice({kind: kind for kind in KINDS})),
-    "setup": Column(str),
+    "setup": Column(label),
     "direction": Column(DIRECTION, (0, 1)),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.ranking import CLASS_WIDTH
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.fit import Estimate, build_problem, solve
@@ -20,6 +19,7 @@ from orthoglide.units import Unit
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
+_CLASS_WIDTH = 4.0  # change of chi2 within which two effects count as one (Wilks: two sigmas)
 _SAME = 1e-3  # sine between signatures that no size of effect would tell apart
 
 
@@ -163,4 +163,4 @@ def separation(power: float = POWER) -> float:
     from scipy.special import ndtri
 
     z = float(ndtri(power))
-    return z + float(np.sqrt(z**2 + CLASS_WIDTH))
+    return z + float(np.sqrt(z**2 + _CLASS_WIDTH))

@@ -17,6 +17,7 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import LeastVariance, RivalSeparation
+from orthoglide.planning.instruments import deciding
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool, sheet
 from orthoglide.planning.rivals import (
@@ -59,13 +60,13 @@ class Suggestion:
     reason: str
     aim: Aim
     gain: float
-    pool: Campaign
+    pool: Campaign | None
     chosen: tuple[int, ...] = ()
 
     @property
     def campaign(self) -> Campaign | None:
         """The readings without their values; ``None`` where nothing helps."""
-        return sheet(self.pool, self.chosen) if self.chosen else None
+        return sheet(self.pool, self.chosen) if self.chosen and self.pool is not None else None
 
     @property
     def rows(self) -> tuple[dict[str, str], ...]:
@@ -84,7 +85,19 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
     visits: Counter[int] = Counter()
     for suggestion in suggestions:
         visits |= Counter(suggestion.chosen)
-    return sheet(suggestions[0].pool, tuple(visits.elements())) if visits else None
+    pool = suggestions[0].pool if suggestions else None
+    return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
+
+
+def _of_instruments(rivals: Rivals) -> tuple[Suggestion, ...]:
+    """Instruments at the tool that would decide; readings are not laid out one by one."""
+    fits = [(name, found) for name, found in rivals if isinstance(found, Estimate)]
+    if len(fits) < 2:
+        return ()
+    return tuple(
+        Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
+        for reason, gain in deciding(fits)
+    )
 
 
 def next_measurements(
@@ -116,6 +129,8 @@ def next_measurements(
     """
     estimate = fit.estimate if isinstance(fit, Signatures) else fit
     machine = machine or estimate.problem.machine
+    if machine.geometry.layout.hanging:
+        return _of_instruments(rivals)
     weak = estimate.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(estimate.sigma_scale, 1.0)
     several = [explanation(name, found, estimate, scale) for name, found in rivals]

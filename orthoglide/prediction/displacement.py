@@ -42,7 +42,7 @@ def displacement_function(catalogue: Catalogue, geometry: Geometry, pitch: float
                     )
                 if (motion.joint == "travel") is on_the_drive:
                     driven = None if on_the_drive else joints[leg, "travel"]
-                    conditions = _leg_conditions(geometry, pitch, seen, leg, driven)
+                    conditions = leg_conditions(geometry, pitch, seen, leg, driven)
                     place = (leg, motion.joint)
                     joints[place] = joints.get(place, 0) + motion.basis(conditions) * theta[k]
     moves = [
@@ -78,9 +78,10 @@ def displacement_by_command(function: Any) -> Any:
     return ca.Function("displacement_by_command", [theta, seen], [ca.densify(by_seen[:, :3])])
 
 
-def _leg_conditions(
+def leg_conditions(
     geometry: Geometry, pitch: float | None, seen: Any, leg: int, driven: Any
 ) -> LegConditions:
+    """What the effects of one leg see, of a vector of conditions or ``(11, n)`` of them."""
     command, zero = seen[leg], geometry.layout.zero(geometry.L)
     return LegConditions(
         command=command,
@@ -93,4 +94,5 @@ def _leg_conditions(
         force=seen[8 + leg],
         travel=None if driven is None else command - zero + driven,
         zero=zero,
+        commands=tuple(seen[k] for k in range(len(LEGS))),
     )

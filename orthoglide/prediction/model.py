@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects import CATALOGUE, Catalogue, LegConditions
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
@@ -19,6 +19,7 @@ from orthoglide.mechanism.batch import BatchClosure, Outputs
 from orthoglide.mechanism.elastic import Deformation, ElasticClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS
 from orthoglide.mechanism.mapped import Mapped, blocks
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.dial import (
@@ -32,6 +33,7 @@ from orthoglide.prediction.displacement import (
     displacement_by_command,
     displacement_function,
     displacement_tangent,
+    leg_conditions,
 )
 
 
@@ -276,6 +278,35 @@ class Model:
         if "mountings" not in kept:
             kept["mountings"] = mountings(campaign, self.geometry.r)
         return touched, kept["mountings"], dials
+
+    def by_joints(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """Derivative of poses and bars by the virtual joints ``(n, 48, 30)``, loops closed."""
+        batch, given = self.closing(values, conditions)
+        _, by_given = batch.tangent(batch.close(given), given)
+        return np.asarray(by_given[:, :, 3 : 3 + self.displacement.size1_out(0)])
+
+    def readings_by_joints(self, values: Mapping[str, float], campaign: Campaign) -> Array:
+        """Derivative of the readings by the virtual joints ``(n, 30)``, loops closed."""
+        conditions, place = self._merged(campaign, values)
+        lines = self.outputs(values, conditions).lines
+        _, by_ends, _, _ = self._reading_tangent(
+            *self._dial_arguments(values, campaign, lines[place])
+        )
+        moved = self.by_joints(values, conditions)[:, LINES]
+        ends = moved.reshape(len(conditions), 3, 12, moved.shape[2])
+        return np.asarray((by_ends[:, None] @ ends[place, campaign.leg])[:, 0])
+
+    def leg_conditions(
+        self, values: Mapping[str, float], conditions: Conditions
+    ) -> tuple[LegConditions, ...]:
+        """What the effects of each leg see in ``n`` postures, as arrays."""
+        seen = self.seen(conditions).T
+        moves = self.displacements(values, conditions)
+        drives = range(0, moves.shape[1], len(VIRTUAL_NAMES))
+        return tuple(
+            leg_conditions(self.geometry, self.pitch, seen, leg, moves[:, k])
+            for leg, k in enumerate(drives)
+        )
 
     def linearised(
         self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]

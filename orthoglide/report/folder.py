@@ -89,6 +89,8 @@ def write_folder(
         made = Path(tempfile.mkdtemp(prefix=".orthoglide-", dir=target.parent))
         try:
             for name, content in files.items():
+                if ".." in Path(name).parts or Path(name).is_absolute():
+                    raise FileError("is no place within the folder", file=shown(name))
                 path = made / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)

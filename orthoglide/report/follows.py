@@ -126,15 +126,13 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
         ("predicted error with offsets and lengths set right", space.before),
         ("95 % radius about that, everything else allowed", space.sure_before),
         ("95 % radius with all that was found put in, everything else allowed", space.sure),
-        ("95 % radius with all that was found put in, if nothing else is wrong", space.alone),
     ]
-    if not result.effects:  # then the base model is all that was found
+    if not result.improved:  # then the base model is all that was found
         del rows[1:3]
     shares = result.uncertain_effects
     return {
         "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
         "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
-        "averaged": result.averaged,
         "most": listed([f"{name.replace('_', ' ')} ({share:.0%})" for name, share in shares]),
     }
 
@@ -142,7 +140,7 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
 def values(result: Result, figures: Figures) -> Data:
     """What was identified, with both kinds of sigma."""
     fit, of = result.after, result.catalogue.effect_of
-    freed = {of(n).name for n in fit.names}
+    freed = {of(n).name for n in result.shown}
     held = (of(n).name for n, value in result.machine.values.items() if value)
     others = dict.fromkeys(name.replace("_", " ") for name in held if name not in freed)
     return {
@@ -150,9 +148,8 @@ def values(result: Result, figures: Figures) -> Data:
         "figure": whole(figures["parameters"]) if "parameters" in figures else "",
         "known": result.posterior is not None,
         "priors": fit.problem.priors,
-        "averaged": result.averaged,
         "others": listed(others),
-        "dials": any(of(n).of_dial for n in fit.names),
+        "dials": any(of(n).of_dial for n in result.shown),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
     }
 
@@ -163,7 +160,7 @@ def unseen(result: Result, figures: Figures) -> Data:
     for name in result.invisible:
         effect = result.catalogue.effect_of(name).name
         by_effect.setdefault(effect, []).append(name.removeprefix(f"{effect}."))
-    figure = figures.get("correlations") if len(result.after.names) > 1 else None
+    figure = figures.get("correlations")
     return {
         "sentences": weak_sentences(result.after.weak, result.catalogue),
         "effects": [(f.replace("_", " "), listed(members)) for f, members in by_effect.items()],
@@ -174,6 +171,7 @@ def unseen(result: Result, figures: Figures) -> Data:
 
 _METHODS = {
     "nlp": "one nonlinear programme that carries the loop closures of every posture as constraints",
+    "posterior": "the posterior of everything that could be wrong, about its own mean",
     "nested": "Newton steps on the parameters, every posture's loops closed at each step",
     "reduction": "the analytic reduction of the mechanism (three spheres)",
 }

@@ -13,10 +13,18 @@ from orthoglide.report.figures.causes import MOST_CURVES
 from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
-from orthoglide.report.wording import MEANINGS, effects_named, headline, look_at
+from orthoglide.report.wording import (
+    MEANINGS,
+    curve_size,
+    effects_named,
+    headline,
+    located_words,
+    look_at,
+)
 
 if TYPE_CHECKING:
-    from orthoglide.result import Cause, Result
+    from orthoglide.posterior import Cause
+    from orthoglide.result import Result
 
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
@@ -45,7 +53,7 @@ class Tile:
 def tiles(result: Result) -> list[Tile]:
     """What the finding gains, at a glance."""
     before, after = result.before, result.after
-    start = before.scores if result.effects else result.nominal
+    start = before.scores if result.improved else result.nominal
     found = [
         _tile("Readings", start.deviation_rms, after.scores.deviation_rms, "mm rms left"),
         _tile("Stations left out", start.cv_rms, after.scores.cv_rms, "mm rms"),
@@ -55,7 +63,7 @@ def tiles(result: Result) -> list[Tile]:
         found.append(_tile("Readings held out", held.before_rms, held.after_rms, "mm rms"))
     if result.tcp is not None:
         errors = result.tcp["translation"]
-        first = errors.before if result.effects else errors.nominal
+        first = errors.before if result.improved else errors.nominal
         found.append(_tile("TCP, best shift removed", first[0], errors.after[0], "mm mean error"))
     noise = after.problem.noise.typical * 1e3
     found.append(Tile("Noise of a reading", "", compact(noise, 2), "mm, sigma"))
@@ -78,7 +86,7 @@ def finding(result: Result) -> Data:
         "word": result.word,
         "meaning": sentence(MEANINGS[result.word]),
         "tiles": tiles(result),
-        "effects": bool(result.effects),
+        "effects": result.improved,
         "base": effects_named(result.before),
         "lacking": f"{after.sigma_scale:.2g}" if lacking else "",
         "cautions": result.cautions,
@@ -125,60 +133,63 @@ def judged(result: Result, figures: Figures) -> Data:
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
         "tcp": result.tcp is not None,
         "inside": f"{inside:.0%}" if math.isfinite(inside) else "",
-        "several": bool(result.effects),
+        "several": result.improved,
         "base": effects_named(result.before),
     }
 
 
 def causes(result: Result, figures: Figures) -> Data:
-    """Causes that were tried, and how sure they are."""
-    known = {one.name: one.probability for c in result.causes for one in c.explanations}
-    added = {cause.name for cause in result.causes}
+    """Causes and places that were weighed, and how sure they are."""
+    added = {c.name for c in result.effects} | {f.name for f in result.located}
     rows = [
         {
             "name": t.name,
-            "words": result.short(t.name),
-            "round": t.round,
+            "words": result.short(t.name) if t.parameters else "a free function",
             "evidence": signed(t.evidence, 1),
-            "p": probability(t.p_value),
-            "cv": f"{t.cv_rms * 1e3:.4f}",
-            "plausible": t.plausible,
             "added": t.name in added,
-            "probability": f"{known[t.name]:.2f}" if t.name in known else "",
+            "probability": f"{t.probability:.2f}",
         }
         for t in result.candidates
     ]
-    tests = [
-        {
-            "name": cause.name,
-            "detection": probability(cause.effect.detection_p),
-            "naming": probability(cause.effect.naming_p),
-            "before": f"{cause.effect.cv_rms[0] * 1e3:.4f}",
-            "after": f"{cause.effect.cv_rms[1] * 1e3:.4f}",
-        }
-        for cause in result.causes
-    ]
-    detection = result.detection
     return {
         "rows": rows,
-        "rounds": len({t.round for t in result.candidates}) > 1,
-        "tests": tests,
         "figure": whole(figures["causes"]) if "causes" in figures else "",
         "stopped": result.stopped,
-        "detection": probability(detection.p_value),
-        "lack": probability(detection.lack_of_fit_p),
-        "count": len(result.left.signatures.candidates) if result.left else 0,
+        "share": compact(result.share, 1),
+        "left": probability(result.left.p_value),
     }
+
+
+def located(result: Result, figures: Figures) -> Data:
+    """Places without a name: the curve found, what else it could be, what it resembles."""
+    found = [
+        {
+            "words": sentence(located_words(one)),
+            "probability": f"{one.probability:.2f}",
+            "panels": panels(figures[f"located-{k}"]),
+            "members": [
+                {
+                    "name": c.place.name,
+                    "words": c.place.words,
+                    "size": curve_size(c),
+                    "probability": f"{c.probability:.2f}",
+                }
+                for c in one.members
+            ],
+            "resembling": [result.short(name) for name in one.resembling],
+        }
+        for k, one in enumerate(result.located, start=1)
+    ]
+    return {"places": found}
 
 
 def apart(result: Result, figures: Figures) -> Data:
     """What each cause makes of the readings, rivals overlaid."""
-    bars = any(s.bar for c in result.after.problem.campaigns for s in c.setups)
     found = [
         _apart(cause, panels(figures[f"signatures-{k}"]))
-        for k, cause in enumerate(result.causes, start=1)
+        for k, cause in enumerate(result.effects, start=1)
     ]
-    return {"effects": found, "bars": bars, "several": len(found) > 1}
+    return {"effects": found, "several": len(found) > 1}
 
 
 def _apart(cause: Cause, shown: list[str]) -> Data:
@@ -186,7 +197,6 @@ def _apart(cause: Cause, shown: list[str]) -> Data:
         {
             "name": rival.name,
             "words": rival.words,
-            "chi2": signed(cause.chi2_more(rival), 2),
             "probability": f"{rival.probability:.2f}",
         }
         for rival in cause.rivals
@@ -196,8 +206,6 @@ def _apart(cause: Cause, shown: list[str]) -> Data:
         "panels": shown,
         "key": [one.name for one in cause.explanations[:MOST_CURVES]],
         "rivals": rivals,
-        "limit": compact(cause.class_width, 2),
-        "scaled": cause.lacking,
     }
 
 

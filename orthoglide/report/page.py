@@ -70,7 +70,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     yield Section("finding", "", found.finding(result))
     if result.blunders:
         yield Section("faults", "Faults of the data", found.faults(result))
-    if result.causes:
+    if result.found:
         yield Section("look", "What to look at on the machine", found.look(result))
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
@@ -80,7 +80,9 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     yield Section("judged", "Before and after", found.judged(result, figures))
     if searches:
         yield Section("causes", "Causes, and how sure they are", found.causes(result, figures))
-    if result.causes:
+    if result.located:
+        yield Section("located", "Where it is", found.located(result, figures))
+    if result.effects:
         apart = found.apart(result, figures)
         yield Section("apart", "What each cause makes of the readings", apart)
     if searches:

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
+from orthoglide.geometry import LEGS
 from orthoglide.machine_file import machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
-from orthoglide.report.wording import headline
+from orthoglide.report.wording import headline, located_words
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
     from orthoglide.diagnosis.changes import Change
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
     from orthoglide.judging import TcpErrors
+    from orthoglide.posterior import CandidateScore, Cause, Curve, Explanation, Located
     from orthoglide.request import Request
-    from orthoglide.result import Cause, Explanation, Result
-    from orthoglide.searching import CandidateScore
+    from orthoglide.result import Result
 
 SCHEMA = 2
 _DIGITS = 10  # what differs behind these is rounding
@@ -45,7 +46,7 @@ def _mm(metres: float, digits: int = _DIGITS) -> float | None:
 
 def _mapping(result: Result) -> dict[str, Any]:
     after, before = result.after, result.before
-    faulty, detection = result.first.problem.campaigns, result.detection
+    faulty = result.first.problem.campaigns
     return {
         **_head(result.request, after),
         "summary": headline(result),
@@ -59,7 +60,8 @@ def _mapping(result: Result) -> dict[str, Any]:
             "after_rms_mm": _mm(result.hold_out.after_rms),
         },
         "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
-        "effects": [_cause(cause) for cause in result.causes],
+        "effects": [_cause(cause) for cause in result.effects],
+        "located": [_located(found) for found in result.located],
         "parameters": _parameters(result),
         "correlations": _correlations(result),
         "calibrated": _calibrated(result),
@@ -78,8 +80,8 @@ def _mapping(result: Result) -> dict[str, Any]:
             for s in result.next_measurements
         ],
         "left": {
-            "detection_p": number(detection.p_value, _SHORT),
-            "lack_of_fit_p": number(detection.lack_of_fit_p, _SHORT),
+            "lack_of_fit_p": number(result.left.p_value, _SHORT),
+            "background": number(result.share, _SHORT),
             "stopped": result.stopped,
             "pattern": list(result.pattern),
         },
@@ -142,21 +144,43 @@ def _tcp(errors: TcpErrors) -> dict[str, Any]:
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
-    effect = cause.effect
-    before, after = effect.cv_rms
     return {
         **_explanation(cause.chosen),
-        "indistinguishable_from": [rival.name for rival in (*cause.same, *cause.rivals)],
-        "rivals": [
-            {
-                **_explanation(rival),
-                "chi2_more": number(cause.chi2_more(rival), _SHORT),
-            }
-            for rival in cause.rivals
+        "indistinguishable_from": list(cause.indistinguishable_from),
+        "rivals": [_explanation(rival) for rival in cause.rivals],
+    }
+
+
+def _located(found: Located) -> dict[str, Any]:
+    """A place without a name; its class holds every member with its own size."""
+    first = found.members[0]
+    return {
+        **_place(first),
+        "class": [_place(curve) for curve in found.members],
+        "class_probability": number(found.probability, _SHORT),
+        "resembling": list(found.resembling),
+        "curve": [
+            [number(a * 1e3 if first.place.span is None else a, _SHORT), number(v, _SHORT),
+             number(s, _SHORT)]
+            for a, v, s in zip(first.at, first.value * 1e3, first.sigma * 1e3, strict=True)
         ],
-        "detection_p": number(effect.detection_p, _SHORT),
-        "naming_p": number(effect.naming_p, _SHORT),
-        "cv_rms_mm": {"before": _mm(before), "after": _mm(after)},
+        "at_unit": "mm" if first.place.span is None else "s",
+        "words": located_words(found),
+    }  # fmt: skip
+
+
+def _place(curve: Curve) -> dict[str, Any]:
+    place = curve.place
+    return {
+        "leg": LEGS[place.leg],
+        "part": place.part,
+        "direction": place.direction or None,
+        "against": place.against,
+        "by_leg": LEGS[place.by] if place.against == "command" else None,
+        "setup": None,
+        "probability": number(curve.probability, _SHORT),
+        "rms_mm" if not place.turns else "rms_mrad": _mm(curve.size, _SHORT),
+        "unit": "mrad" if place.turns else "mm",
     }
 
 
@@ -174,35 +198,36 @@ def _explanation(one: Explanation) -> dict[str, Any]:
 
 
 def _parameters(result: Result) -> dict[str, Any]:
-    """Values of the chosen explanation, in the units of files; sigmas of both kinds."""
+    """Values of the base and of the causes found, in the units of files."""
     return {
         name: {
             "value": number(value),
             "sigma": number(sigma),
-            "sigma_alone": number(alone),
             "unit": unit,
             "interval_95": [number(low), number(high)],
             "tolerance": number(tolerance),
         }
-        for name, value, sigma, alone, low, high, tolerance, unit in zip(
+        for name, value, sigma, low, high, tolerance, unit in zip(
             *result.columns.values(), strict=True
         )
     }
 
 
 def _correlations(result: Result) -> dict[str, Any]:
-    matrix = result.after.correlation.tolist()
+    names = result.after.names if result.posterior is None else result.before.names
+    at = [result.after.names.index(n) for n in names]
+    matrix = result.after.correlation[at][:, at].tolist()
     return {
-        "parameters": list(result.after.names),
+        "parameters": list(names),
         "matrix": [[round(v, 6) + 0.0 for v in row] for row in matrix],
     }
 
 
 def _calibrated(result: Result) -> dict[str, Any]:
-    """Parameters of ``calibrated.toml``: averaged over what fits as well."""
+    """Parameters of ``calibrated.toml``: the posterior's mean."""
     found = {}
     for name, entry in result.machine.spec.parameters.items():
-        unit = result.catalogue.effect_of(name).unit
+        unit = result.machine.catalogue.effect_of(name).unit
         value, sigma = number(entry.value / unit.si), number(entry.sigma / unit.si)
         found[name] = {"value": value, "sigma": sigma, "unit": unit.name}
     return found
@@ -212,11 +237,11 @@ def _tried(tried: CandidateScore) -> dict[str, Any]:
     return {
         "name": tried.name,
         "parameters": list(tried.parameters),
-        "p_value": number(tried.p_value, _SHORT),
+        "p_value": None,
         "evidence": number(tried.evidence, _SHORT),
-        "cv_rms_mm": _mm(tried.cv_rms),
-        "plausible": tried.plausible,
-        "round": tried.round,
+        "probability": number(tried.probability, _SHORT),
+        "cv_rms_mm": None,
+        "plausible": True,
     }
 
 

@@ -20,9 +20,8 @@ class ParameterRow:
     Attributes:
         name: of the parameter.
         value: with its sign.
-        sigma: all other effects allowed; as if nothing else were wrong by ``identify``.
-        alone: sigma as if nothing else were wrong.
-        low: end of the 95 % interval, as if nothing else were wrong.
+        sigma: everything else allowed; as if nothing else were wrong by ``identify``.
+        low: end of the 95 % interval.
         high: its other end.
         tolerance: standard deviation to expect.
         unit: of all these.
@@ -32,7 +31,6 @@ class ParameterRow:
     name: str
     value: str
     sigma: str
-    alone: str
     low: str
     high: str
     tolerance: str
@@ -43,16 +41,13 @@ class ParameterRow:
 def parameter_rows(result: Result) -> list[ParameterRow]:
     """One row an unknown."""
     rows, columns = [], result.columns
-    for name, value, sigma, alone, low, high, tolerance, unit in zip(
-        *columns.values(), strict=True
-    ):
+    for name, value, sigma, low, high, tolerance, unit in zip(*columns.values(), strict=True):
         places = decimals_for(sigma, most=9)
         rows.append(
             ParameterRow(
                 name,
                 signed(value, places),
                 f"{sigma:.{places}f}",
-                compact(alone, 2),
                 signed(low, places),
                 signed(high, places),
                 compact(tolerance),

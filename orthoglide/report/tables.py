@@ -41,11 +41,11 @@ def calibrated_machine(result: Result) -> MachineFile:
     provenance: dict[str, Any] = {
         **_origin(request),
         **spec.provenance,
-        "sigma": "noise alone" if result.posterior is None else "all other effects allowed",
+        "sigma": "noise alone" if result.posterior is None else "everything else allowed",
     }
     if result.effects:
         provenance["effects"] = [e.name for e in result.effects]
-    rivals = {r.trial.candidate.name for e in result.effects for r in e.different}
+    rivals = {r.name for e in result.effects for r in e.rivals}
     if rivals:
         provenance["averaged_over"] = sorted(rivals)
     nominal = spec.name == nominal_machine_file().name

@@ -8,10 +8,10 @@ import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from orthoglide.numerals import compact, probability, signed
+from orthoglide.numerals import signed
 from orthoglide.report.phrases import sentence, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import MEANINGS, headline
+from orthoglide.report.wording import MEANINGS, curve_size, headline
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -37,8 +37,10 @@ def summary(result: Result, ranked: bool = False) -> str:
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
     parts += [Text(f"- changed: {c.message}") for c in result.changed]
-    if result.causes:
+    if result.effects:
         parts.append(_causes(result))
+    if result.located:
+        parts.append(_located(result))
     if ranked and result.candidates:
         parts.append(_tried(result))
     searches = result.request.searches
@@ -88,26 +90,28 @@ def _parameters(result: Result) -> Table:
 
 
 def _causes(result: Result) -> Table:
-    shown = _table("cause", "probability", "naming p", "in words")
-    for cause in result.causes:
-        one, p = cause.chosen, probability(cause.effect.naming_p)
-        shown.add_row(one.name, f"{one.probability:.2f}", p, one.words)
-        for rival in cause.rivals:
-            shown.add_row(f"or {rival.name}", f"{rival.probability:.2f}", "", rival.words)
+    shown = _table("cause", "probability", "in words")
+    for cause in result.effects:
+        one = cause.chosen
+        shown.add_row(one.name, f"{one.probability:.2f}", one.words)
+        for rival in (*cause.same, *cause.rivals):
+            shown.add_row(f"or {rival.name}", f"{rival.probability:.2f}", rival.words)
+    return shown
+
+
+def _located(result: Result) -> Table:
+    shown = _table("place", "probability", "rms", "in words")
+    for found in result.located:
+        for k, c in enumerate(found.members):
+            name = f"or {c.place.name}" if k else c.place.name
+            shown.add_row(name, f"{c.probability:.2f}", curve_size(c), c.place.words)
     return shown
 
 
 def _tried(result: Result) -> Table:
-    shown = _table("tried", "round", "evidence", "p alone", "left out, mm", "plausible")
+    shown = _table("weighed", "evidence", "probability")
     for tried in result.candidates:
-        shown.add_row(
-            tried.name,
-            str(tried.round),
-            signed(tried.evidence, 1),
-            probability(tried.p_value),
-            compact(tried.cv_rms * 1e3, 3),
-            "yes" if tried.plausible else "no",
-        )
+        shown.add_row(tried.name, signed(tried.evidence, 1), f"{tried.probability:.2f}")
     return shown
 
 

@@ -12,19 +12,22 @@ from orthoglide.report.phrases import listed, sentence
 if TYPE_CHECKING:
     from orthoglide.fit import Estimate
     from orthoglide.parameters import Parameter
-    from orthoglide.result import Cause, Explanation, Result
+    from orthoglide.posterior import Cause, Curve, Explanation, Located
+    from orthoglide.result import Result
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
+_CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
 
 MEANINGS: Mapping[str, str] = {
     "adequate": "nothing significant is left, and nothing was added",
-    "explained": "a cause was added, and nothing significant is left",
+    "explained": "a cause was found, and nothing significant is left",
     "ambiguous": "explained, but other causes fit these readings as well",
-    "partial": "a cause was added, and something significant is left",
-    "unexplained": "something significant is left, and no cause was added",
+    "located": "a place was found that no known shape explains, and nothing significant is left",
+    "partial": "something was found, and something significant is left",
+    "unexplained": "something significant is left, and nothing stands out",
 }
 """What the verdict's words mean."""
 
@@ -47,17 +50,30 @@ def headline(result: Result) -> str:
 
 
 def _adequate(result: Result) -> str:
+    base = effects_named(result.before)
+    if result.improved:
+        share = compact(result.share, 1)
+        return (
+            f"No single cause stands out: everything is off by a little, about {share} of its "
+            f"tolerance. With the {base} set right and all of it in the model, {_fall(result)}, "
+            f"which is the noise of the dial."
+        )
     return (
-        f"Nothing is wrong that these readings could show beyond the "
-        f"{effects_named(result.before)}: with these set right, {_fall(result)}, which is the "
-        f"noise of the dial."
+        f"Nothing is wrong that these readings could show beyond the {base}: with these set "
+        f"right, {_fall(result)}, which is the noise of the dial."
     )
 
 
 def _unexplained(result: Result) -> str:
+    if result.left.p_value > _CHANCE and result.request.searches:
+        return (
+            f"Something is wrong, and nothing stands out: only if everything were off by "
+            f"{compact(result.share, 1)} times its tolerance would these readings be explained. "
+            f"They are too few, or the tolerances are not this machine's."
+        )
     return (
-        f"Something is wrong that no effect of the catalogue explains: with the "
-        f"{effects_named(result.before)} set right, {_fall(result)}. {_why_significant(result)}"
+        f"Something is wrong that no effect of the catalogue and no free function of its parts "
+        f"explains: with all of them in the model, {_fall(result)}. {_why_significant(result)}"
     )
 
 
@@ -70,31 +86,51 @@ def _explained(result: Result) -> str:
 
 def _partial(result: Result) -> str:
     return (
-        f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and no effect "
-        f"of the catalogue explains the rest. {_why_significant(result)}"
+        f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and nothing "
+        f"known explains the rest. {_why_significant(result)}"
     )
 
 
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
-    fit, test = result.after, result.detection
+    fit = result.after
     noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
     if left > noise:
         return (
             f"Single readings are left with {compact(left, 2)} mm rms, where the dial's noise is "
             f"{compact(noise, 2)} mm."
         )
-    p = min(test.p_value, test.lack_of_fit_p, test.bare_lack_of_fit_p)
     return (
         f"What is left of single readings ({compact(left, 2)} mm rms) is no larger than the dial's "
         f"noise of {compact(noise, 2)} mm; it is significant by its pattern over setups and "
-        f"postures, which noise alone would show with probability {probability(p)}."
+        f"postures, which noise alone would show with probability "
+        f"{probability(result.left.p_value)}."
     )
 
 
 def _causes(result: Result) -> str:
-    said = [sentence(f"{c.chosen.words}{alternatives(c)}") for c in result.causes]
+    said = [sentence(f"{c.chosen.words}{alternatives(c)}") for c in result.effects]
+    said += [sentence(located_words(found)) for found in result.located]
     return " ".join([said[0], *(f"Besides, {s[:1].lower()}{s[1:]}" for s in said[1:])])
+
+
+def located_words(found: Located) -> str:
+    """Where something without a name was found, how large it is, and what else it could be."""
+    first, *others = found.members
+    text = f"{first.place.words}, by {curve_size(first)} (root mean square)"
+    if others:
+        named = " or ".join(f"{c.place.words}, by {curve_size(c)}" for c in others[:_MOST_RIVALS])
+        more = len(others) - _MOST_RIVALS
+        rest = f", or {more} more places named below" if more > 0 else ""
+        text += f" (or {named}{rest}: these readings cannot tell)"
+    if found.resembling:
+        return f"{text}; it resembles {listed(found.resembling[:_MOST_RIVALS])}"
+    return f"{text}; no known shape explains it"
+
+
+def curve_size(curve: Curve) -> str:
+    """Root mean square of a curve about its mean, in millimetres or milliradians."""
+    return f"{compact(curve.size * 1e3, 2)} {'mrad' if curve.place.turns else 'mm'}"
 
 
 def alternatives(cause: Cause) -> str:
@@ -113,7 +149,7 @@ def alternatives(cause: Cause) -> str:
 
 
 def _fall(result: Result) -> str:
-    start = result.before.scores if result.effects else result.nominal
+    start = result.before.scores if result.improved else result.nominal
     first, after = start.deviation_rms * 1e3, result.after.scores.deviation_rms * 1e3
     places = decimals_for(after, 3)
     verb = "hardly falls" if after > _SLIGHT * first else "falls"
@@ -126,14 +162,16 @@ def _fall(result: Result) -> str:
 def look_at(result: Result) -> list[tuple[str, str]]:
     """What to look at on the machine: causes that are looked at in one place, and the place."""
     by_place: dict[str, list[Explanation]] = {}
-    for one in (one for cause in result.causes for one in cause.explanations):
+    for one in (one for cause in result.effects for one in cause.explanations):
         found = by_place.setdefault(one.look_at, [])
         if one.name not in {other.name for other in found}:
             found.append(one)
-    return [
+    rows = [
         (sentence("; or ".join(one.words for one in found)), sentence(place))
         for place, found in by_place.items()
     ]
+    curves = [curve for found in result.located for curve in found.members]
+    return rows + [(sentence(c.place.words), sentence(c.place.look_at)) for c in curves]
 
 
 # --- Of an identification -------------------------------------------------------------------

@@ -89,9 +89,10 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
     if name:
         _check_name(name)
     spec = parse_machine_file(given["toml"], name, CATALOGUE.with_effects(effects))
-    digest = given["sha256"] or ""
-    kept = given.get("npz")
-    known = kept and parse_posterior(b64decode(kept, validate=True), digest, name)
+    digest, kept = given["sha256"] or "", given.get("npz")
+    if not isinstance(digest, str) or not isinstance(kept, str | None):
+        raise ValueError("the machine's digest or covariance is no text")
+    known = None if kept is None else parse_posterior(b64decode(kept, validate=True), digest, name)
     return Machine(replace(spec, file=name, sha256=digest, posterior=known))
 
 

@@ -6,35 +6,30 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from orthoglide.accuracy import Map, tcp_map
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
-from orthoglide.diagnosis.ranking import Diagnosis
-from orthoglide.diagnosis.significance import Detection
+from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import data_frame
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
-from orthoglide.posterior import FullPosterior
+from orthoglide.posterior import CandidateScore, Cause, FullPosterior, Located
 from orthoglide.request import Request
-from orthoglide.result.causes import Cause, candidates, causes
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
-from orthoglide.searching import CandidateScore, Effect
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from orthoglide.planning import Suggestion
 
-Word = Literal["adequate", "explained", "ambiguous", "partial", "unexplained"]
+Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
 
+_HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
 _PROPOSED = 12
 """Readings that are proposed for each purpose."""
 
@@ -45,14 +40,14 @@ class Result:
 
     Attributes:
         request: what was asked.
-        word: adequate, explained, ambiguous, partial or unexplained.
+        word: adequate, explained, ambiguous, located, partial or unexplained.
         before: fit of the base model: joint offsets and leg lengths, or what ``identify`` frees.
-        after: fit with the effects added; ``before`` where there are none.
-        effects: in the order in which they were added.
-        tried: candidates that the search identified.
-        left: what the last fit leaves; ``None`` where the whole catalogue is free.
-        stopped: why no further effect was added, in a sentence.
-        posterior: what the readings say with everything else allowed; ``None`` of ``identify``.
+        after: the readings as the posterior's mean has them; ``before`` of ``identify``.
+        effects: causes with a name that stand out of the background.
+        located: places without a name that do.
+        candidates: what was weighed, most probable first.
+        left: whether the last fit leaves anything.
+        posterior: what the readings say of everything; ``None`` of ``identify``.
         blunders: faults of the data, found before any physics.
         changed: parameters that are not the same in all campaigns, found before any physics.
         faulty: the base fit with the faulty readings in, where there are any.
@@ -64,10 +59,10 @@ class Result:
     word: Word
     before: Estimate
     after: Estimate
-    effects: tuple[Effect, ...]
-    tried: tuple[CandidateScore, ...]
-    left: Diagnosis | None
-    stopped: str
+    effects: tuple[Cause, ...]
+    located: tuple[Located, ...]
+    candidates: tuple[CandidateScore, ...]
+    left: Left
     posterior: FullPosterior | None = None
     blunders: tuple[Blunder, ...] = ()
     changed: tuple[Change, ...] = ()
@@ -82,8 +77,9 @@ class Result:
 
     @property
     def catalogue(self) -> Catalogue:
-        """Of the machine: the effects that were weighed."""
-        return self.request.machine.catalogue
+        """Of the calibrated machine: the effects that were weighed, and the places found."""
+        machine = self.request.machine if self.posterior is None else self.posterior.machine
+        return machine.catalogue
 
     def short(self, name: str) -> str:
         """A candidate's cause without its size, as a clause."""
@@ -96,32 +92,36 @@ class Result:
 
     # --- The calibrated machine -------------------------------------------------------------
 
-    @cached_property
-    def explanations(self) -> tuple[tuple[float, dict[str, float]], ...]:
-        """Weights and parameters (SI) of all that fits as well, the chosen one first."""
-        found = []
-        for effect in self.effects:
-            total = effect.probability + sum(r.weight for r in effect.rivals)
-            found += [(r.weight / total, last_values(r.trial.estimate)) for r in effect.different]
-        rest = max(1.0 - sum(share for share, _ in found), 0.0)
-        return ((rest, last_values(self.after)), *found)
+    @property
+    def found(self) -> bool:
+        """Whether anything was found that stands out of the background."""
+        return bool(self.effects or self.located)
 
     @property
-    def averaged(self) -> bool:
-        """Whether the calibrated machine is an average over causes that fit as well."""
-        return len(self.explanations) > 1
+    def improved(self) -> bool:
+        """Whether the readings are predicted better than by the base: by causes found, or by the
+        background of everything.
+        """
+        return self.found or self.after.scores.rms < _HARDLY * self.before.scores.rms
+
+    @property
+    def share(self) -> float:
+        """Of their tolerances, by which effects that do not stand out are off; nan of
+        ``identify``.
+        """
+        return float("nan") if self.posterior is None else self.posterior.share
+
+    @property
+    def stands(self) -> bool:
+        """Whether what was found counts: where something is left, a place is missing, and what
+        was found may stand in for it.
+        """
+        return self.word not in ("partial", "unexplained")
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Parameters of the calibrated machine, SI: averaged over what fits as well."""
-        (_, chosen), *others = self.explanations
-        averaged = dict(chosen)
-        for weight, other in others:
-            for name in dict.fromkeys((*chosen, *other)):
-                change = other.get(name, 0.0) - chosen.get(name, 0.0)
-                averaged[name] = averaged.get(name, 0.0) + weight * change
-        of_dial = {n: self.catalogue.effect_of(n).of_dial for n in averaged}
-        return {n: v for n, v in averaged.items() if not of_dial[n]}
+        """Parameters of the calibrated machine, SI."""
+        return self.machine.values
 
     @cached_property
     def values_before(self) -> dict[str, float]:
@@ -130,7 +130,8 @@ class Result:
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine with its covariance, all else allowed but by ``identify``.
+        """The calibrated machine with its covariance: the posterior's mean, or the base model
+        where something significant is left.
 
         The verdict and its cautions are kept with it.
         """
@@ -143,36 +144,39 @@ class Result:
     def _machine(self) -> Machine:
         if self.posterior is None:
             return self.after.machine
-        about_fit = self.posterior.machine
-        mean = np.array([self.values.get(n, 0.0) for n in about_fit.names])
-        covariance = about_fit.covariance.copy()
-        for share, other in self.explanations:
-            apart = np.array([other.get(n, 0.0) for n in about_fit.names]) - mean
-            covariance += share * np.outer(apart, apart)
-        known = Posterior(about_fit.names, mean, covariance)
-        return self.after.problem.machine.with_posterior(self.values, known)
-
-    @property
-    def sigmas(self) -> dict[str, float]:
-        """Sigmas of what was identified, SI: everything else allowed but by ``identify``."""
-        return self.after.sigmas if self.posterior is None else self.posterior.unknowns.sigmas
+        machine = self.posterior.machine
+        if self.stands:
+            return machine
+        base = self.before.machine.values
+        return machine.with_posterior(base, machine.posterior)
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """What was identified in the units of files, a row a parameter.
+        """What was identified in the units of files, a row a parameter: the base, and each cause as
+        if it were the right one of its set.
 
-        ``sigma`` allows everything else but by ``identify``, ``sigma_alone`` and the 95 % interval
-        from ``lower`` to ``upper`` count the noise alone.
+        ``sigma`` and the 95 % interval from ``lower`` to ``upper`` allow everything else but by
+        ``identify``, where they count the noise alone.
         """
-        fit, found = self.after, []
-        for name, tolerance in zip(fit.names, fit.problem.tolerance, strict=True):
+        fit, causes = self.after, [e.chosen for e in self.effects]
+        names = fit.names if self.posterior is None else self.before.names
+        found = {n: (fit.values[n], fit.sigmas[n], *fit.interval(n)) for n in names}
+        for one in causes:
+            for n, value in one.values.items():
+                half = fit.coverage_factor * one.sigmas[n]
+                found[n] = (value, one.sigmas[n], value - half, value + half)
+        rows = []
+        for name, figures in found.items():
             unit = self.catalogue.effect_of(name).unit
-            sigmas = self.sigmas[name], fit.sigmas[name]
-            figures = (fit.values[name], *sigmas, *fit.interval(name), float(tolerance))
-            found.append((name, *(figure / unit.si for figure in figures), unit.name))
-        names = ("parameter", "value", "sigma", "sigma_alone", "lower", "upper", "tolerance",
-                 "unit")  # fmt: skip
-        return dict(zip(names, map(list, zip(*found, strict=True)), strict=True))
+            every = (*figures, self.request.machine.tolerance(name))
+            rows.append((name, *(figure / unit.si for figure in every), unit.name))
+        titles = ("parameter", "value", "sigma", "lower", "upper", "tolerance", "unit")
+        return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Parameters that tables show: those of the base, and of the causes found."""
+        return tuple(self.columns["parameter"])
 
     def to_frame(self) -> pd.DataFrame:
         """What was identified as a data frame; see :attr:`columns`.
@@ -182,29 +186,19 @@ class Result:
         """
         return data_frame(self.columns, index="parameter")
 
-    # --- Causes, and what is left -----------------------------------------------------------
+    # --- What is left -----------------------------------------------------------------------
 
     @cached_property
-    def causes(self) -> tuple[Cause, ...]:
-        """The causes that were added, with their rivals, in their order."""
-        return tuple(causes(self.effects, self.before, self.after))
-
-    @cached_property
-    def candidates(self) -> tuple[CandidateScore, ...]:
-        """All candidates that were identified, rivals that were found last among them."""
-        return candidates(self.tried, self.causes)
-
-    @property
     def invisible(self) -> tuple[str, ...]:
-        """Effects that these readings cannot show: not absent, not visible."""
-        return () if self.left is None else self.left.signatures.invisible
+        """Parameters that these readings cannot show: not absent, not visible."""
+        return () if self.posterior is None else self.posterior.about.invisible
 
     @property
-    def detection(self) -> Detection:
-        """Whether anything is left; by lack of fit alone where the whole catalogue is free."""
-        if self.left is not None:
-            return self.left.detection
-        return by_lack_of_fit(self.after)
+    def stopped(self) -> str:
+        """Why nothing more was found, in a sentence."""
+        if self.posterior is None:
+            return "no cause was to be added"
+        return "nothing else stands out of the noise and of the background of small errors"
 
     @property
     def unexcited(self) -> tuple[str, ...]:
@@ -212,7 +206,7 @@ class Result:
         from orthoglide.fit.excited import excited_effects
 
         excited = {*(e.name for e in excited_effects(self.after.problem)), *self.catalogue.base}
-        return tuple(name for name in self.catalogue if name not in excited)
+        return tuple(name for name in self.request.machine.catalogue if name not in excited)
 
     @cached_property
     def pattern(self) -> tuple[str, ...]:
@@ -232,8 +226,11 @@ class Result:
 
         if not self.request.searches:
             return ()
-        rivals = [(e.name, e.fit) for c in self.causes if c.rivals for e in c.explanations]
-        return next_measurements(self.after, rivals, count=_PROPOSED)
+        rivals = [
+            (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
+        ]
+        apart = next_measurements(self.after, rivals, count=_PROPOSED, directions=())
+        return (*apart, *next_measurements(self.before, count=_PROPOSED))
 
     @cached_property
     def next_sheet(self) -> Campaign | None:
@@ -250,9 +247,9 @@ class Result:
     @cached_property
     def workspace(self) -> Workspace | None:
         """The TCP's errors over the workspace; ``None`` of ``identify``."""
-        if self.map is None:
+        if self.map is None or self.posterior is None:
             return None
-        return workspace_of(self.before, self.after, self.map)
+        return workspace_of(self.before, self.posterior.machine, self.map)
 
     @cached_property
     def uncertain_effects(self) -> tuple[tuple[str, float], ...]:
@@ -273,14 +270,13 @@ class Result:
         """What speaks against acting on what was found as it stands, a sentence each."""
         found = []
         if self.word == "partial":
-            causes = "causes named explain" if len(self.effects) > 1 else "cause named explains"
             found.append(
-                f"The {causes} only part of what is wrong, and may stand in for something that is "
-                f"not in the catalogue: do not act on it, nor put its numbers in a controller, "
-                f"before it is confirmed."
+                "What was found explains only part of what is wrong, and may stand in for "
+                "something that is not in the catalogue: do not act on it, nor put its numbers in "
+                "a controller, before it is confirmed."
             )
         held = self.hold_out
-        if self.effects and held is not None and held.after_rms > held.before_rms:
+        if self.found and held is not None and held.after_rms > held.before_rms:
             found.append(
                 "The readings held out are predicted worse with the cause than without it: it does "
                 "not carry over to them, so do not act on it before it is confirmed."
@@ -297,9 +293,3 @@ def last_values(estimate: Estimate) -> dict[str, float]:
     """Parameters of the last campaign's machine, dials included, SI."""
     problem = estimate.problem
     return problem.values(problem.last, estimate.x)
-
-
-def by_lack_of_fit(estimate: Estimate) -> Detection:
-    """What is left by chi2 alone: no effect is weighed."""
-    p = estimate.scores.lack_of_fit_p
-    return Detection(float("nan"), p, p, float("nan"))

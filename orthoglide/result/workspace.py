@@ -10,7 +10,6 @@ from orthoglide.accuracy import Map, tcp_map, variance_by_effect, without_place
 from orthoglide.fit import Estimate
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.posterior import full_posterior
 
 _MOST_NAMED = 3
 
@@ -25,7 +24,6 @@ class Workspace:
         before: predicted error of one that knows of joint offsets and leg lengths.
         sure_before: 95 % radius about the base model, everything else allowed.
         sure: 95 % radius about the calibrated machine, everything else allowed.
-        alone: 95 % radius about the calibrated machine, as if nothing else were wrong.
     """
 
     travel: Array
@@ -33,7 +31,6 @@ class Workspace:
     before: Array
     sure_before: Array
     sure: Array
-    alone: Array
 
     def figures(self) -> dict[str, Array]:
         """By name in ``result.json``."""
@@ -42,27 +39,24 @@ class Workspace:
             "predicted_error_before": self.before,
             "uncertainty_95_before": self.sure_before,
             "uncertainty_95_after": self.sure,
-            "uncertainty_95_after_alone": self.alone,
         }
 
 
-def workspace_of(before: Estimate, after: Estimate, calibrated: Map) -> Workspace:
+def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace:
     """The workspace by the base model and by the calibrated machine.
 
     Args:
         before: fit of the base model.
-        after: the final fit.
+        known: the posterior's machine.
         calibrated: map of the calibrated machine.
     """
-    start, posterior = before.problem.machine, full_posterior(before)
-    base = tcp_map(start.with_posterior(before.machine.values, posterior.machine))
+    base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
     return Workspace(
-        calibrated.commands - start.geometry.zero,
+        calibrated.commands - known.geometry.zero,
         calibrated.error,
         np.linalg.norm(without_place(calibrated.p - base.p), axis=1),
         base.uncertainty,
         calibrated.uncertainty,
-        tcp_map(after.machine).uncertainty,
     )
 
 

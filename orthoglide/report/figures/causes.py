@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-    from orthoglide.result import Cause
+    from orthoglide.fit import Estimate
+    from orthoglide.posterior import Cause, Curve, Located
 
 MOST_CURVES = 4
 """Causes that are drawn in one panel."""
@@ -94,12 +95,11 @@ class Pattern:
         return [1.0, -1.0] if differ else []
 
 
-def _patterns(cause: Cause) -> list[Pattern]:
-    without = cause.without
-    problem = without.problem
-    residual = problem.measured - without.predicted
+def _patterns(cause: Cause, after: Estimate) -> list[Pattern]:
+    problem = after.problem
     shown = cause.explanations[:MOST_CURVES]
-    predicted = [one.fit.predicted - without.predicted for one in shown]
+    residual = after.residuals + cause.chosen.shown
+    predicted = [one.shown for one in shown]
     found = []
     for mounting in mountings(problem):
         rows = mounting.rows
@@ -132,14 +132,15 @@ def _shown(patterns: list[Pattern]) -> list[Pattern]:
     ]
 
 
-def draw_signatures(cause: Cause, place: int) -> Drawing:
+def draw_signatures(cause: Cause, after: Estimate, place: int) -> Drawing:
     """What a cause and its rivals make of the readings.
 
     Args:
-        cause: that was added.
+        cause: that was found.
+        after: the final fit.
         place: of the cause, from 1.
     """
-    patterns = _shown(_patterns(cause))
+    patterns = _shown(_patterns(cause, after))
     width, height = style.PANEL[0], 2.1
     figure, corners = style.sheet(len(patterns), height, strip=0.3)
     reach = 1.15 * max(float(np.max(np.abs(p.left) + p.noise)) for p in patterns)
@@ -180,3 +181,37 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.05)
     return handles
+
+
+def draw_located(found: Located, place: int) -> Drawing:
+    """The curves of a class of places, each with its 95 % band.
+
+    Args:
+        found: the class.
+        place: of it, from 1.
+    """
+    width, height = style.PANEL[0], 2.1
+    shown = found.members[:_MOST_PANELS]
+    figure, corners = style.sheet(len(shown), height)
+    for (left, top), curve in zip(corners, shown, strict=True):
+        axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
+        _draw_curve(axes, curve)
+        style.few_ticks(axes)
+    return style.multiples(f"located-{place}", "What was found, by place", figure, corners, height)
+
+
+_AGAINST = {"travel": "travel, mm", "approach": "travel, mm", "time": "time, s"}
+
+
+def _draw_curve(axes: Axes, curve: Curve) -> None:
+    place = curve.place
+    at = curve.at * (1e3 if place.span is None else 1.0)
+    value, band = curve.value * 1e3, 1.96e3 * curve.sigma
+    axes.fill_between(at, value - band, value + band, color=style.BAND, linewidth=0)
+    axes.plot(at, value, color=style.FIT, linewidth=1.6)
+    axes.axhline(0, color=style.MUTED, linewidth=0.6)
+    axes.set_title(place.name)
+    axes.set_xlabel(_AGAINST.get(place.against, "command, mm"), labelpad=2)
+    axes.set_ylabel("mrad" if place.turns else "mm")
+    axes.yaxis.set_label_coords(style.LABEL, 0.5)
+    axes.margins(x=0.02)

@@ -1,0 +1,260 @@
+"""Places: parts of the machine that may move in a way that no effect knows.
+
+A place is a smooth free function that moves virtual joints of one leg: a Gaussian process, in the
+first eigenfunctions of the Laplacian on an interval somewhat longer than its variable's
+(Solin and Sarkka 2020, *Hilbert space methods for reduced-rank Gaussian process regression*,
+eq. 17 and 56). Level and slope are left in: the effects of the catalogue compete with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, Literal
+
+import numpy as np
+
+from orthoglide.effects.catalogue import Catalogue
+from orthoglide.effects.effect import Effect, LegConditions, Motion, sin
+from orthoglide.geometry import LEGS, Array, leg_axes
+from orthoglide.units import MM, RAD
+
+Against = Literal["travel", "approach", "command", "time"]
+Part = Literal["drive", "rail", "carriage", "bar"]
+Joints = tuple[tuple[str, float], ...]
+
+_ROOM = 1.25
+"""Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A Gaussian process of unit variance over [-1, 1].
+
+    Attributes:
+        length: correlation length, over half the variable's range.
+        count: of eigenfunctions.
+        smooth: Matern 3/2; else Ornstein-Uhlenbeck.
+    """
+
+    length: float
+    count: int
+    smooth: bool = True
+
+    def weights(self) -> Array:
+        """Standard deviation of each eigenfunction's coefficient ``(count,)``."""
+        frequency = np.pi * np.arange(1, self.count + 1) / (2 * _ROOM)
+        if self.smooth:
+            rate = np.sqrt(3) / self.length
+            density = 4 * rate**3 / (rate**2 + frequency**2) ** 2
+        else:
+            rate = 1 / self.length
+            density = 2 * rate / (rate**2 + frequency**2)
+        return np.asarray(np.sqrt(density / _ROOM))
+
+    def functions(self, u: Any) -> list[Any]:
+        """Eigenfunctions of a variable in [-1, 1], each times its weight."""
+        turn = np.pi * (u + _ROOM) / (2 * _ROOM)
+        return [w * sin((k + 1) * turn) for k, w in enumerate(self.weights().tolist())]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the machine may move as nothing in the catalogue does.
+
+    Attributes:
+        part: of the leg.
+        leg: 0, 1 or 2.
+        joints: virtual joints that move, each with its share.
+        direction: that it moves in or turns about, as a letter of the base; empty for none.
+        against: what it depends on.
+        by: the drive whose command it depends on, with ``against`` ``"command"``.
+        variable: in [-1, 1], of the leg's conditions.
+        kernel: how smooth it is.
+        unit: standard deviation to expect of a place that is wrong, SI.
+        span: first and last second of a session; ``None``: the stroke.
+    """
+
+    part: Part
+    leg: int
+    joints: Joints
+    direction: str
+    against: Against
+    by: int
+    variable: Callable[[LegConditions], Any]
+    kernel: Kernel
+    unit: float
+    span: tuple[float, float] | None = None
+
+    @property
+    def name(self) -> str:
+        """Unique, such as ``rail.x.y/travel``."""
+        way = f".{self.direction}" if self.direction else ""
+        by = f".{LEGS[self.by]}" if self.against == "command" else ""
+        return f"{self.part}.{LEGS[self.leg]}{way}/{self.against}{by}"
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns a part; else it moves or stretches one."""
+        return self.part == "carriage"
+
+    @property
+    def of_machine(self) -> bool:
+        """Whether a calibrated machine keeps it: what changes with time is the campaign's."""
+        return self.against != "time"
+
+    @cached_property
+    def effect(self) -> Effect:
+        """The same as an effect, for a machine that has it: a parameter a coefficient."""
+        unit = RAD if self.turns else MM
+        words = self.words
+        return Effect(
+            self.name.replace(".", "_").replace("/", "_"),
+            unit,
+            self.unit / unit.si,
+            because="what no known shape explains is a few hundredths",
+            sentence=words,
+            look_at=self.look_at,
+            members=partial(_members, self),
+            paired=True,
+        )
+
+    @property
+    def words(self) -> str:
+        """Where and how, as a clause."""
+        leg = LEGS[self.leg]
+        how = {
+            "travel": "by its travel",
+            "approach": "by the side it is approached from",
+            "command": f"by the command of drive {LEGS[self.by]}",
+            "time": "with time",
+        }[self.against]
+        what = {
+            "drive": f"drive {leg} goes wrong along its axis",
+            "rail": f"the path of the {leg} carriage leaves its line toward {self.direction}",
+            "carriage": f"the {leg} carriage turns about {self.direction}",
+            "bar": f"bar {self.direction} of leg {leg} changes its length"
+            if self.direction
+            else f"both bars of leg {leg} change their length",
+        }[self.part]
+        return f"{what} {how}"
+
+    @property
+    def look_at(self) -> str:
+        """What to look at on the machine."""
+        leg = LEGS[self.leg]
+        return {
+            "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
+            "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
+            "carriage": f"the carriage of axis {leg}: its bearings and preload",
+            "bar": f"the bars of leg {leg}, their pivots and their warmth",
+        }[self.part]
+
+    def functions(self, conditions: LegConditions) -> list[Any]:
+        """The free functions at some conditions, each for a coefficient of sd ``unit``."""
+        values = self.kernel.functions(self.variable(conditions))
+        if self.against == "approach":
+            return [value * conditions.approach / 2 for value in values]
+        return values
+
+
+def _members(place: Place, leg: int) -> Mapping[str, tuple[Motion, ...]]:
+    """A place as the members of an effect: a parameter a coefficient."""
+    if leg != place.leg:
+        return {}
+    return {
+        str(k + 1): tuple(Motion(j, partial(_basis, place, k, share)) for j, share in place.joints)
+        for k in range(place.kernel.count)
+    }
+
+
+def _basis(place: Place, k: int, share: float, conditions: LegConditions) -> Any:
+    return share * place.functions(conditions)[k]
+
+
+def _travel(c: LegConditions) -> Any:
+    return c.u
+
+
+def _command_of(leg: int, c: LegConditions) -> Any:
+    low, high = c.stroke
+    travel = c.commands[leg] - c.command + c.nominal_travel
+    return (travel - (low + high) / 2) / ((high - low) / 2)
+
+
+def _time_between(start: float, end: float, c: LegConditions) -> Any:
+    """Time within a session as -1 to 1, held outside it."""
+    half = max((end - start) / 2, 1e-9)
+    return np.clip((c.time - start) / half - 1, -1.0, 1.0)
+
+
+_LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
+_FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
+_OU = Kernel(1 / 3, 24, smooth=False)  # a sixth of the session
+_UM = 1e-6
+
+
+def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ...]:
+    """All places of a machine.
+
+    Args:
+        sessions: leg, first and last second in which its dials were read; none where time was not
+            recorded.
+    """
+    found: list[Place] = []
+    for leg in range(len(LEGS)):
+        a, b, c = leg_axes(leg)
+        own = LEGS[a]
+        drive, across = (("travel", 1.0),), {"b": LEGS[b], "c": LEGS[c]}
+
+        def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
+                kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
+            found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
+
+        add("drive", drive, "", "travel", partial(_command_of, leg), _FINE, 100 * _UM)
+        add("drive", drive, "", "approach", partial(_command_of, leg), _COARSE, 50 * _UM)
+        for other in range(len(LEGS)):
+            if other != leg:
+                add(
+                    "drive",
+                    drive,
+                    "",
+                    "command",
+                    partial(_command_of, other),
+                    _COARSE,
+                    50 * _UM,
+                    other,
+                )
+        for axis, letter in across.items():
+            sideways = ((f"lateral_{axis}", 1.0),)
+            add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
+            add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
+        for axis, letter in {"a": own, **across}.items():
+            add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
+        for bar in "12":
+            add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
+    both = (("stretch1", 1.0), ("stretch2", 1.0))
+    for leg, start, end in sessions:
+        variable, span = partial(_time_between, start, end), (start, end)
+        moving: tuple[tuple[Part, Joints, str], ...] = (
+            ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
+            ("drive", (("travel", 1.0),), ""),
+        )  # fmt: skip
+        for part, joints, way in moving:
+            unit = 50 * _UM
+            found.append(Place(part, leg, joints, way, "time", 0, variable, _OU, unit, span))
+    return tuple(found)
+
+
+def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:
+    """A catalogue with the places to which some of the parameters belong.
+
+    Args:
+        catalogue: that may lack them.
+        names: of parameters.
+    """
+    wanted = {name.partition(".")[0] for name in names} - set(catalogue)
+    if not wanted:
+        return catalogue
+    return catalogue.with_effects(p.effect for p in places() if p.effect.name in wanted)

@@ -1,0 +1,185 @@
+"""What may stand out of the background: causes with a name, places without, their credible sets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.effects.places import Place
+from orthoglide.effects.wording import cause_words
+from orthoglide.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """One cause of the catalogue, all else that was found given.
+
+    Attributes:
+        name: of the cause.
+        parameters: that it consists of, as ``with_free`` takes them.
+        probability: all else given.
+        values: of its parameters, SI.
+        sigmas: of these.
+        machine: all parameters of the machine with this cause, SI.
+        shown: its part of the readings, datums fitted ``(n,)``, metres.
+        catalogue: that it belongs to.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    probability: float
+    values: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    machine: Mapping[str, float]
+    shown: Array
+    catalogue: Catalogue
+
+    @property
+    def unit(self) -> str:
+        """Of its parameters, as files name it."""
+        return self.catalogue.effect_of(self.name).unit.name
+
+    @property
+    def words(self) -> str:
+        """What is wrong, with size and sign, as a clause."""
+        values = dict(self.values)
+        if "@" not in self.name:  # of what campaigns have for themselves: the last one's
+            values = {self.catalogue.parameter(n).plain: v for n, v in values.items()}
+        return cause_words(self.catalogue, self.name, values)
+
+    @property
+    def look_at(self) -> str:
+        """Where to look for it on the machine."""
+        return self.catalogue.effect_of(self.name).look_at
+
+    @property
+    def in_unit(self) -> tuple[float, float] | None:
+        """Value and sigma in its unit; ``None`` where it has several parameters.
+
+        Of one that campaigns have for themselves: the last one's.
+        """
+        if len({self.catalogue.parameter(n).plain for n in self.parameters}) != 1:
+            return None
+        name, si = self.parameters[-1], self.catalogue.effect_of(self.name).unit.si
+        return self.values[name] / si, self.sigmas[name] / si
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One cause that stands out, with its credible set.
+
+    Attributes:
+        chosen: the most probable of the set.
+        rivals: the rest of the set that moves the tool otherwise, most probable first.
+        same: what moves the tool alike too: the same cause under another name.
+    """
+
+    chosen: Explanation
+    rivals: tuple[Explanation, ...]
+    same: tuple[Explanation, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the cause."""
+        return self.chosen.name
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """That it consists of."""
+        return self.chosen.parameters
+
+    @property
+    def probability(self) -> float:
+        """All else that was found given."""
+        return self.chosen.probability
+
+    @property
+    def explanations(self) -> tuple[Explanation, ...]:
+        """The credible set."""
+        return (self.chosen, *self.same, *self.rivals)
+
+    @property
+    def indistinguishable_from(self) -> tuple[str, ...]:
+        """Names of the rest of the set."""
+        return tuple(one.name for one in (*self.same, *self.rivals))
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A place and the free function found there.
+
+    Attributes:
+        place: where and how.
+        probability: all else that was found given.
+        at: where the function is given: travel, command (metres) or time (seconds) ``(k,)``.
+        value: SI ``(k,)``.
+        sigma: SI ``(k,)``.
+        shown: its part of the readings, datums fitted ``(n,)``, metres.
+    """
+
+    place: Place
+    probability: float
+    at: Array
+    value: Array
+    sigma: Array
+    shown: Array
+
+    @property
+    def size(self) -> float:
+        """Root mean square about its mean, SI."""
+        return float(np.std(self.value))
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Something without a name: a class of places of which it is one.
+
+    Attributes:
+        members: most probable first.
+        resembling: causes of the catalogue in the same credible set.
+        probability: that it is one of the members, all else that was found given.
+    """
+
+    members: tuple[Curve, ...]
+    resembling: tuple[str, ...]
+    probability: float
+
+    @property
+    def name(self) -> str:
+        """Of the most probable place."""
+        return self.members[0].place.name
+
+
+@dataclass(frozen=True)
+class CandidateScore:
+    """A cause or place that was weighed.
+
+    Attributes:
+        name: of the cause or place.
+        parameters: that it consists of; none of a place.
+        probability: that it stands out.
+        evidence: log Bayes factor of its standing out against not, all else that was found given.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    probability: float
+    evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Outstanding:
+    """Everything that stands out of the background.
+
+    Attributes:
+        causes: with names.
+        located: places without.
+        weighed: all that came near, most probable first.
+    """
+
+    causes: tuple[Cause, ...]
+    located: tuple[Located, ...]
+    weighed: tuple[CandidateScore, ...]

@@ -1,0 +1,323 @@
+"""The readings about a machine, linear in everything that could be wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.accuracy import workspace
+from orthoglide.diagnosis.candidates import Candidate, candidates
+from orthoglide.effects import Effect, LegConditions
+from orthoglide.effects.places import Place, places
+from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
+from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.factors import ByJoints
+from orthoglide.fit.least_squares import linearise, predict
+from orthoglide.fit.problem import rows_about
+from orthoglide.geometry import LEGS, Array
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.posterior.mixture import Group, Linear, whole
+from orthoglide.prediction import Conditions
+
+_UNTIED = 1e3
+"""Tolerances: the prior of a coefficient that rows of its own speak of."""
+
+_UNNOTICED = 1e-3
+"""Sigmas: directions of the readings that all coefficients together move by less are left out."""
+
+_FEW = 3.0
+"""Tolerances of a parameter that another may replace if no reading and no tool shows it."""
+
+_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
+_NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
+
+_VISIBLE = 0.3
+"""A cause is weighed if one tolerance lifts it this far above the noise, in all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Everything:
+    """All that could be wrong, with what the readings say of it about one point.
+
+    Attributes:
+        problem: with every parameter of the catalogue that could matter free.
+        x: where it was linearised ``(P,)``, SI.
+        scale: SI of one unit of each coefficient ``(C,)``: the parameters, then the places'.
+        places: with their coefficients behind the parameters, in order.
+        candidates: causes that the readings could show, in the order of the linear groups.
+        linear: for the mixture.
+        twins: of a parameter, others of the same readings and the same tool, each with the value
+            that stands for one of it; these have no coefficient.
+        translations: orthonormal directions of the parameters that move the machine as a whole
+            ``(P, 3)``, in tolerances.
+        rows: readings by coefficient ``(n, C)``, metres.
+        value: readings where everything is zero, as linearised ``(n,)``, metres.
+        known_rows: what an earlier calibration says of the parameters: matrix and target.
+        invisible: parameters that these readings cannot show, whatever their size within reason.
+        apart: of the prediction from its linearisation at the mean, sigmas.
+    """
+
+    problem: Problem
+    x: Array
+    scale: Array
+    places: tuple[Place, ...]
+    candidates: tuple[Candidate, ...]
+    linear: Linear
+    twins: Mapping[str, tuple[tuple[str, float], ...]]
+    translations: Array
+    rows: Array
+    value: Array
+    known_rows: tuple[Array, Array]
+    invisible: tuple[str, ...]
+    apart: float = float("nan")
+
+    @property
+    def known(self) -> int:
+        """Number of the catalogue's coefficients, which come first."""
+        return len(self.problem.unknowns)
+
+    def coefficients(self, place: Place) -> NDArray[np.intp]:
+        """Where a place's coefficients stand."""
+        first = self.known
+        for other in self.places:
+            if other.name == place.name:
+                break
+            first += other.kernel.count
+        return np.arange(first, first + place.kernel.count)
+
+    def distance(self, mean: Array, before: Estimate) -> float:
+        """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
+        linearisation.
+        """
+        at = (mean * self.scale)[: self.known]
+        linear = self.value + self.rows[:, : self.known] @ (mean[: self.known])
+        off = before.nuisance.project(predict(self.problem, at) - linear)
+        return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
+
+
+def with_everything(problem: Problem) -> Problem:
+    """All other parameters of the catalogue freed, seen or not, that could move readings or TCP."""
+    excited = {effect.name for effect in excited_effects(problem)}
+
+    def counts(effect: Effect) -> bool:
+        if "pitch" in effect.needs and problem.machine.spec.screw_pitch is None:
+            return False
+        at_hand = effect.at_rest or (effect.of_dial and bool(problem.campaigns))
+        return at_hand or effect.name in excited
+
+    effects = [effect.name for effect in problem.machine.catalogue.effects if counts(effect)]
+    return with_free(problem, elementary_beyond(problem, effects), release=False)
+
+
+def places_of(problem: Problem) -> tuple[Place, ...]:
+    """Places that these readings could show."""
+    sessions: list[tuple[int, float, float]] = []
+    if len(problem.campaigns) == 1 and not problem.points:
+        (campaign,) = problem.campaigns
+        leg = campaign.leg
+        for k in range(3):
+            time = campaign.time[leg == k]
+            if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
+                sessions.append((k, float(time.min()), float(time.max())))
+    return places(sessions)
+
+
+def everything(estimate: Estimate, at: Array | None = None) -> Everything:
+    """Linearise the readings by everything that could be wrong.
+
+    Args:
+        estimate: a fit of the base; gives the problem and its nuisances.
+        at: parameters to linearise at ``(P,)``, SI; the fit's, others zero, where absent.
+    """
+    problem = estimate.problem
+    wide = with_everything(problem)
+    free = len(problem.unknowns)
+    start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - free)])
+    x = start if at is None else at
+    if at is not None:
+        # A dial that magnifies everything found so far would be one coefficient in place of many:
+        # what dials do is taken at the base fit, where it cannot stand in for the machine.
+        of_dial = [problem.machine.catalogue.effect_of(n).of_dial for n in wide.names]
+        x = np.where(of_dial, 0.0, x)
+    here = linearise(wide, x)
+    if at is not None:
+        here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
+    project, sd = estimate.nuisance.project, wide.tolerance
+    curves, found = _curves(wide, x)
+    rows = np.hstack([here.jacobian * sd, curves])
+    value = here.value - here.jacobian @ x
+    columns, residual = project(rows), project(problem.measured - value)
+    scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
+    fixed, known = _fixed(problem, len(scale))
+    slopes = _tool(wide, x) * sd
+    twins = _twins(wide, free, columns[:, : len(sd)], slopes)
+    for name in (other for others in twins.values() for other, _ in others):
+        k = wide.names.index(name)
+        rows[:, k] = columns[:, k] = 0.0
+        fixed[k] = _NOTHING
+    if len(known[1]):
+        matrix = np.pad(known[0], [(0, 0), (0, len(scale) - known[0].shape[1])]) * scale
+        columns = np.vstack([columns, matrix])
+        residual = np.concatenate([residual, known[1]])
+    groups, causes, hidden = _groups(wide, free, columns, found)
+    by_name = {
+        n: tuple((o, f * sd[wide.names.index(o)] / sd[wide.names.index(n)]) for o, f in others)
+        for n, others in twins.items()
+    }
+    stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
+                       * problem.sigma[:, None])  # fmt: skip
+    stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
+    is_free = np.arange(len(scale)) >= len(sd)
+    linear = Linear(columns, residual, fixed, is_free, groups, stations)
+    padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
+    return Everything(
+        wide, x, scale, found, causes, _reduced(linear), by_name, _translations(slopes), rows,
+        value, (padded, known[1]), tuple(n for n in hidden if not _is_twin(n, twins)),
+    )  # fmt: skip
+
+
+def _is_twin(name: str, twins: Mapping[str, Sequence[tuple[str, float]]]) -> bool:
+    return any(name == other for others in twins.values() for other, _ in others)
+
+
+def _tool(problem: Problem, x: Array) -> Array:
+    """TCP of the last campaign's machine over the workspace by unknown ``(g, 3, P)``, SI."""
+    machine, last = problem.machine, problem.last
+    names, matrix = problem.elementary(last)
+    kept = [k for k, name in enumerate(names) if name in machine.catalogue.motions]
+    values = {n: v for n, v in problem.values(last, x).items() if n in machine.catalogue.motions}
+    where = Conditions.at(workspace(machine.geometry))
+    _, slopes = machine.model.sensitivities(values, where, [names[k] for k in kept])
+    return slopes[:, :3] @ matrix[kept]
+
+
+def _translations(slopes: Array) -> Array:
+    """Orthonormal directions ``(P, 3)`` of the parameters that move the machine as a whole.
+
+    Args:
+        slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
+    """
+    mean = slopes.mean(axis=0)
+    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
+    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
+    return np.asarray(np.linalg.qr(directions)[0])
+
+
+def _twins(
+    wide: Problem, free: int, columns: Array, slopes: Array
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Parameters of which a few tolerances show the same as those of an earlier one, readings and
+    tool alike: they are one cause.
+
+    Args:
+        wide: its unknowns ``P``; those of dials, or of other campaigns, are no twins.
+        free: the first so many are free already and stay.
+        columns: readings ``(m, P)``, whitened, in tolerances.
+        slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
+    """
+    names, noise = wide.names, wide.noise.typical
+    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in names]
+    tool = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
+    length = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(length > 0, length, 1.0)
+    cosine = unit.T @ unit
+    found: dict[str, tuple[tuple[str, float], ...]] = {}
+    gone: set[int] = set()
+    for one in range(len(names)):
+        for other in range(max(one + 1, free), len(names)):
+            if {one, other} & gone or not length[one] or not length[other]:
+                continue
+            if of_dial[one] or of_dial[other] or names[one].campaign != names[other].campaign:
+                continue
+            factor = float(cosine[one, other]) * length[other] / length[one]
+            if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
+                continue
+            apart = np.linalg.norm(columns[:, other] - factor * columns[:, one])
+            moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
+            if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
+                gone.add(other)
+                found[names[one]] = (*found.get(names[one], ()), (names[other], 1 / factor))
+    return found
+
+
+def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
+    """Prior sd of what no background has ``(C,)``, nan elsewhere; rows of what was known before.
+
+    What was free before stands at its tolerance. What an earlier calibration speaks of has rows
+    instead.
+    """
+    fixed = np.full(count, np.nan)
+    fixed[: len(problem.names)] = 1.0
+    if problem.earlier is None:
+        return fixed, (np.zeros((0, len(problem.names))), np.zeros(0))
+    matrix, target, spoken = rows_about(problem.earlier, problem.unknowns)
+    fixed[: len(spoken)][spoken] = _UNTIED
+    return fixed, (matrix, target)
+
+
+def _reduced(linear: Linear) -> Linear:
+    """The same in the few directions of the readings in which anything could show."""
+    every = np.column_stack([linear.columns, linear.stations, linear.residual])
+    if len(every) > every.shape[1]:
+        every = np.asarray(np.linalg.qr(every, mode="r"))
+    values, vectors = np.linalg.eigh(every[:, :-1] @ every[:, :-1].T)
+    every = vectors[:, values > _UNNOTICED**2].T @ every
+    count = linear.columns.shape[1]
+    return replace(
+        linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
+    )
+
+
+def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept."""
+    model = problem.machine.model
+    blocks: dict[str, list[Array]] = {}
+    kept = places_of(problem)
+    for k, factor in enumerate(problem.factors):
+        values = problem.values(k, x)
+        by_joints = factor.by_joints(model, values)
+        legs = model.leg_conditions(values, factor.conditions())
+        for place in kept:
+            blocks.setdefault(place.name, []).append(_column(place, by_joints, legs[place.leg]))
+    if not kept:
+        return np.zeros((len(problem.measured), 0)), ()
+    return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
+
+
+def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Array:
+    """Rows ``(n, K)`` by a place's coefficients in its unit."""
+    names = VIRTUAL_NAMES
+    joints = np.zeros(len(LEGS) * len(names))
+    for joint, share in place.joints:
+        joints[place.leg * len(names) + names.index(joint)] = share * place.unit
+    return by_joints(joints, np.stack(place.functions(conditions), axis=1))
+
+
+def _groups(
+    wide: Problem, free: int, columns: Array, found: Sequence[Place]
+) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[str, ...]]:
+    """Causes and places that the readings could show, and the parameters that they could not."""
+    names, catalogue = [u.name for u in wide.unknowns], wide.machine.catalogue
+    excited = {e.name for e in excited_effects(wide)}
+    seen = np.linalg.norm(columns, axis=0) > _VISIBLE
+    asked = [n for n in names[free:] if n.effect in excited]
+    index = {n: k for k, n in enumerate(names)}
+    visible = [n for n in asked if seen[index[n]]]
+    effects = [e for e in catalogue.effects if e.name in excited]
+    causes = candidates(visible, effects, catalogue)
+    groups = []
+    for cause in causes:
+        matrix = cause.columns(visible)
+        rows = np.flatnonzero(matrix.any(axis=1))
+        places = np.array([index[visible[k]] for k in rows], dtype=np.intp)
+        groups.append(Group(cause.name, places, matrix[rows], False))
+    start = len(names)
+    for place in found:
+        members = range(start, start + place.kernel.count)
+        start += place.kernel.count
+        if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
+            groups.append(whole(place.name, members, free=True))
+    return tuple(groups), causes, tuple(n for n in asked if n not in set(visible))

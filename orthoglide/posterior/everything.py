@@ -1,0 +1,190 @@
+"""The posterior of everything about a fit: what it knows of the machine, and where it was taken.
+
+The readings are linearised at the posterior's own mean, again until that no longer moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.effects.places import Place
+from orthoglide.errors import ClosureError, SolverError
+from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.factors import Block
+from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.solving import assessed
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.machine_file import Posterior
+from orthoglide.posterior.columns import Everything, everything
+from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
+
+_LINEARISATIONS = 4
+_SETTLED = 0.1
+"""Root mean square, in sigmas of a reading, by which the prediction may still differ from its
+linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
+
+
+@dataclass(frozen=True, eq=False)
+class FullPosterior:
+    """Everything that could be wrong, as the readings have it.
+
+    Attributes:
+        before: the fit of the base.
+        about: the readings linearised at the mean.
+        mixture: of the explanations.
+        known: of all coefficients, in their units.
+    """
+
+    before: Estimate
+    about: Everything
+    mixture: Mixture
+    known: Averaged
+
+    @property
+    def mean(self) -> Array:
+        """Of all coefficients, in their units ``(C,)``."""
+        return self.known.mean
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of these ``(C, C)``.
+
+        Where the machine as a whole sits is known to the full tolerances, whatever the background,
+        and as well as the readings tell.
+        """
+        count, along = self.about.known, self.about.translations
+        seen = self.mixture.linear.columns[:, :count] @ along
+        missing = max(1 - min(self.share, 1.0) ** 2, 1e-6)
+        spread = np.linalg.inv(np.eye(along.shape[1]) / missing + seen.T @ seen)
+        found = self.known.covariance.copy()
+        found[:count, :count] += along @ spread @ along.T
+        return found
+
+    @property
+    def share(self) -> float:
+        """Of their tolerances, by which effects that do not stand out are off."""
+        return self.mixture.shares[0]
+
+    @cached_property
+    def unknowns(self) -> Posterior:
+        """All parameters of the catalogue, in the campaigns' own copies, SI."""
+        count, scale = self.about.known, self.about.scale
+        spread = self.covariance[:count, :count] * scale[:count] * scale[:count, None]
+        return Posterior(self.about.problem.names, (self.mean * scale)[:count], spread)
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        """Places that belong to the machine and are probable enough to be part of it."""
+        likely = {
+            g.name
+            for g, p in zip(self.mixture.linear.groups, self.mixture.inclusion, strict=True)
+            if g.free and p > LEAST_SHARE
+        }
+        return tuple(p for p in self.about.places if p.name in likely and p.of_machine)
+
+    def machine_with(self, mean: Array) -> tuple[tuple[str, ...], Array, Array]:
+        """Names of the last campaign's machine parameters, values SI, and weights by coefficient.
+
+        Args:
+            mean: of all coefficients ``(C,)``.
+        """
+        names, matrix = _machine_parameters(self.about.problem)
+        scale, start = self.about.scale, self.about.known
+        weights = np.hstack([matrix, np.zeros((len(names), len(scale) - start))])
+        found = list(names)
+        for place in self.places:
+            at = self.about.coefficients(place)
+            rows = np.zeros((len(at), len(scale)))
+            rows[np.arange(len(at)), at] = 1.0
+            weights, found = np.vstack([weights, rows]), [*found, *place.effect.motions]
+        weights = weights * scale
+        return tuple(found), weights @ mean, weights
+
+    @cached_property
+    def machine(self) -> Machine:
+        """The calibrated machine: its mean, with its covariance."""
+        start = self.before.problem.machine
+        known = start.catalogue
+        start = start.with_effects(p.effect for p in self.places if p.effect.name not in known)
+        names, values, weights = self.machine_with(self.mean)
+        spread = weights @ self.covariance @ weights.T
+        kept = dict(zip(names, values.tolist(), strict=True))
+        return start.with_posterior(kept, Posterior(names, values, spread))
+
+    @cached_property
+    def after(self) -> Estimate:
+        """The readings as the mean has them, scored; what was learned in place of tolerances."""
+        about, mixture, prior = self.about, self.mixture, self.known.prior
+        count, scale = about.known, about.scale
+        known = _rows(prior[:count, :count]) / scale[:count]
+        earlier = self.before.problem
+        rows, target = [known], [np.zeros(len(known))]
+        if earlier.earlier is not None:
+            matrix, goal = about.known_rows
+            rows, target = [*rows, matrix], [*target, goal]
+        problem = replace(
+            about.problem,
+            prior=(np.vstack(rows), np.concatenate(target)),
+            curves=self._curves(prior),
+        )
+        x = (self.mean * scale)[:count]
+        at = linearise(problem, x)
+        estimate = assessed(problem, nuisances(problem, at.slopes), at, "posterior",
+                            len(mixture.children), self.about.apart)  # fmt: skip
+        return replace(estimate, covariance=self.unknowns.covariance, weak=self.before.weak)
+
+    def _curves(self, prior: Array) -> Block | None:
+        """Rows by the places that stand out, as nuisances of the fit."""
+        out = [self.mixture.linear.groups[g] for g, _ in self.mixture.best]
+        at = np.concatenate([np.zeros(0, np.intp), *(g.places for g in out if g.free)])
+        if not len(at):
+            return None
+        sd = np.sqrt(np.diag(prior)[at])
+        return Block(self.about.rows[:, at], sd, np.zeros(len(at), dtype=bool))
+
+
+def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior:
+    """Weigh everything that could be wrong against the readings.
+
+    Args:
+        before: the fit of the base.
+        given: causes that stand out whatever the readings say.
+
+    Raises:
+        SolverError: where the mean does not settle.
+    """
+    at = None
+    for _ in range(_LINEARISATIONS):
+        about = everything(before, at)
+        mixture = Mixture(about.linear, given)
+        found = FullPosterior(before, about, mixture, mixture.averaged(about.known))
+        at = (found.mean * about.scale)[: about.known]
+        try:
+            apart = about.distance(found.mean, before)
+        except ClosureError as error:
+            raise SolverError(
+                "the machine found does not close: the readings, or their units, are not those "
+                "of this machine"
+            ) from error
+        if apart < _SETTLED:
+            return replace(found, about=replace(about, apart=apart))
+    return replace(found, about=replace(about, apart=apart))
+
+
+def _rows(covariance: Array) -> Array:
+    """Rows ``W`` with ``W^T W`` the inverse of a covariance ``(P, P)``."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T)
+
+
+def _machine_parameters(problem: Problem) -> tuple[tuple[str, ...], Array]:
+    """The machine's parameters that the last campaign sets, and their weights by unknown."""
+    names, matrix = problem.elementary(problem.last)
+    motions = problem.machine.catalogue.motions
+    kept = [k for k, name in enumerate(names) if name in motions]
+    return tuple(names[k] for k in kept), matrix[kept]

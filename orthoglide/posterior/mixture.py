@@ -1,0 +1,395 @@
+"""Spike and slab: a background of everything at a learned scale, and what stands out of it.
+
+Readings ``r = A z + noise``, whitened, with all coefficients z in their tolerances. The *spike* of
+every coefficient is N(0, s^2), with one scale s for the effects of the catalogue and one for the
+free functions, averaged over a grid with one for errors that have no structure at all. A *slab*
+lets one group of coefficients out, N(0, tau^2) more, tau averaged over a grid. With a
+state (which groups are out, at which tau), all is Gaussian:
+
+    ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
+
+States are searched forward, the best group first, then each exchanged against all others; means
+and covariances are averaged with the weights Z (Carvalho and Scott 2009; Wang et al. 2020, *A
+simple new approach to variable selection in regression*, whose credible sets these are).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array
+
+SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Scales of the effects of the catalogue that no slab lets out, in tolerances."""
+
+FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
+                  (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
+"""Scales of the free functions that no slab lets out, in their units, and of an error of its own at
+every station, in the noise of a reading: what has no structure at all is noise to all causes."""
+
+SLABS = (0.3, 1.0, 3.0, 10.0)
+"""Scales of what stands out."""
+
+_MOST = 6  # groups that stand out together
+_NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
+_KEPT = 60  # of them at most
+
+LEAST_SHARE = 0.05
+"""Probability of a place from which it is part of the calibrated machine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Coefficients that stand out together, or not.
+
+    Attributes:
+        name: of the cause or place.
+        places: of the coefficients that it moves ``(k,)``, or ``(q,)`` with ``weights``.
+        weights: from its own coefficients to those ``(q, k)``.
+        free: whether it is a free function.
+    """
+
+    name: str
+    places: NDArray[np.intp]
+    weights: Array
+    free: bool
+
+    @property
+    def size(self) -> int:
+        """Number of its own coefficients."""
+        return self.weights.shape[1]
+
+
+State = tuple[tuple[int, float], ...]
+"""Groups that stand out, by place, each with its tau."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Readings about a machine, linear in everything that could be wrong.
+
+    Attributes:
+        columns: whitened, nuisances projected out, by coefficient in tolerances ``(m, C)``.
+        residual: what the readings say of the sum ``(m,)``.
+        fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
+        free: which belong to free functions ``(C,)``.
+        groups: that may stand out.
+        stations: an error of one sigma at each station ``(m, s)``.
+    """
+
+    columns: Array
+    residual: Array
+    fixed: Array
+    free: NDArray[np.bool_]
+    groups: tuple[Group, ...]
+    stations: Array
+
+    def spike(self, share: float, free_share: float) -> Array:
+        """Prior variance of each coefficient without slabs ``(C,)``."""
+        background = np.where(self.free, free_share, share)
+        return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """Coefficients over all explanations.
+
+    Attributes:
+        mean: ``(C,)``.
+        covariance: ``(C, C)``; zero for places that hardly stand out.
+        prior: covariance before the readings, by the same weights ``(C, C)``; the same.
+    """
+
+    mean: Array
+    covariance: Array
+    prior: Array
+
+
+class _Scale:
+    """One point of the grid of scales: everything whitened by its background."""
+
+    def __init__(self, linear: Linear, share: float, free_share: float, rough: float) -> None:
+        self.linear, self.share, self.free_share = linear, share, free_share
+        self.rough = rough
+        self.spike = linear.spike(share, free_share)
+        A = linear.columns
+        cov = (A * self.spike) @ A.T
+        if rough > 0:
+            cov += rough**2 * linear.stations @ linear.stations.T
+        cov[np.diag_indices_from(cov)] += 1.0
+        factor = np.linalg.cholesky(cov)
+        both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
+        self.columns, self.residual = both[:, :-1], both[:, -1]
+        self.log_z = -0.5 * float(self.residual @ self.residual) - float(
+            np.log(np.diag(factor)).sum()
+        )
+
+    @cached_property
+    def by_group(self) -> Array:
+        """Columns of all groups side by side ``(m, K)``."""
+        return np.hstack([self.columns[:, g.places] @ g.weights for g in self.linear.groups])
+
+    @cached_property
+    def along(self) -> Array:
+        """Residual along them ``(K,)``."""
+        return np.asarray(self.by_group.T @ self.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class _Visited:
+    """A state with its log weights: ``(scales,)``, the prior counted."""
+
+    state: State
+    log_weights: Array
+
+
+class Mixture:
+    """The states that explain the readings, with their weights."""
+
+    def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
+        self.linear = linear
+        self._given_names = frozenset(given)
+        self.scales = tuple(_Scale(linear, s, *f) for s, f in product(SHARES, FREE_AND_ROUGH))
+        ends = np.cumsum([0, *(g.size for g in linear.groups)])
+        self._span = [np.arange(a, b) for a, b in pairwise(ends)]
+        self._by_size: dict[int, list[int]] = {}
+        for k, group in enumerate(linear.groups):
+            self._by_size.setdefault(group.size, []).append(k)
+        # Each slab is one of so many, at one of so many scales.
+        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(SLABS)))
+        self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
+        self.children: dict[State, Array] = {}
+        self.best = self._search()
+
+    # --- Search -----------------------------------------------------------------------------
+
+    def _search(self) -> State:
+        state: State = ()
+        names = [g.name for g in self.linear.groups]
+        for name in sorted(self._given_names & set(names)):
+            state = self.child(state, names.index(name))
+        while len(state) < _MOST:
+            child = self._best_child(state)
+            if child is None or self._total(child) < self._total(state):
+                break
+            state = self._exchanged(child)
+        return state
+
+    def _exchanged(self, state: State) -> State:
+        """Each group exchanged against the best of all others, as long as that is better."""
+        for _ in range(4):
+            own = [s for s in state if self.linear.groups[s[0]].name not in self._given_names]
+            if not own:
+                break
+            rivals = [self._best_child(tuple(s for s in state if s is not out)) for out in own]
+            better = max((r for r in rivals if r), key=self._total, default=state)
+            fewer = max((tuple(s for s in state if s is not out) for out in own), key=self._total)
+            better = max(better, fewer, key=self._total)
+            if self._total(better) <= self._total(state) + 1e-9:
+                break
+            state = better
+        return state
+
+    def _total(self, state: State) -> float:
+        weights = self.visited[state]
+        top = weights.max()
+        return float(top + np.log(np.exp(weights - top).sum()))
+
+    def _best_child(self, state: State) -> State | None:
+        """Let one more group out: all of them at all scales, the best returned."""
+        if state not in self.children:
+            self.children[state] = self._expand(state)
+        table = self.children[state]  # (scales, groups, taus)
+        if not np.isfinite(table).any():
+            return None
+        top = table.max()
+        pooled = np.exp(table - top).sum(axis=0)
+        group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
+        return self._child(state, int(group), int(tau))
+
+    def child(self, state: State, group: int) -> State:
+        """The state with one more group out, at its likeliest scale."""
+        self._best_child(state)
+        table = self.children[state][:, group]
+        return self._child(state, group, int(np.argmax(np.exp(table - table.max()).sum(axis=0))))
+
+    def next_odds(self) -> Array:
+        """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
+        self._best_child(self.best)
+        table = self.children[self.best]
+        top = self._total(self.best)
+        with np.errstate(divide="ignore"):
+            pooled = np.log(np.exp(table - top).sum(axis=(0, 2)))
+        return np.asarray(pooled + self.cost)
+
+    def _child(self, state: State, group: int, tau: int) -> State:
+        child = tuple(sorted((*state, (group, SLABS[tau]))))
+        self.visited[child] = self.children[state][:, group, tau]
+        return child
+
+    def _expand(self, state: State) -> Array:
+        """Log weights ``(scales, groups, taus)`` of the state with one more group out."""
+        if state not in self.visited:
+            self.visited[state] = np.array(
+                [self._log_z(s, state) - len(state) * self.cost for s in self.scales]
+            )
+        taken = {k for k, _ in state}
+        groups = self.linear.groups
+        table = np.full((len(self.scales), len(groups), len(SLABS)), -np.inf)
+        for k, scale in enumerate(self.scales):
+            columns, along = self._given(scale, state)
+            for members in self._by_size.values():
+                span = np.array([self._span[g] for g in members])
+                blocks = columns[:, span].transpose(1, 0, 2)
+                gram = blocks.transpose(0, 2, 1) @ blocks
+                values, vectors = np.linalg.eigh(gram)
+                square = (vectors.transpose(0, 2, 1) @ along[span][:, :, None])[:, :, 0] ** 2
+                values = np.maximum(values, 0.0)
+                for t, tau in enumerate(SLABS):
+                    grown = 1 + tau**2 * values
+                    gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
+                    table[k, members, t] = gain
+            table[k] += self.visited[state][k] - self.cost
+        table[:, sorted(taken)] = -np.inf
+        return table
+
+    def _out(self, scale: _Scale, state: State) -> tuple[Array, Array]:
+        """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
+
+        With these, ``rows - (left * shrink) @ left.T @ rows`` whitens what is out as well.
+        """
+        if not state:
+            return np.zeros((len(scale.residual), 0)), np.zeros(0)
+        columns = np.hstack([scale.by_group[:, self._span[g]] * tau for g, tau in state])
+        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+        return left, 1 - 1 / np.sqrt(1 + singular**2)
+
+    def _given(self, scale: _Scale, state: State) -> tuple[Array, Array]:
+        """All groups' columns with what is out whitened, and the residual along them."""
+        if not state:
+            return scale.by_group, scale.along
+        left, shrink = self._out(scale, state)
+        columns = scale.by_group - (left * shrink) @ (left.T @ scale.by_group)
+        residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
+        return columns, np.asarray(columns.T @ residual)
+
+    def _log_z(self, scale: _Scale, state: State) -> float:
+        left, shrink = self._out(scale, state)
+        along = left.T @ scale.residual
+        gain = along @ ((1 - (1 - shrink) ** 2) * along)
+        return scale.log_z + 0.5 * float(gain) + float(np.log1p(-shrink).sum())
+
+    # --- What follows -----------------------------------------------------------------------
+
+    @cached_property
+    def weights(self) -> dict[State, Array]:
+        """Weights ``(scales,)`` of all states seen, summing to one over all."""
+        logs: dict[State, Array] = dict(self.visited)
+        for state, table in self.children.items():
+            pooled = table.max(axis=0)
+            for group, tau in zip(*np.nonzero(pooled > self._total(self.best) - 12), strict=True):
+                child = tuple(sorted((*state, (int(group), SLABS[tau]))))
+                logs.setdefault(child, table[:, group, tau])
+        top = max(float(v.max()) for v in logs.values())
+        raw = {s: np.exp(v - top) for s, v in logs.items()}
+        total = sum(float(v.sum()) for v in raw.values())
+        return {s: v / total for s, v in raw.items()}
+
+    @cached_property
+    def inclusion(self) -> Array:
+        """Probability that each group stands out ``(groups,)``."""
+        found = np.zeros(len(self.linear.groups))
+        for state, weight in self.weights.items():
+            for group in {g for g, _ in state}:
+                found[group] += float(weight.sum())
+        return found
+
+    def alternatives(self, member: int) -> Array:
+        """Probability of each group ``(groups,)`` in one place of the best state, the rest given.
+
+        The last entry, behind the groups, is that of nothing.
+        """
+        rest = tuple(s for s in self.best if s[0] != member)
+        self._best_child(rest)
+        table = self.children[rest]
+        nothing = self._total(rest)
+        top = max(float(table.max()), nothing)
+        by_group = np.exp(table - top).sum(axis=(0, 2))
+        found = np.append(by_group, np.exp(nothing - top))
+        return np.asarray(found / found.sum())
+
+    @cached_property
+    def shares(self) -> tuple[float, float, float]:
+        """Mean scales: of the catalogue, of free functions, of errors of single stations."""
+        by_scale = np.sum(list(self.weights.values()), axis=0)
+        each = np.array([(s.share, s.free_share, s.rough) for s in self.scales])
+        named, free, rough = (by_scale @ each).tolist()
+        return named, free, rough
+
+    def _spread(self, state: State) -> Array:
+        """What is out by coefficient ``(C, q)``, each times its tau."""
+        count = len(self.linear.fixed)
+        spread = np.zeros((count, 0))
+        for group, tau in state:
+            g = self.linear.groups[group]
+            part = np.zeros((count, g.size))
+            part[g.places] = g.weights * tau
+            spread = np.hstack([spread, part])
+        return spread
+
+    def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""
+        return self.moments(state, self.scales[int(np.argmax(self.visited[state]))], at)
+
+    def moments(self, state: State, scale: _Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
+        left, shrink = self._out(scale, state)
+        residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
+        columns = scale.columns - (left * shrink) @ (left.T @ scale.columns)
+        spread = self._spread(state)
+        # Prior covariance: the spike's diagonal and what is out.
+        seen = columns * scale.spike + (columns @ spread) @ spread.T
+        prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
+        return seen.T @ residual, prior - seen[:, at].T @ seen[:, at]
+
+    def averaged(self, known: int) -> Averaged:
+        """Everything over all states and scales that count.
+
+        Args:
+            known: the first so many coefficients have their covariance in any case, others where
+                their group stands out with some probability.
+        """
+        likely = [g.places for g, p in zip(self.linear.groups, self.inclusion, strict=True)
+                  if p > LEAST_SHARE]  # fmt: skip
+        at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
+        flat = [
+            (float(w), state, self.scales[k])
+            for state, weights in self.weights.items()
+            for k, w in enumerate(weights)
+            if w > _NEGLIGIBLE
+        ]
+        flat.sort(key=lambda entry: -entry[0])
+        flat = flat[:_KEPT]
+        total = sum(w for w, _, _ in flat)
+        size = len(self.linear.fixed)
+        mean, second, prior = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
+        block = np.ix_(at, at)
+        for weight, state, scale in flat:
+            m, cov = self.moments(state, scale, at)
+            mean += weight / total * m
+            second[block] += weight / total * (cov + np.outer(m[at], m[at]))
+            spread = self._spread(state)[at]
+            prior[block] += weight / total * (np.diag(scale.spike[at]) + spread @ spread.T)
+        second[block] -= np.outer(mean[at], mean[at])
+        return Averaged(mean, second, prior)
+
+
+def whole(name: str, places: Sequence[int], *, free: bool) -> Group:
+    """A group of coefficients, each for itself."""
+    return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free)

@@ -1,0 +1,235 @@
+"""Reading causes, places and their credible sets off the posterior.
+
+A credible set holds the truth with 95 % probability, something being there at all: the smallest set
+of causes and places whose probabilities, all else that was found given, sum to that (Wang et al.
+2020, section 3). What gives the same readings and the same tool is one cause with one name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.accuracy import workspace
+from orthoglide.effects.places import Place
+from orthoglide.fit.least_squares import Nuisances
+from orthoglide.geometry import Array
+from orthoglide.posterior.causes import (
+    CandidateScore,
+    Cause,
+    Curve,
+    Explanation,
+    Located,
+    Outstanding,
+)
+from orthoglide.posterior.everything import FullPosterior
+from orthoglide.posterior.mixture import Group, State
+from orthoglide.prediction import Conditions
+
+CREDIBLE = 0.95
+"""Probability that a credible set holds the truth."""
+
+NAMED = 0.9
+"""Least probability of what is claimed: that something stands out, and of its kind."""
+
+
+def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstanding:
+    """Read off what stands out of the background.
+
+    Args:
+        posterior: of everything.
+        given: causes that were known to stand out.
+    """
+    reader = _Reader(posterior)
+    found = [reader.set_of(member, given) for member, _ in posterior.mixture.best]
+    return Outstanding(
+        tuple(f for f in found if isinstance(f, Cause)),
+        tuple(f for f in found if isinstance(f, Located)),
+        reader.weighed(),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    posterior: FullPosterior
+
+    @cached_property
+    def groups(self) -> tuple[Group, ...]:
+        return self.posterior.mixture.linear.groups
+
+    @cached_property
+    def nuisance(self) -> Nuisances:
+        return self.posterior.before.nuisance
+
+    def set_of(self, member: int, given: Sequence[str]) -> Cause | Located | None:
+        """The credible set in the place of one group of the best state; ``None``: no claim."""
+        mixture, known = self.posterior.mixture, self.groups[member].name in given
+        odds = mixture.alternatives(member)
+        there = 1.0 - odds[-1]
+        if known:
+            odds, there = np.eye(len(odds))[member], 1.0
+        if there < NAMED:
+            return None
+        odds = odds[:-1]
+        order = np.argsort(-odds, kind="stable")
+        count = int(np.searchsorted(np.cumsum(odds[order]), CREDIBLE * there)) + 1
+        chosen = [int(k) for k in order[:count]]
+        free = sum(float(odds[k]) for k in chosen if self.groups[k].free)
+        if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
+            named = [k for k in chosen if not self.groups[k].free]
+            return self._cause(member, [(k, float(odds[k])) for k in named])
+        return self._located(member, [(k, float(odds[k])) for k in chosen], free)
+
+    def _state(self, member: int, other: int) -> State:
+        """The best state with another group in one place, at its likeliest tau."""
+        mixture = self.posterior.mixture
+        if other == member:
+            return mixture.best
+        rest = tuple(s for s in mixture.best if s[0] != member)
+        return mixture.child(rest, other)
+
+    def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
+        several = [one for k, p in odds for one in self._twins(self._explanation(member, k, p))]
+        chosen, rest = several[0], several[1:]
+        alike = [self._same_tool(chosen, other) for other in rest]
+        return Cause(
+            chosen,
+            tuple(e for e, same in zip(rest, alike, strict=True) if not same),
+            tuple(e for e, same in zip(rest, alike, strict=True) if same),
+        )
+
+    def _twins(self, one: Explanation) -> list[Explanation]:
+        """An explanation with those under other names that show the same, readings and tool."""
+        catalogue, about = one.catalogue, self.posterior.about
+        setups = tuple(s for f in about.problem.factors for s in f.setup_names)
+        parts = [dict(catalogue.elementary(n, setups)) for n in one.parameters]
+        whole = {p for part in parts for p in part}
+        twins = [dict(about.twins.get(p, ())) for p in whole]
+        others = [{catalogue.effect_of(n).name for n in twin} for twin in twins]
+        found = [one]
+        for effect in sorted(set.intersection(*others)) if others else []:
+            factor = {
+                f
+                for twin in twins
+                for n, f in twin.items()
+                if catalogue.effect_of(n).name == effect
+            }
+            if max(factor) - min(factor) > 1e-2 * abs(max(factor)):
+                continue
+            size, own = factor.pop(), catalogue.effect_of(one.name).name
+            named = {n: catalogue.parameter(n.replace(own, effect, 1)) for n in one.parameters}
+            found.append(
+                replace(
+                    one,
+                    name=one.name.replace(own, effect, 1),
+                    parameters=tuple(named.values()),
+                    values={named[n]: v * size for n, v in one.values.items()},
+                    sigmas={named[n]: v * abs(size) for n, v in one.sigmas.items()},
+                )
+            )
+        return [replace(e, probability=one.probability / len(found)) for e in found]
+
+    def _explanation(self, member: int, k: int, probability: float) -> Explanation:
+        posterior, group = self.posterior, self.groups[k]
+        mean, covariance = posterior.mixture.likeliest(self._state(member, k), group.places)
+        about = posterior.about
+        candidate = about.candidates[k]
+        # Its own coefficients by those that it moves: the mean of a pattern is its projection.
+        own = np.linalg.pinv(group.weights)
+        value = own @ mean[group.places]
+        spread = own @ covariance @ own.T
+        unit = np.array([self._tolerance(group, c) for c in range(group.size)])
+        names, values, _ = posterior.machine_with(mean)
+        return Explanation(
+            candidate.name,
+            candidate.parameters,
+            probability,
+            dict(zip(candidate.parameters, (value * unit).tolist(), strict=True)),
+            dict(
+                zip(candidate.parameters, (np.sqrt(np.diag(spread)) * unit).tolist(), strict=True)
+            ),
+            dict(zip(names, values.tolist(), strict=True)),
+            self._shown(about.rows[:, group.places] @ group.weights @ value),
+            about.problem.machine.catalogue,
+        )
+
+    def _tolerance(self, group: Group, column: int) -> float:
+        moved = group.places[np.flatnonzero(group.weights[:, column])]
+        return float(self.posterior.about.scale[moved].max())
+
+    def _shown(self, rows: Array) -> Array:
+        return np.asarray(rows - self.nuisance.fitted(rows))
+
+    def _same_tool(self, one: Explanation, other: Explanation) -> bool:
+        """Whether two causes put the tool in the same places, over the workspace.
+
+        What differs by less than half the noise of one reading, no reading would show.
+        """
+        apart = np.array([other.machine[n] - v for n, v in one.machine.items()])
+        moved = self._slopes @ apart
+        noise = self.posterior.before.problem.noise.typical
+        return bool(np.sqrt(np.mean(np.sum(moved**2, axis=1))) < noise / 2)
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """TCP over the workspace by parameter of the machine ``(g, 3, P)``."""
+        machine = self.posterior.machine
+        names, _, _ = self.posterior.machine_with(self.posterior.mean)
+        where = Conditions.at(workspace(machine.geometry))
+        return machine.model.sensitivities(machine.values, where, names)[1][:, :3]
+
+    def _located(
+        self, member: int, odds: Sequence[tuple[int, float]], probability: float
+    ) -> Located:
+        by_name = {p.name: p for p in self.posterior.about.places}
+        return Located(
+            tuple(
+                self._curve(member, k, p, by_name[self.groups[k].name])
+                for k, p in odds
+                if self.groups[k].free
+            ),
+            tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free),
+            probability,
+        )
+
+    def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
+        about, group = self.posterior.about, self.groups[k]
+        mean, spread = self.posterior.mixture.likeliest(self._state(member, k), group.places)
+        u = np.linspace(-1, 1, 41)
+        functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
+        low, high = place.span or self.posterior.before.problem.machine.geometry.stroke
+        return Curve(
+            place,
+            probability,
+            low + (u + 1) / 2 * (high - low),
+            functions @ mean[group.places],
+            np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", functions, spread, functions), 0.0)),
+            self._shown(about.rows[:, group.places] @ mean[group.places]),
+        )
+
+    def weighed(self, most: int = 24) -> tuple[CandidateScore, ...]:
+        """What came nearest to standing out, most probable first."""
+        mixture, found = self.posterior.mixture, dict[int, float]()
+        for member, _ in mixture.best:
+            odds = mixture.alternatives(member)
+            for k, p in enumerate(odds[:-1]):
+                if p > 0:
+                    score = float(np.log(p) - np.log(max(odds[-1], 1e-300)) + mixture.cost)
+                    found[k] = max(found.get(k, -np.inf), score)
+        odds = mixture.next_odds()
+        for k, p in enumerate(odds):
+            found.setdefault(k, float(p))
+        order = sorted(found, key=lambda k: (-round(found[k], 6), self.groups[k].name))[:most]
+        named = len(self.posterior.about.candidates)
+        return tuple(
+            CandidateScore(
+                self.groups[k].name,
+                self.posterior.about.candidates[k].parameters if k < named else (),
+                float(mixture.inclusion[k]),
+                found[k],
+            )
+            for k in order
+        )

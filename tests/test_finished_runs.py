@@ -1,0 +1,342 @@
+"""What is done stays done: terminals that fail, late signals, rivals for a name, damaged caches."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from orthoglide.cli import cli, running
+from orthoglide.cli.run import stop_cleanly
+from orthoglide.cli.terminal import say
+from orthoglide.errors import FileError
+from orthoglide.files import check_new, write_files
+from orthoglide.machine_file import machine_text, nominal_machine_file
+from orthoglide.mechanism.compiled import compiler
+from orthoglide.report import write_folder
+
+ROOT = Path(__file__).parents[1]
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of one's own with the published campaign, to work in."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "c.csv").write_text((files("orthoglide") / "data" / "experiment2.csv").read_text())
+    return tmp_path
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def process(
+    command: str, **environment: str
+) -> subprocess.CompletedProcess[bytes]:  # of a shell, which closes and fills streams
+    known = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/")}
+    program = f"{sys.executable} -m orthoglide"
+    return subprocess.run(
+        ["bash", "-c", command.replace("orthoglide", program, 1)],
+        env={**known, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+
+
+# --- Terminals that fail ------------------------------------------------------------------------
+
+NEGATIVE = "orthoglide forward 309 309 309"
+WHOLE = "orthoglide identify c.csv --out out"
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "ascii"])
+def test_a_narrow_alphabet_loses_no_sign(encoding: str, here: Path) -> None:
+    child = process(WHOLE, PYTHONIOENCODING=encoding)
+    assert child.returncode == 0, child.stderr
+    assert b"Traceback" not in child.stderr
+    shown = child.stdout.decode(encoding)
+    wide = process(WHOLE.replace("--out out", "--out other"), PYTHONIOENCODING="utf-8")
+    signs = [line.count("-") for line in shown.splitlines()]
+    assert sum(signs) >= wide.stdout.decode().count("−") > 0
+    assert "10?" not in shown
+    assert (here / "out" / "result.json").exists()
+
+
+@pytest.mark.parametrize(
+    "streams",
+    [">/dev/full", "2>/dev/full", ">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "| true"],
+)
+def test_output_that_fails_fails_no_finished_run(streams: str, here: Path) -> None:
+    if "full" in streams and not Path("/dev/full").exists():
+        pytest.skip("there is no full device here")
+    child = process(f"set -o pipefail; {WHOLE} {streams}")
+    assert child.returncode == 0, child.stderr
+    assert b"Traceback" not in child.stderr
+    assert b"Exception" not in child.stderr
+    assert (here / "out" / "result.json").exists()
+    assert sorted(os.listdir(here)) == ["c.csv", "out"]
+
+
+def test_output_is_needed_where_there_is_nothing_else(here: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("there is no full device here")
+    told = b"orthoglide: standard output: cannot be written ("
+    for streams in (">/dev/full", ">&-"):
+        child = process(f"{NEGATIVE} {streams}")
+        assert child.returncode == 2
+        assert child.stderr.startswith(told)
+        assert child.stderr.count(b"\n") == 1
+    assert process(f"set -o pipefail; {NEGATIVE} | true").returncode == 0
+
+
+def test_json_is_the_same_bytes_in_every_alphabet(here: Path) -> None:
+    narrow = process("orthoglide identify c.csv --json --out out", PYTHONIOENCODING="ascii")
+    assert narrow.returncode == 0
+    assert narrow.stdout == (here / "out" / "result.json").read_bytes()
+
+
+def test_a_stream_that_broke_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken:
+        encoding = "utf-8"
+
+        def write(self, text: str) -> int:
+            raise OSError(28, "No space left on device")
+
+        def flush(self) -> None:
+            raise OSError(28, "No space left on device")
+
+    broken = Broken()
+    for err in (False, True):
+        monkeypatch.setattr(sys, "stderr" if err else "stdout", broken)
+        say("lost", err=err)
+        assert (sys.stderr if err else sys.stdout) is not broken
+    monkeypatch.setattr(sys, "stdout", broken)
+    with pytest.raises(FileError, match="no space left"):
+        say("needed", needed=True)
+
+
+# --- Late signals -------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """This process takes signals as the command line does, for a while."""
+    before = {s: signal.getsignal(s) for s in SIGNALS}
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    try:
+        stop_cleanly()
+        yield
+    finally:
+        for which, handler in before.items():
+            signal.signal(which, handler)
+
+
+@pytest.mark.parametrize("sent", SIGNALS)
+def test_a_signal_just_after_the_rename_finds_the_run_done(
+    sent: signal.Signals, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename = Path.rename
+
+    def late(self: Path, target: Path) -> Any:
+        found = rename(self, target)
+        signal.raise_signal(sent)
+        return found
+
+    monkeypatch.setattr(Path, "rename", late)
+    with listening(monkeypatch):
+        result = run("identify", "c.csv", "--out", "out")
+    assert result.exit_code == 0, result.output
+    assert "nothing was written" not in result.output
+    assert sorted(os.listdir(here)) == ["c.csv", "out"]
+    assert (here / "out" / "result.json").exists()
+
+
+def test_a_signal_while_the_summary_is_shown_finds_the_run_done(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "say", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
+    with listening(monkeypatch):
+        result = run("identify", "c.csv", "--out", "out")
+    assert result.exit_code == 0
+    assert "nothing was written" not in result.output
+    assert (here / "out" / "result.json").exists()
+
+
+def test_two_files_appear_together_or_not_at_all(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = here / "m.toml"
+    (here / "m.toml").write_text(machine_text(nominal_machine_file()))
+    link = os.link
+
+    def late(name: str, target: Path) -> None:
+        link(name, target)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(os, "link", late)
+    with listening(monkeypatch):
+        result = run("simulate", "--machine", machine, "--out", "s.csv", "--tcp", "t.csv")
+    assert result.exit_code == 0
+    assert sorted(os.listdir(here)) == ["c.csv", "m.toml", "s.csv", "t.csv"]
+
+
+@pytest.mark.parametrize("name", ["summary", "report_files"])
+def test_what_is_shown_is_made_before_the_folder_appears(
+    name: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("a fault")
+
+    monkeypatch.setattr(f"orthoglide.report.{name}", fail)
+    result = run("identify", "c.csv", "--out", "out")
+    assert result.exit_code == 3
+    assert "failed unexpectedly (ValueError: a fault)" in result.stderr
+    assert "Traceback" not in result.output
+    assert os.listdir(here) == ["c.csv"]
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("0"), MemoryError(), OverflowError("1")])
+def test_failing_arithmetic_is_failed_numerics(
+    error: Exception, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("orthoglide.closing.identify", fail)
+    result = run("identify", "c.csv", "--out", "out")
+    assert result.exit_code == 3
+    assert "the numerics failed" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("orthoglide: ")
+    monkeypatch.setenv("ORTHOGLIDE_TRACEBACK", "1")
+    assert run("identify", "c.csv", "--out", "out").exception is error
+
+
+# --- Rivals for a name --------------------------------------------------------------------------
+
+
+def test_a_file_that_another_process_wrote_meanwhile_stands(here: Path) -> None:
+    @contextlib.contextmanager
+    def meanwhile() -> Iterator[None]:
+        (here / "b.csv").write_text("theirs")
+        yield
+
+    with pytest.raises(FileError, match=r"b\.csv: exists and is not overwritten"):
+        write_files({here / "a.csv": "ours", here / "b.csv": "ours"}, commit=meanwhile)
+    assert (here / "b.csv").read_text() == "theirs"
+    assert sorted(os.listdir(here)) == ["b.csv", "c.csv"]
+
+
+def test_so_it_does_where_there_are_no_hard_links(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", none)
+    write_files({here / "a.csv": "ours"})
+    assert (here / "a.csv").read_text() == "ours"
+    monkeypatch.setattr("orthoglide.files.check_new", lambda _: None)
+    with pytest.raises(FileError, match="exists and is not overwritten"):
+        write_files({here / "a.csv": "again"})
+    assert (here / "a.csv").read_text() == "ours"
+    assert sorted(os.listdir(here)) == ["a.csv", "c.csv"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_that_another_process_wrote_meanwhile_stands(overwrite: bool, here: Path) -> None:
+    @contextlib.contextmanager
+    def meanwhile() -> Iterator[None]:
+        (here / "out").mkdir()
+        (here / "out" / "result.json").write_text("theirs")
+        yield
+
+    if overwrite:  # an earlier report may be replaced, whoever wrote it
+        write_folder(here / "out", {"result.json": "ours"}, True, commit=meanwhile)
+    else:
+        with pytest.raises(FileError, match="not empty"):
+            write_folder(here / "out", {"result.json": "ours"}, commit=meanwhile)
+    expected = "ours" if overwrite else "theirs"
+    assert (here / "out" / "result.json").read_text() == expected
+    assert sorted(os.listdir(here)) == ["c.csv", "out"]
+
+
+def test_a_link_to_nothing_stands(here: Path) -> None:
+    os.symlink("nowhere", "link")
+    with pytest.raises(FileError, match="exists and is not overwritten"):
+        check_new("link")
+    for command in (("protocol",), ("design", "--count", "6"), ("identify", "c.csv")):
+        result = run(*command, "--out", "link")
+        assert result.exit_code == 2, result.output
+    assert os.readlink("link") == "nowhere"
+    assert sorted(os.listdir(here)) == ["c.csv", "link"]
+
+
+# --- The cache of compiled functions ------------------------------------------------------------
+
+BUILD = """
+import casadi as ca
+from orthoglide.mechanism.compiled import compiled
+x = ca.SX.sym("x")
+found = compiled([ca.Function("square", [x], [x**2])], build={build})
+print(None if found is None else float(found[0](3)))
+"""
+
+
+def built(cache: Path, build: bool = True) -> str:
+    child = subprocess.run(
+        [sys.executable, "-c", BUILD.format(build=build)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "ORTHOGLIDE_CACHE": str(cache)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert child.returncode == 0, child.stderr
+    return child.stdout.strip()
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_a_damaged_compiled_function_is_never_loaded(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    assert built(cache, build=False) == "None"
+    assert built(cache) == "9.0"
+    (library,) = cache.iterdir()
+    assert built(cache, build=False) == "9.0"
+    for content in (library.read_bytes()[:4096], b"", b"\x7fELF" + bytes(8000)):
+        library.write_bytes(content)
+        assert built(cache, build=False) == "None"
+        assert not library.exists()
+        assert built(cache) == "9.0"
+
+
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_the_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from orthoglide.mechanism import compiled
+
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("ORTHOGLIDE_CACHE", str(cache))
+    assert compiled._own_folder() == cache
+    assert cache.stat().st_mode & 0o077 == 0
+    cache.chmod(0o777)
+    compiled._own_folder()
+    assert cache.stat().st_mode & 0o022 == 0
+    own = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: own + 1)
+    with pytest.raises(PermissionError):
+        compiled._own_folder()
+    assert compiled.compiled([]) is None
+
+
+@pytest.mark.parametrize("name", ["../theirs.csv", "a/../../theirs.csv", "/theirs.csv"])
+def test_a_folder_holds_what_is_written_into_it(name: str, here: Path) -> None:
+    with pytest.raises(FileError, match="no place within"):
+        write_folder(here / "out", {"a.csv": "", name: "ours"})
+    assert os.listdir(here) == ["c.csv"]

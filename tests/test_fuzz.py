@@ -1,0 +1,125 @@
+"""Some hundred spoilt inputs; ``benchmarks/fuzz.py`` runs thousands. What it found stands below."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import fuzz
+
+CASES = 300
+CHUNK = 20
+
+
+@pytest.mark.parametrize("first", range(0, CASES, CHUNK))
+def test_spoilt_inputs_end_as_promised(first: int, tmp_path: Path) -> None:
+    wrong = {}
+    for number in range(first, first + CHUNK):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        found, _ = fuzz.run_case(fuzz.draw_case(number), folder)
+        if found:
+            wrong[number] = found
+    assert not wrong
+
+
+def test_a_case_is_its_number() -> None:
+    assert fuzz.draw_case(7) == fuzz.draw_case(7)
+    assert fuzz.draw_case(7).files != fuzz.draw_case(8).files
+    drawn = [fuzz.draw_case(k) for k in range(120)]
+    assert {case.arguments[0] for case in drawn} == {name.split()[0] for name in fuzz.COMMANDS}
+
+
+def test_a_sound_input_is_found_sound(tmp_path: Path) -> None:
+    case = fuzz.Case(0, {"rho": fuzz.originals()["rho"].encode()}, ("forward", "--csv", "rho"))
+    out = fuzz.Case(0, case.files, (*case.arguments, "--out", "out"))
+    assert fuzz.run_case(out, tmp_path) == ("", 0)
+
+
+def crash(path: Path) -> None:
+    raise KeyError("lost")
+
+
+def leave(path: Path) -> None:
+    Path("out").mkdir()
+    raise SystemExit(2)
+
+
+def end_oddly(path: Path) -> None:
+    raise SystemExit(1)
+
+
+def hang(path: Path) -> None:
+    while True:
+        time.process_time()
+
+
+def say_nothing(path: Path) -> None:
+    raise SystemExit(3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (crash, "KeyError: 'lost'"),
+        (leave, "leaves out behind"),
+        (end_oddly, "exit code 1"),
+        (hang, "takes longer than"),
+        (say_nothing, "says []"),
+    ],
+)
+def test_every_broken_promise_is_seen(
+    fault: object, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fuzz, "LIMIT", 0.3 if fault is hang else 10.0)
+    content = fuzz.originals()["rho"].encode()
+    monkeypatch.setattr("orthoglide.observations.table.read_table", fault)
+    case = fuzz.Case(0, {"rho": content}, ("forward", "--csv", "rho", "--out", "out"))
+    found, _ = fuzz.run_case(case, tmp_path)
+    assert found.startswith(told)
+    assert Path.cwd() != tmp_path
+    assert "ORTHOGLIDE_TRACEBACK" not in os.environ
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("r.json", '{"a": NaN}'), ("r.json", '{"a"'), ("f.svg", "<svg>\x1b</svg>"), ("t.csv", '"a')],
+)
+def test_results_that_cannot_be_read_are_seen(name: str, content: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(content)
+    assert fuzz.unreadable(tmp_path).startswith(f"{name} cannot be read")
+    (tmp_path / name).write_text({"r": "{}", "f": "<svg/>", "t": "a\n"}[name[0]])
+    assert fuzz.unreadable(tmp_path) == ""
+
+
+# --- What it found ------------------------------------------------------------------------------
+
+
+def spoilt_result(edit: Callable[[dict[str, Any]], object], folder: Path) -> tuple[str, int]:
+    """How a result ends that was edited by hand."""
+    result = json.loads(fuzz.originals()["result"])
+    edit(result)
+    content = json.dumps(result).encode()
+    return fuzz.run_case(fuzz.Case(0, {"r.json": content}, ("rerun", "r.json")), folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("npz", 0), ("npz", []), ("npz", ""), ("npz", "AAAA"), ("sha256", 3), ("toml", 1)],
+)
+def test_a_machine_in_a_result_that_is_none(key: str, value: object, tmp_path: Path) -> None:
+    assert spoilt_result(lambda r: r["machine"].update({key: value}), tmp_path) == ("", 2)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
+    whole = fuzz.originals()["result"].encode()
+    part = whole[: int(share * len(whole))]
+    case = fuzz.Case(0, {"r.json": part}, ("rerun", "r.json"))
+    assert fuzz.run_case(case, tmp_path) == ("", 2)

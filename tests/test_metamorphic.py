@@ -1,0 +1,177 @@
+"""What must not matter does not, from the file to the words: the whole loop, twice."""
+
+from __future__ import annotations
+
+import csv
+import io
+import random
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import orthoglide as og
+from orthoglide.effects import relabelled
+from orthoglide.effects.wording import cause_words
+from orthoglide.result import Result as Verdict
+
+RIG = Path(__file__).parent / "data" / "rig"
+CASES = ("rig-2", "rig-4")  # one explained, one ambiguous
+TURN = {"x": "y", "y": "z", "z": "x"}
+
+Row = dict[str, str]
+Rows = list[Row]
+
+
+@cache
+def machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+def recorded(case: str) -> Rows:
+    """The rows of a campaign, with the approach that their order gives as columns of their own."""
+    campaign = og.read_campaign(RIG / f"{case}.csv", machine().spec)
+    with (RIG / f"{case}.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, approach in zip(rows, campaign.approach, strict=True):
+        row |= {f"approach_{leg}": f"{way:+.0f}" for leg, way in zip("xyz", approach, strict=True)}
+    return rows
+
+
+def written(folder: Path, *files: Rows) -> list[Path]:
+    """Files of readings."""
+    paths = []
+    for k, rows in enumerate(files):
+        stream = io.StringIO(newline="")
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+        paths.append(folder / f"campaign{k}.csv")
+        paths[-1].write_text(stream.getvalue())
+    return paths
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Verdict]:
+    folder = tmp_path_factory.mktemp("plain")
+    found = {}
+    for case in CASES:
+        (folder / case).mkdir()
+        found[case] = og.close_loop(written(folder / case, recorded(case)), machine())
+    return found
+
+
+def shuffled(rows: Rows) -> list[Rows]:
+    """The rows in another order; column ``order`` still says when each was taken."""
+    return [random.Random(1).sample(rows, len(rows))]
+
+
+def renamed(rows: Rows) -> list[Rows]:
+    """Setups with names of no meaning, in another alphabetical order."""
+    names = {name: f"{k:03d} z" for k, name in enumerate(sorted({r["setup"] for r in rows})[::-1])}
+    return [[row | {"setup": names[row["setup"]]} for row in rows]]
+
+
+def set_elsewhere(rows: Rows) -> list[Rows]:
+    """Every dial zeroed elsewhere."""
+    names = sorted({row["setup"] for row in rows})
+    datum = {name: 0.01 * random.Random(name).randrange(-500, 500) for name in names}
+    moved = [f"{float(row['reading_mm']) + datum[row['setup']]:.4f}" for row in rows]
+    return [[row | {"reading_mm": cell} for row, cell in zip(rows, moved, strict=True)]]
+
+
+def mirrored(rows: Rows) -> list[Rows]:
+    """Every other dial counts the other way."""
+    turned = sorted({row["setup"] for row in rows})[::2]
+    return [[
+        row
+        | {"direction": f"-{row['direction']}", "reading_mm": f"{-float(row['reading_mm']):.4f}"}
+        if row["setup"] in turned else row for row in rows
+    ]]  # fmt: skip
+
+
+def in_two_files(rows: Rows) -> list[Rows]:
+    """Half of the setups in a file of their own."""
+    own = sorted({row["setup"] for row in rows})[::2]
+    return [[r for r in rows if r["setup"] in own], [r for r in rows if r["setup"] not in own]]
+
+
+def in_two_files_the_other_way_round(rows: Rows) -> list[Rows]:
+    return in_two_files(rows)[::-1]
+
+
+def written_otherwise(rows: Rows) -> list[Rows]:
+    """Columns in another order, digits that say nothing, a column of notes."""
+    return [[
+        {"notes": "=1+1", **{k: row[k] for k in reversed(row)},
+         "reading_mm": f"{float(row['reading_mm']):+.9f}"} for row in rows
+    ]]  # fmt: skip
+
+
+CHANGES: tuple[Callable[[Rows], list[Rows]], ...] = (
+    shuffled, renamed, set_elsewhere, mirrored, in_two_files, in_two_files_the_other_way_round,
+    written_otherwise,
+)  # fmt: skip
+
+
+def the_same(one: Verdict, other: Verdict, name: Callable[[str], str] = str) -> None:
+    """Same words, same numbers."""
+    assert other.word == one.word
+    assert [e.name for e in other.effects] == [name(e.name) for e in one.effects]
+    for before, after in zip(one.effects, other.effects, strict=True):
+        rivals = {name(n) for n in before.indistinguishable_from}
+        assert set(after.indistinguishable_from) == rivals
+    assert set(other.values) == {name(n) for n in one.values}
+    for parameter, value in one.values.items():
+        assert other.values[name(parameter)] == pytest.approx(value, rel=1e-5, abs=1e-9)
+    for stage in ("before", "after"):
+        was, now = (getattr(v, stage).scores for v in (one, other))
+        assert now.rms == pytest.approx(was.rms, rel=1e-5)
+        assert now.chi2 == pytest.approx(was.chi2, rel=1e-4)
+    assert len(other.blunders) == len(one.blunders)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("change", CHANGES, ids=lambda f: f.__name__)
+def test_what_says_nothing_of_the_machine_changes_nothing(
+    change: Callable[[Rows], list[Rows]],
+    case: str,
+    tmp_path: Path,
+    plain: dict[str, Verdict],
+) -> None:
+    files = change(recorded(case))
+    assert files != [recorded(case)]
+    the_same(plain[case], og.close_loop(written(tmp_path, *files), machine()))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_legs_with_other_names_are_found_under_them(
+    case: str, tmp_path: Path, plain: dict[str, Verdict]
+) -> None:
+    rows = []
+    for row in recorded(case):
+        new = dict(row)
+        for leg, other in TURN.items():
+            new[f"rho_{other}_mm"] = row[f"rho_{leg}_mm"]
+            new[f"approach_{other}"] = row[f"approach_{leg}"]
+        rows.append(new | {"leg": TURN[row["leg"]], "direction": TURN[row["direction"]]})
+    turned = og.close_loop(written(tmp_path, rows), machine())
+    catalogue = machine().catalogue
+
+    def name(old: str) -> str:
+        return str(relabelled(catalogue.parameter(old)))
+
+    the_same(plain[case], turned, name)
+    words = [cause_words(catalogue, e.name, turned.values) for e in turned.effects]
+    assert all(words)
+    for before, after in zip(plain[case].effects, turned.effects, strict=True):
+        leg = catalogue.parameter(before.name).leg
+        assert catalogue.parameter(after.name).leg == TURN[leg]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_seed_draws_and_does_not_decide(case: str, plain: dict[str, Verdict]) -> None:
+    campaign = og.read_campaign(RIG / f"{case}.csv", machine().spec)
+    for seed in (1, 2):
+        the_same(plain[case], og.close_loop(campaign, machine(), seed=seed))
