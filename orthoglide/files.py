@@ -15,6 +15,9 @@ from pathlib import Path
 from orthoglide.errors import FileError
 from orthoglide.text import shown
 
+TEXT = 2**20
+"""Largest file that people write by hand, bytes: it is read key by key."""
+
 LIMIT = 128 * 2**20
 """Largest file that is read, bytes: a result with some hundred thousand readings has less."""
 
@@ -28,15 +31,20 @@ Commit = Callable[[], AbstractContextManager[None]]
 """Surrounds the moment at which files appear: what is entered last may still refuse."""
 
 
-def read_bytes(path: str | os.PathLike[str]) -> bytes:
+def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     """A file's content, or that of a pipe, read once.
 
+    Args:
+        path: of it.
+        most: the largest that it may be, bytes; `LIMIT` where absent.
+
     Raises:
-        FileError: where it is missing, empty, unreadable, larger than `LIMIT`, or a pipe into which
-            nobody writes for `SILENCE` seconds.
+        FileError: where it is missing, empty, unreadable, too large, or a pipe into which nobody
+            writes for `SILENCE` seconds.
     """
+    most = LIMIT if most is None else most
     try:
-        content = _content(path)
+        content = _content(path, most)
     except FileNotFoundError:
         raise FileError("there is no such file: check the name", file=shown(path)) from None
     except TimeoutError:
@@ -48,16 +56,14 @@ def read_bytes(path: str | os.PathLike[str]) -> bytes:
         raise FileError(
             f"cannot be read ({reason}): give a readable file", file=shown(path)
         ) from None
-    if len(content) > LIMIT:
-        raise FileError(
-            f"is larger than {LIMIT // 2**20} MB: give a file of readings", file=shown(path)
-        )
+    if len(content) > most:
+        raise FileError(f"is larger than {most // 2**20} MB: give the right file", file=shown(path))
     if not content.removeprefix(_BOM).strip():
         raise FileError("is empty: give a file with content", file=shown(path))
     return content
 
 
-def _content(path: str | os.PathLike[str]) -> bytes:
+def _content(path: str | os.PathLike[str], most: int) -> bytes:
     """At most one byte more than is allowed."""
 
     def opener(name: str, flags: int) -> int:  # a pipe without a writer is not waited for here
@@ -65,7 +71,7 @@ def _content(path: str | os.PathLike[str]) -> bytes:
 
     with open(path, "rb", buffering=0, opener=opener) as stream:
         if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) or os.name == "nt":
-            return _up_to_limit(stream.read)
+            return _up_to(most, stream.read)
         silent_since = time.monotonic()
 
         def read(count: int) -> bytes | None:
@@ -76,17 +82,17 @@ def _content(path: str | os.PathLike[str]) -> bytes:
             silent_since = time.monotonic()
             return stream.read(count)
 
-        return _up_to_limit(read)
+        return _up_to(most, read)
 
 
-def _up_to_limit(read: Callable[[int], bytes | None]) -> bytes:
+def _up_to(most: int, read: Callable[[int], bytes | None]) -> bytes:
     content = bytearray()
-    while len(content) <= LIMIT:
+    while len(content) <= most:
         piece = read(_PIECE)
         if piece == b"":
             break
         content += piece or b""  # None: another reader took it
-    return bytes(content[: LIMIT + 1])
+    return bytes(content[: most + 1])
 
 
 _BINARY = {

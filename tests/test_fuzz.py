@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -95,10 +98,28 @@ def test_results_that_cannot_be_read_are_seen(name: str, content: str, tmp_path:
     assert fuzz.unreadable(tmp_path) == ""
 
 
-# What it found, by the number of the case.
-FOUND = {1593: "a covariance that is a number"}
+# --- What it found ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", FOUND)
-def test_what_was_found_is_mended(number: int, tmp_path: Path) -> None:
-    assert fuzz.run_case(fuzz.draw_case(number), tmp_path)[0] == ""
+def spoilt_result(edit: Callable[[dict[str, Any]], object], folder: Path) -> tuple[str, int]:
+    """How a result ends that was edited by hand."""
+    result = json.loads(fuzz.originals()["result"])
+    edit(result)
+    content = json.dumps(result).encode()
+    return fuzz.run_case(fuzz.Case(0, {"r.json": content}, ("rerun", "r.json")), folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("npz", 0), ("npz", []), ("npz", ""), ("npz", "AAAA"), ("sha256", 3), ("toml", 1)],
+)
+def test_a_machine_in_a_result_that_is_none(key: str, value: object, tmp_path: Path) -> None:
+    assert spoilt_result(lambda r: r["machine"].update({key: value}), tmp_path) == ("", 2)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
+    whole = fuzz.originals()["result"].encode()
+    part = whole[: int(share * len(whole))]
+    case = fuzz.Case(0, {"r.json": part}, ("rerun", "r.json"))
+    assert fuzz.run_case(case, tmp_path) == ("", 2)

@@ -342,6 +342,9 @@ def test_what_never_ends_is_not_read_to_its_end(
     monkeypatch.setattr("orthoglide.files.LIMIT", 2**20)
     assert "is larger than 1 MB" in refused("identify", "/dev/zero", "--out", "out")
     (here / "large.csv").write_bytes(b"x" * (2**20 + 1))
+    for command in (("forward", "310", "310", "310", "--machine"), ("import", "klipper")):
+        out = ("--out", "out") if command[0] == "import" else ()
+        assert "is larger than 1 MB" in refused(*command, "large.csv", *out)
     assert "is larger than 1 MB" in refused("identify", "large.csv", "--out", "out")
 
 

@@ -23,6 +23,8 @@ from orthoglide.cli import (
     rerun,
     sheets,
 )
+from orthoglide.cli.completion import completion_option
+from orthoglide.cli.examples import with_examples
 from orthoglide.cli.run import Commands, stop_cleanly
 from orthoglide.cli.terminal import speak_plainly
 
@@ -31,6 +33,7 @@ __all__ = ["cli", "main"]
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="orthoglide")
+@completion_option
 def cli() -> None:
     """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
 
@@ -53,6 +56,7 @@ _MODULES = (
 for _module in _MODULES:
     for _command in _module.COMMANDS:
         cli.add_command(_command)
+with_examples(cli)
 
 
 def main() -> None:

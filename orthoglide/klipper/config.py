@@ -138,7 +138,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     Raises:
         FileError: where it is missing, no text, or a line is neither section nor entry.
     """
-    content = files.read_bytes(path)
+    content = files.read_bytes(path, files.TEXT)
     text = files.decode(content, path)
     lines = text.split("\n")
     own, saved = [], []

@@ -163,7 +163,7 @@ def read_machine_file(
     Raises:
         FileError: naming the line and what would be right, or a covariance of another file.
     """
-    content = files.read_bytes(path)
+    content = files.read_bytes(path, files.TEXT)
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)

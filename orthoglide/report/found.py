@@ -38,6 +38,7 @@ _FAULTS = {
     "exchanged_labels": "two setups exchanged",
     "unit": "a wrong unit",
     "stuck": "a dial that stuck",
+    "scatter": "visits that do not repeat",
 }
 
 
