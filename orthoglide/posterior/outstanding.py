@@ -26,7 +26,8 @@ from orthoglide.posterior.causes import (
     Outstanding,
 )
 from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.mixture import SLABS, Group, State
+from orthoglide.posterior.linear import SLABS, Group
+from orthoglide.posterior.mixture import State
 from orthoglide.prediction import Conditions
 
 _OFF = 0.1  # tolerances: a background that is worth a word
