@@ -210,7 +210,7 @@ def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
     instead.
     """
     fixed = np.full(count, np.nan)
-    fixed[: len(problem.names)] = 1.0
+    fixed[: len(problem.names)] = [u.width for u in problem.unknowns]
     if problem.earlier is None:
         return fixed, (np.zeros((0, len(problem.names))), np.zeros(0))
     matrix, target, spoken = rows_about(problem.earlier, problem.unknowns)
