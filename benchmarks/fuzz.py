@@ -43,7 +43,7 @@ sys.path.insert(0, str(ROOT))
 
 from click.testing import CliRunner, Result
 
-from benchmarks.fuzz_mutations import spoil_json, spoil_table, spoil_toml
+from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spoil_toml
 from orthoglide.cli import cli
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text
@@ -56,6 +56,35 @@ LIMIT = 10.0
 _CODES = (0, 2, 3)
 _FAULT = "failed unexpectedly"
 _ERRORS = {"joint_offset.x": 0.8e-3, "leg_length.z": 0.06e-3, "axis_tilt.y.z": 1e-3}
+_PRINTER = """[printer]
+kinematics: delta
+delta_radius: 174.75
+[stepper_a]
+position_endstop: 297.05
+arm_length: 333.0
+rotation_distance: 40
+microsteps: 16
+[stepper_b]
+rotation_distance: 40
+microsteps: 16
+[stepper_c]
+rotation_distance: 40
+microsteps: 16
+[probe]
+z_offset: 1.5
+#*# [bed_mesh default]
+#*# points =
+#*#   0.05, 0.02, -0.01, 0.03
+#*#   0.01, 0.00, 0.03, -0.02
+#*#   -0.02, 0.04, 0.06, 0.01
+#*#   -0.03, 0.01, 0.02, 0.04
+#*# x_count = 4
+#*# y_count = 4
+#*# min_x = -50
+#*# max_x = 50
+#*# min_y = -50
+#*# max_y = 50
+"""
 
 
 class Late(BaseException):
@@ -91,11 +120,18 @@ def originals() -> dict[str, str]:
         sound.write_text(small)
         CliRunner().invoke(cli, ["identify", str(sound), "--quiet", "--out", str(out)])
         result = (out / "result.json").read_text()
+    with tempfile.TemporaryDirectory() as folder:
+        stored, out = Path(folder, "printer.cfg"), Path(folder, "out")
+        stored.write_text(_PRINTER)
+        CliRunner().invoke(cli, ["import", "klipper", str(stored), "--out", str(out)])
+        delta, mesh = ((out / n).read_text() for n in ("machine.toml", "mesh-default.csv"))
     path = "p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,0,-5\n-20,15,3\n"
+    travel = "travel_a_mm,travel_b_mm,travel_c_mm\n0,0,0\n5,-3,2.5\n"
     rho = "rho_x_mm,rho_y_mm,rho_z_mm\n310.25,310.25,310.25\n300,305,309\n"
     return {
         "campaign": campaign, "small": small, "machine": machine_text(machine.spec), "tcp": tcp,
-        "result": result, "path": path, "rho": rho,
+        "result": result, "path": path, "rho": rho, "printer": _PRINTER, "delta": delta,
+        "mesh": mesh, "travel": travel,
     }  # fmt: skip
 
 
@@ -116,9 +152,13 @@ COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
     "compensate": (4, {"p.csv": "path", "--machine": "machine"}, ("--out", "out")),
     "simulate": (5, {"--machine": "machine"}, ("--out", "out", "--tcp", "out.tcp.csv")),
     "export": (2, {"--machine": "machine"}, ("--out", "out", "--force")),
+    "import klipper": (3, {"printer.cfg": "printer"}, ("--out", "out")),
+    "identify mesh": (3, {"mesh.csv": "mesh", "--machine": "delta"}, ("--out", "out")),
+    "forward delta": (1, {"--csv": "travel", "--machine": "delta"}, ("--out", "out")),
     "protocol": (2, {"--machine": "machine"}, ("--out", "out")),
 }  # fmt: skip
-_SPOIL = {"machine": spoil_toml, "result": spoil_json}
+_SPOIL = {"machine": spoil_toml, "result": spoil_json, "printer": spoil_config}
+_SPOIL |= {"delta": spoil_toml}
 
 
 def draw_case(number: int, only: str = "") -> Case:
@@ -129,6 +169,8 @@ def draw_case(number: int, only: str = "") -> Case:
     _, given, options = COMMANDS[name]
     spoilt = draw.choice(list(given))
     contents, arguments = dict[str, bytes](), [name.split()[0]]
+    if arguments == ["import"]:
+        arguments = name.split()
     for k, (place, kind) in enumerate(given.items()):
         text = originals()[kind]
         spoil = _SPOIL.get(kind, spoil_table)

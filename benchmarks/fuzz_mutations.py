@@ -223,6 +223,27 @@ def spoil_toml(draw: Random, text: str) -> bytes:
     return spoil_bytes(draw, ("\n".join(lines) + "\n").encode("utf-8", "surrogatepass"))
 
 
+def spoil_config(draw: Random, text: str) -> bytes:
+    """A firmware's file with values, keys or lines changed."""
+    lines = text.splitlines()
+    for _ in range(draw.choice((1, 1, 2, 3))):
+        place = draw.randrange(len(lines)) if lines else 0
+        kind = draw.randrange(6)
+        if kind <= 2 and lines:
+            numbers = re.findall(r"-?\d[\d.]*", lines[place])
+            if numbers:
+                old = draw.choice(numbers)
+                lines[place] = lines[place].replace(old, some_cell(draw, old), 1)
+        elif kind == 3 and lines:
+            lines.insert(place, draw.choice(lines))
+        elif kind == 4 and lines:
+            del lines[place]
+        elif lines:
+            odd = draw.choice((":", "=", "[", "]", "#", " ", draw.choice(NAMES)))
+            lines[place] = lines[place].replace(draw.choice(":=_a[]#"), odd, 1)
+    return spoil_bytes(draw, ("\n".join(lines) + "\n").encode("utf-8", "surrogatepass"))
+
+
 def _parameter(draw: Random) -> str:
     effect = draw.choice(
         ("joint_offset", "leg_length", "axis_tilt", "gauge_scale", "backlash", "no")

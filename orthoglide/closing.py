@@ -18,9 +18,11 @@ from orthoglide.fit import (
     solve,
     sorted_out,
 )
+from orthoglide.fit.doubts import check_slips
 from orthoglide.frames import html_table
-from orthoglide.judging import hold_out, tcp_errors
+from orthoglide.judging import fitted_already, hold_out, tcp_errors
 from orthoglide.machine import Machine
+from orthoglide.notes import Note
 from orthoglide.observations import Given, TcpPoints, as_campaigns
 from orthoglide.posterior import Cause, Outstanding, full_posterior, outstanding
 from orthoglide.progress import Progress, Step, silent
@@ -134,6 +136,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
     before = account_for_changes(solve(problem))
+    check_slips(before)
     problem = before.problem
     from orthoglide.diagnosis.blunders import examine, without
     from orthoglide.diagnosis.changes import separated
@@ -155,9 +158,11 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     known = full_posterior(before, [c.parameter for c in causes])
     progress(Step("allowing"))
     found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
+    if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
+        found = replace(found, located=())
     verdict = Verdict(
         request, _word(found, left, known.share), before, known.after, found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty,
+        found.weighed, left, known, blunders, faulty=faulty, alone=found.alone,
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
     changed = (*since, *(c.measured(verdict.after) for c in changes))
@@ -193,6 +198,10 @@ def judge(verdict: Verdict) -> Verdict:
     scored = errors = None
     if request.holdout is not None:
         scored = hold_out(before, after, machine, request.holdout, request.own)
+        if any(fitted_already(request.holdout, c) for c in request.campaigns):
+            text = "the readings held out are readings that were fitted: they judge nothing"
+            warnings = (*verdict.after.warnings, Note(text, "holdout"))
+            verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))
     if request.tcp is not None:
         stated = tcp_map(verdict.machine, request.tcp.command).sigma
         errors = tcp_errors(machine, request.tcp, before, after, stated)

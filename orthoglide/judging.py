@@ -24,6 +24,19 @@ class HoldOut:
     after_rms: float
 
 
+def fitted_already(held: Campaign, fitted: Campaign) -> bool:
+    """Whether most readings held out were fitted: the same value of the same dial and command."""
+
+    def rows(campaign: Campaign) -> set[tuple[object, ...]]:
+        setups = [(s.leg, s.direction, s.gauge, s.bar) for s in campaign.setups]
+        places = zip(campaign.setup, campaign.command.tolist(), campaign.repeat.tolist(),
+                     campaign.reading.tolist(), strict=True)  # fmt: skip
+        return {(*setups[k], *command, n, value) for k, command, n, value in places}
+
+    own = rows(held)
+    return len(own & rows(fitted)) > len(own) / 2
+
+
 def hold_out(
     before: Mapping[str, float],
     after: Mapping[str, float],

@@ -705,3 +705,27 @@ def test_what_the_machine_cannot_reach(arguments: tuple[str, ...], words: str, h
     assert words in result.stderr
     assert result.stderr.startswith("orthoglide: ")
     assert sorted(os.listdir(here)) == ["experiment2.csv", "far.csv", "long.csv"]
+
+
+def test_forward_and_inverse_of_another_layout(here: Path) -> None:
+    """Commands are travel under the legs' own names, counted as the controller does."""
+    layout = '\n[layout]\nkind = "linear-delta"\nradius_mm = 200\nangles_deg = [210, 330, 90]\n'
+    spec = TOML.replace("zero_mm = [\n    0.0,\n    0.0,\n    0.0,", "zero_mm = [\n    5, 0, -5,")
+    assert spec != TOML
+    (here / "delta.toml").write_text(spec + layout)
+    (here / "t.csv").write_text("travel_a_mm,travel_b_mm,travel_c_mm\n5,0,-5\n9,-3,-2.5\n")
+    options = ("--machine", "delta.toml", "--csv")
+    done("forward", *options, "t.csv", "--out", "p.csv")
+    points = list(csv.DictReader((here / "p.csv").open()))
+    assert [float(points[0][f"p_{axis}_mm"]) for axis in "xyz"] == [0, 0, 0]
+    (here / "only.csv").write_text(
+        "p_x_mm,p_y_mm,p_z_mm\n"
+        + "".join(f"{p['p_x_mm']},{p['p_y_mm']},{p['p_z_mm']}\n" for p in points)
+    )
+    done("inverse", *options, "only.csv", "--out", "again.csv")
+    again = list(csv.DictReader((here / "again.csv").open()))
+    for row, point in zip(again, points, strict=True):
+        for leg in "abc":
+            assert float(row[f"travel_{leg}_mm"]) == pytest.approx(
+                float(point[f"travel_{leg}_mm"]), abs=2e-6
+            )

@@ -110,14 +110,22 @@ def _run(
         found = solve(machine, _vector(numbers), False, _refuse)
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
-    from orthoglide.observations.columns import POINT, RHO, TRAVEL
+    from orthoglide.geometry import LEGS
+    from orthoglide.observations.columns import POINT, RHO, command_names, names_of
     from orthoglide.observations.table import read_table
 
     rows = read_table(table)
-    travelled = solve is _forward and bool(set(TRAVEL) & set(rows.names))
-    names, new = (POINT, RHO) if solve is _inverse else (TRAVEL if travelled else RHO, POINT)
-    given, machine = _columns(rows, names, new), load_machine(machine_path, effects_file)
-    _write(rows, new, solve(machine, given, travelled, rows.fail), out)
+    machine = load_machine(machine_path, effects_file)
+    legs = machine.geometry.leg_names
+    if solve is _forward:
+        names, new = command_names(rows, machine.spec), POINT
+    else:
+        names, new = POINT, RHO if legs == LEGS else names_of(legs)[0]
+    given, travelled = _columns(rows, names, new), names[0].startswith("travel")
+    found = solve(machine, given, travelled, rows.fail)
+    if new[0].startswith("travel"):
+        found = machine.spec.controller.from_rho(found, machine.geometry)
+    _write(rows, new, found, out)
 
 
 def _vector(numbers: tuple[float, ...]) -> Array:

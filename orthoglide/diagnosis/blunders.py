@@ -18,12 +18,13 @@ from orthoglide.diagnosis.changes import Change, separated
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults
+from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults, scatter_faults
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
+from orthoglide.fit.factors import SILENT
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
@@ -33,7 +34,6 @@ _REFITS = 3
 
 _MOST_CHANGES = 4
 _MEANINGS = ("sign", "unit", "exchanged_labels")
-_SILENT = 1e6  # times its sigma: a reading of no weight
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,9 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     if len(found) < most and not any(f.kind in _MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
+    found = found[:most] + scatter_faults(estimate.problem, setups, found)
     last = means.signatures.estimate
-    return Findings(_reported(base, found[:most]), tuple(c.measured(last) for c in changes))
+    return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
@@ -133,7 +134,7 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
             readings[fault.rows] -= fault.size
         else:
             silent[fault.rows] = True
-    sigma = np.where(silent, _SILENT * problem.sigma, problem.sigma)
+    sigma = np.where(silent, SILENT * problem.sigma, problem.sigma)
     noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
     return replace(problem.with_readings(readings), noise=noise)
 
@@ -215,8 +216,8 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
                 split = _split(split, rows)
         if not kept.any():
             raise InputError(
-                f"nothing is left of {campaign.name} once its faulty rows are set aside: "
-                f"measure it again"
+                f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
+                f"it again ({blunders[0].message})"
             )
         campaigns.append(split.subset(kept))
         sigmas.append(problem.noise.sigma[k][kept])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS
 
-Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck"]
+Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck", "scatter"]
 Rows = NDArray[np.int64]
 
 EVIDENCE = 7.0
@@ -128,6 +128,12 @@ def _clause(problem: Problem, fault: Fault) -> str:
             return (
                 f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
                 f"be {UNITS[factor]}: put this setup into millimetres"
+            )
+        case "scatter":
+            return (
+                f"visits to the same posture scatter by {fault.size * 1e3:.2g} mm, which is no "
+                f"noise of a dial: rows were exchanged, the readings have another unit, or the "
+                f"dial is loose; put it right, or declare the noise with --noise"
             )
         case "stuck":
             return (

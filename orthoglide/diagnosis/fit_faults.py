@@ -111,7 +111,7 @@ def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) ->
     ratio = scatter.chi2 / scatter.dof / noise_scale(means.problem, setups)
     if factor > 1:
         return 0.0 if ratio <= 0.5 else -np.inf
-    if ratio < 0.1 / factor**2:
+    if ratio < 0.1 / factor**2 or not scatter.repeats(means.problem):
         return -np.inf
     return min(scatter.dof / 2 * float(ratio - 1 - np.log(ratio)), _LARGEST)
 

@@ -15,11 +15,24 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, Rows, in_order, untouched
+from orthoglide.diagnosis.faults import (
+    EVIDENCE,
+    Fault,
+    Kind,
+    Rows,
+    in_order,
+    message,
+    untouched,
+)
 from orthoglide.diagnosis.station_means import orthonormal, past
+from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.geometry import Array
 
+_REPEATS = 8.0  # times the variance of visits, that stations have where these repeat anything
+_BEYOND = 3.0  # times what a dial scatters, that nothing of it explains
+_FEWEST_REPEATS = 4  # degrees of freedom from which a setup may be said to scatter
 _FEWEST = 2  # readings on either side of a knock: fewer are outliers
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one
 _STEPS: dict[Kind, float] = {"outlier": 3.0, "knocked_stand": 2.0}  # of the dial: least size
@@ -68,6 +81,15 @@ class Scatter:
     def dof(self) -> int:
         """Degrees of freedom of the scatter."""
         return len(self.rows) - len(np.unique(self.station)) - self.found.shape[1]
+
+    def repeats(self, problem: Problem) -> bool:
+        """Whether stations differ by more than the visits to one: else rows are mixed up."""
+        shown = problem.measured[self.rows] * self.weight
+        about = float(np.sum((shown - np.mean(problem.measured[self.rows]) * self.weight) ** 2))
+        inside = float(np.sum(self.past(shown) ** 2))
+        stations = len(np.unique(self.station))
+        between = (about - inside) / max(stations - 1, 1)
+        return between > _REPEATS * inside / max(self.dof, 1)
 
     @cached_property
     def share(self) -> Array:
@@ -196,6 +218,37 @@ def repeat_faults(
     return [fault for test in tests for fault in test.confirmed(test.found())]
 
 
+def scatter_faults(
+    problem: Problem, setups: Sequence[Scatter], known: Sequence[Fault]
+) -> list[Fault]:
+    """Setups whose repeats do not repeat: by more than any dial scatters, slips set aside.
+
+    Noise that is taken from the repeats believes anything of them: here it is held against what
+    the machine file says of the dial, or what dials are like.
+
+    Args:
+        problem: of the readings.
+        setups: scatter of all of them.
+        known: faults found before; their setups are left alone.
+
+    Raises:
+        InputError: where most setups are like that: then none of their rows can be believed.
+    """
+    if problem.noise.source == "declared":
+        return []
+    dial = max(PUBLISHED_REPEATABILITY, problem.machine.spec.dial.resolution)
+    limit = _BEYOND * max(dial, problem.machine.spec.dial.repeatability or 0.0)
+    scale, found = noise_scale(problem, setups), []
+    for scatter in setups:
+        size = _Test(problem, scatter, scale).spread() if scatter.dof >= _FEWEST_REPEATS else 0.0
+        if size > limit:
+            found.append(Fault("scatter", scatter.rows, (scatter.setup,), size))
+    if 2 * len(found) > len(setups):
+        raise InputError(message(problem, found[0]) + "; most other setups are no better")
+    free = untouched(problem, known)
+    return [fault for fault in found if fault.setups[0] in free]
+
+
 _Place = tuple[Kind | Literal["trend"], int]
 """A fault at a reading, or a trend of some powers of time."""
 
@@ -251,10 +304,23 @@ class _Test:
     def _evidence(self, now: Scatter, gain: ArrayLike) -> Array:
         return now.evidence(gain, 1, self.scale) - np.log(len(self.problem.measured))
 
+    def _past(self, found: list[_Place]) -> Scatter:
+        """The scatter with all that was found set free."""
+        columns = [self.columns(item) for item in found]
+        return self.scatter.without(np.hstack(columns)) if found else self.scatter
+
+    def spread(self) -> float:
+        """Standard deviation of the readings about what slips leave of them, metres."""
+        found = self.found()
+        last = self._past(found)
+        if 2 * last.dof < self.scatter.dof:
+            last = self.scatter  # as many slips as readings are none
+        return float(np.sqrt(last.chi2 / last.dof) / np.sqrt(np.mean(last.weight**2)))
+
     def confirmed(self, found: list[_Place]) -> list[Fault]:
         """Faults that stand beside all others found, and no smooth trend in their place."""
         scatter, columns = self.scatter, [self.columns(item) for item in found]
-        last = scatter.without(np.hstack(columns)) if found else scatter
+        last = self._past(found)
         noisy = last.chi2 > _NOISY * self.scale * max(last.dof, 1) or 2 * last.dof < scatter.dof
         outliers = sum(kind == "outlier" for kind, _ in found)
         if noisy or outliers > max(2, len(scatter.rows) // 6):

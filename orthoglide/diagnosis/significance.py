@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
-
-Ints = NDArray[np.int64]
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
@@ -36,32 +33,13 @@ class Left:
 
 
 def left_over(estimate: Estimate) -> Left:
-    """Test what a fit leaves against the noise.
-
-    The scatter of repeats about their station's mean is no cause of the machine. What is left of
-    the means is held against the noise as it was declared (chi-squared), or against that scatter
-    where the noise was taken from it (F, Fisher's lack of fit); where it was declared all readings
-    are tested as well, and the smaller of both is doubled.
+    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`.
 
     Args:
         estimate: the fit.
     """
-    from scipy.special import chdtrc, fdtrc
-
-    problem, scores = estimate.problem, estimate.scores
-    station, n = problem.station, len(problem.measured)
-    stations = int(station.max(initial=-1)) + 1
-    repeats = n - stations
-    within = float(about_means(station, estimate.nuisance.weight, estimate.residuals[:, None])[0])
-    dof, between = scores.dof - repeats, max(scores.chi2 - within, 0.0)
-    if scores.dof <= 0:
-        return Left(1.0)
-    if dof < 1 or not repeats:
-        return Left(float(chdtrc(scores.dof, scores.chi2)))
-    if problem.noise.source == "repeats" and within > 0:
-        return Left(float(fdtrc(dof, repeats, between / dof * repeats / within)))
-    both = chdtrc(scores.dof, scores.chi2), chdtrc(dof, between)
-    return Left(min(1.0, 2 * float(min(both))))
+    p = estimate.scores.lack_of_fit_p
+    return Left(p if np.isfinite(p) else 1.0)
 
 
 @dataclass(frozen=True)
@@ -139,20 +117,3 @@ def on_grid(readings: Array, resolution: float) -> bool:
     """Whether readings, metres, are all multiples of a dial's step, but for binary fractions."""
     steps = readings / resolution if resolution > 0 else np.full(1, np.nan)
     return bool(np.all(np.abs(steps - np.round(steps)) < _OFF_GRID))
-
-
-def about_means(station: Ints, weights: Array, readings: Array) -> Array:
-    """Whitened sum of squares ``(k,)`` of readings ``(n, k)`` about their station means.
-
-    Args:
-        station: of each reading ``(n,)``, numbered from 0.
-        weights: 1 / sigma of each reading ``(n,)``.
-        readings: ``(n, k)``, metres.
-    """
-    weight = weights[:, None] ** 2
-    order = np.argsort(station, kind="stable")
-    starts = np.flatnonzero(np.diff(station[order], prepend=-1))
-    total = np.add.reduceat((readings * weight)[order], starts, axis=0)
-    share = np.add.reduceat(weight[order], starts, axis=0)
-    square = np.sum(readings**2 * weight, axis=0)
-    return np.asarray(square - np.sum(total**2 / share, axis=0))

@@ -22,9 +22,10 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
 
-Against = Literal["travel", "approach", "command", "time"]
-Part = Literal["drive", "rail", "carriage", "bar"]
+Against = Literal["travel", "approach", "command", "time", "reading"]
+Part = Literal["drive", "rail", "carriage", "bar", "dial"]
 Joints = tuple[tuple[str, float], ...]
+Range = tuple[float, float]
 
 _ROOM = 1.25
 """Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
@@ -75,7 +76,8 @@ class Place:
         variable: in [-1, 1], of the leg's conditions.
         kernel: how smooth it is.
         unit: standard deviation to expect of a place that is wrong, SI.
-        span: first and last second of a session; ``None``: the stroke.
+        span: first and last of its variable, seconds or metres; ``None``: the stroke.
+        setup: the dial's mounting; else empty.
         names: of legs and directions.
     """
 
@@ -88,12 +90,15 @@ class Place:
     variable: Callable[[LegConditions], Any]
     kernel: Kernel
     unit: float
-    span: tuple[float, float] | None = None
+    span: Range | None = None
+    setup: str = ""
     names: LegNames = Orthoglide.names
 
     @property
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
+        if self.setup:
+            return f"dial.{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
         by = f".{self.names.legs[self.by]}" if self.against == "command" else ""
         return f"{self.part}.{self.names.legs[self.leg]}{way}/{self.against}{by}"
@@ -106,7 +111,7 @@ class Place:
     @property
     def of_machine(self) -> bool:
         """Whether a calibrated machine keeps it: what changes with time is the campaign's."""
-        return self.against != "time"
+        return self.against != "time" and not self.setup
 
     @cached_property
     def effect(self) -> Effect:
@@ -128,6 +133,9 @@ class Place:
     @property
     def words(self) -> str:
         """Where and how, as a clause."""
+        if self.setup:
+            what = "creeps with time" if self.against == "time" else "is not true over its range"
+            return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {
             "travel": "by its travel",
@@ -149,6 +157,8 @@ class Place:
     @property
     def look_at(self) -> str:
         """What to look at on the machine."""
+        if self.setup:
+            return "the dial against gauge blocks, and its stand"
         leg = self.names.legs[self.leg]
         return {
             "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
@@ -198,17 +208,33 @@ def _time_between(start: float, end: float, c: LegConditions) -> Any:
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
 _OU = Kernel(1 / 3, 24, smooth=False)  # a sixth of the session
+_DRIFT = Kernel(0.5, 8)  # warmth comes and goes slowly
+_CREEP, _DIAL = Kernel(0.5, 8, smooth=False), Kernel(0.5, 6)
 _UM = 1e-6
 
 
+@dataclass(frozen=True)
+class Session:
+    """The time in which something was measured.
+
+    Attributes:
+        start: first second.
+        end: last second.
+        leg: whose dials were read; ``None``: of the whole campaign.
+    """
+
+    start: float
+    end: float
+    leg: int | None = None
+
+
 def places(
-    sessions: Sequence[tuple[int, float, float]] = (), names: LegNames = Orthoglide.names
+    sessions: Sequence[Session] = (), names: LegNames = Orthoglide.names
 ) -> tuple[Place, ...]:
     """All places of a machine.
 
     Args:
-        sessions: leg, first and last second in which its dials were read; none where time was not
-            recorded.
+        sessions: of each leg, and of the campaign; none where time was not recorded.
         names: of legs and directions.
     """
     found: list[Place] = []
@@ -218,8 +244,7 @@ def places(
 
         def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
                 kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
-            place = Place(part, leg, joints, direction, against, by, variable, kernel, unit)
-            found.append(replace(place, names=names))
+            found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
 
         add("drive", drive, "", "travel", partial(_command_of, leg), _FINE, 100 * _UM)
         add("drive", drive, "", "approach", partial(_command_of, leg), _COARSE, 50 * _UM)
@@ -244,17 +269,42 @@ def places(
         for bar in "12":
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
     both = (("stretch1", 1.0), ("stretch2", 1.0))
-    for leg, start, end in sessions:
-        variable, span = partial(_time_between, start, end), (start, end)
-        moving: tuple[tuple[Part, Joints, str], ...] = (
-            ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
-            ("drive", (("travel", 1.0),), ""),
-        )  # fmt: skip
-        for part, joints, way in moving:
-            unit = 50 * _UM
-            place = Place(part, leg, joints, way, "time", 0, variable, _OU, unit, span)
-            found.append(replace(place, names=names))
-    return tuple(found)
+    for session in sessions:
+        span, whole = (session.start, session.end), session.leg is None
+        variable, kernel = partial(_time_between, *span), _DRIFT if whole else _OU
+        for leg in range(len(LEGS)) if session.leg is None else [session.leg]:
+            moving: tuple[tuple[Part, Joints, str], ...] = (
+                ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
+            )  # fmt: skip
+            if whole:
+                moving = (("drive", (("travel", 1.0),), ""),)
+            for part, joints, way in moving:
+                unit = 50 * _UM
+                found.append(Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span))
+    return tuple(replace(place, names=names) for place in found)
+
+
+def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tuple[Place, ...]:
+    """Places of one mounting of a dial: its creep, and its curve.
+
+    Args:
+        setup: the mounting.
+        leg: that it touches.
+        time: first and last second; ``None`` where it was not recorded.
+        reading: smallest and largest predicted reading, metres: a curve by what was measured
+            would fit its own noise.
+    """
+    found = []
+    if time is not None:
+        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 20 * _UM, time, setup))
+    return (
+        *found,
+        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 20 * _UM, reading, setup),
+    )
+
+
+def _none(c: LegConditions) -> Any:
+    raise TypeError("a dial's place is a function of no leg's conditions")
 
 
 def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:

@@ -23,6 +23,9 @@ from orthoglide.prediction import Conditions, Model
 Frame = Literal["none", "translation", "rigid"]
 Ints = NDArray[np.int64]
 
+SILENT = 1e6
+"""Times its sigma: a reading of no weight."""
+
 TCP_SIGMA = 1e-5
 """Metres: of a coordinate of a TCP point where its file declares none."""
 
@@ -191,6 +194,13 @@ class TcpReadings:
     def point(self) -> Ints:
         """The point of each row."""
         return np.nonzero(self.known)[0]
+
+    def silenced(self, rows: NDArray[np.bool_]) -> TcpReadings:
+        """The same with the points of some rows ``(n,)`` without weight."""
+        declared = np.where(np.isfinite(self.points.sigma), self.points.sigma, TCP_SIGMA)
+        silent = np.isin(np.arange(len(self.points)), self.point[rows])
+        sigma = np.where(silent, SILENT * declared, declared)
+        return replace(self, points=replace(self.points, sigma=sigma))
 
     @property
     def stations(self) -> Array:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from orthoglide.errors import InputError
+from orthoglide.fit.doubts import check_slips, check_units
 from orthoglide.fit.earlier import account_for_changes, earlier_of
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Frame, TcpReadings, turned_to
@@ -78,7 +79,9 @@ def identify(
             raise InputError(f"{name} is own to each campaign but not free: free it too")
     if weighting == "deviations":
         problem = _anchored(problem)
-    return account_for_changes(solve(problem, method=method), method)
+    found = account_for_changes(solve(problem, method=method), method)
+    check_slips(found)
+    return found
 
 
 def assemble(
@@ -94,6 +97,7 @@ def assemble(
 ) -> Problem:
     """The problem of readings of all kinds together; arguments as of :func:`identify`."""
     campaigns, points = sorted_out(given, machine)
+    check_units(campaigns, machine.spec.dial)
     level = noise_of(campaigns, machine.spec.dial, noise)
     readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
     if readings and not campaigns and noise is None:

@@ -127,7 +127,7 @@ def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) ->
     if dial.repeatability is not None:
         return _filled(campaigns, float(np.sqrt(dial.repeatability**2 + rounding)), "machine")
     variance, dof = repeat_variance(campaigns)
-    if dof >= _FEWEST_REPEATS:
+    if dof >= _FEWEST_REPEATS and (variance > 0 or dial.resolution > 0):
         total = float(np.sqrt(total_variance(variance, dial.resolution)))
         return replace(_filled(campaigns, total, "repeats"), dof=dof)
     return _filled(campaigns, float(np.sqrt(PUBLISHED_REPEATABILITY**2 + rounding)), "machine")
@@ -144,6 +144,15 @@ def _filled(
     if rows_count and len(given) and np.isfinite(given).all():
         return Noise(sigmas, float(np.sqrt(np.mean(given**2))), "declared")
     return Noise(sigmas, typical, source)
+
+
+def copied(campaign: Campaign) -> int:
+    """Number of repeats, where each is the same to the last digit as the visit before; else 0."""
+    table = station_table(campaign)
+    order = np.lexsort([campaign.order, *table.T[::-1]])
+    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
+    alike = np.diff(campaign.reading[order])[same] == 0
+    return len(alike) if len(alike) >= _FEWEST_REPEATS and alike.all() else 0
 
 
 def repeat_variance(campaigns: Sequence[Campaign]) -> tuple[float, int]:

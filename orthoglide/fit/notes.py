@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.noise import copied
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 
@@ -12,6 +13,14 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     problem, scores = estimate.problem, estimate.scores
     noticed = [c.warnings for c in problem.campaigns] + [f.points.warnings for f in problem.points]
     found = [Note(text, "campaign") for texts in noticed for text in texts]
+    for campaign in problem.campaigns:
+        if count := copied(campaign):
+            text = (
+                f"all {count} repeats of {campaign.name} are the same to the last digit as the "
+                f"visit before: if they are copies they say nothing of the noise, so leave them "
+                f"out and declare it with --noise"
+            )
+            found.append(Note(text, "copies"))
     if estimate.sigma_scale > 1:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "

@@ -6,14 +6,14 @@ The pose is the tool's place p and the platform's rotation R. A distance has two
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.fit.factors import Block, ByJoints, Linear
+from orthoglide.fit.factors import SILENT, Block, ByJoints, Linear
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
@@ -95,6 +95,15 @@ class ToolReadings:
     def setup(self) -> Ints:
         """The setup of each."""
         return self.points.setup
+
+    @property
+    def point(self) -> Ints:
+        """The row itself: each reading stands alone."""
+        return np.arange(len(self.points))
+
+    def silenced(self, rows: NDArray[np.bool_]) -> ToolReadings:
+        """The same with some rows ``(n,)`` without weight."""
+        return replace(self, sigma=np.where(rows, SILENT * self.sigma, self.sigma))
 
     @property
     def stations(self) -> Array:

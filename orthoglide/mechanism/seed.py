@@ -43,7 +43,7 @@ def commands(geometry: Geometry, p: Array) -> Array:
     reach = p[:, None] - _centres(geometry, np.zeros((1, 3)))  # from each leg's sphere at zero
     slides = np.stack([leg.slide for leg in geometry.legs])
     along = np.einsum("nli,li->nl", reach, slides)
-    across = np.linalg.norm(np.cross(reach, slides), axis=-1)
+    across = np.hypot.reduce(np.cross(reach, slides), axis=-1)  # far points overflow a square
     excess = across - geometry.L
     short = np.flatnonzero((excess >= 0).any(axis=0))
     if short.size:

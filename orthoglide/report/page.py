@@ -90,6 +90,8 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         yield Section("apart", "What each cause makes of the readings", apart)
     if searches:
         yield Section("next", "What to measure next", follows.following(result, sheet))
+    if result.budget:
+        yield Section("budget", "Error budget", found.budget(result))
     if result.workspace is not None:
         space = follows.workspace(result, result.workspace, figures)
         yield Section("workspace", "The TCP over the workspace", space)

@@ -42,6 +42,8 @@ def summary(result: Result, ranked: bool = False) -> str:
         parts.append(_causes(result))
     if result.located:
         parts.append(_located(result))
+    if result.alone:
+        parts.append(_alone(result))
     if ranked and result.candidates:
         parts.append(_tried(result))
     searches = result.request.searches
@@ -100,6 +102,13 @@ def _causes(result: Result) -> Table:
         shown.add_row(one.name, f"{one.probability:.2f}", one.words)
         for rival in (*cause.same, *cause.rivals):
             shown.add_row(f"or {rival.name}", f"{rival.probability:.2f}", rival.words)
+    return shown
+
+
+def _alone(result: Result) -> Table:
+    shown = _table("if one alone", "probability", "in words")
+    for one in result.alone:
+        shown.add_row(one.name, f"{one.probability:.2f}", one.words)
     return shown
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
 _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
+_MOST_ALONE = 8
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
 
@@ -58,12 +60,23 @@ def _adequate(result: Result) -> str:
         return (
             f"No single cause stands out: everything is off by a little, about {share} of its "
             f"tolerance. With the {base} set right and all of it in the model, {_fall(result)}, "
-            f"which is the noise of {_instrument(result)}."
+            f"which is the noise of {_instrument(result)}.{_alone(result)}"
         )
     return (
         f"Nothing is wrong that these readings could show beyond the {base}: with these set "
         f"right, {_fall(result)}, which is the noise of {_instrument(result)}."
     )
+
+
+def _alone(result: Result) -> str:
+    """Causes of which one would be behind it if the rest were sound, with their sizes."""
+    if not result.alone:
+        return ""
+    several = [one.words for one in result.alone]
+    text = "; or ".join(several[:_MOST_ALONE])
+    more = len(several) - _MOST_ALONE
+    rest = f"; or {more} more named below" if more > 0 else ""
+    return f" If one cause alone were behind most of it, it would be one of these: {text}{rest}."
 
 
 def _unexplained(result: Result) -> str:
@@ -156,7 +169,9 @@ def alternatives(cause: Cause) -> str:
 
 def _fall(result: Result) -> str:
     start = result.before.scores if result.improved else result.nominal
-    first, after = start.shown_rms * 1e3, result.after.scores.shown_rms * 1e3
+    known = math.isfinite(start.deviation_rms)  # of dials only
+    figures = [s.deviation_rms if known else s.rms for s in (start, result.after.scores)]
+    first, after = (v * 1e3 for v in figures)
     places = decimals_for(after, 3)
     verb = "hardly falls" if after > _SLIGHT * first else "falls"
     return (

@@ -1,0 +1,130 @@
+"""Readings that cannot be meant as they stand: another unit throughout, a point that slipped.
+
+Both are refused: with all readings in doubt, or a machine bent by metres, nothing that a fit says
+is worth reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.least_squares import fitted_basis
+from orthoglide.fit.problem import Problem
+from orthoglide.fit.solving import solve
+from orthoglide.geometry import Array
+from orthoglide.machine_file import Dial
+from orthoglide.observations import Campaign, ToolCampaign
+
+INCH = 25.4
+"""Millimetres."""
+
+_OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres, in inches
+_FEWEST = 8  # different readings: by chance one in eight is on the grid
+_MOST = 10  # points of the tool that may have slipped
+_SLIPPED = 10.0  # times what all others leave, and their sigma
+
+
+def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
+    """Refuse readings of which only the inches, or only the millimetres, are what a dial shows.
+
+    A dial shows multiples of its step. Multiplied by 25.4 they hardly ever are any more.
+
+    Raises:
+        InputError: naming the file, and what to do.
+    """
+    for campaign in campaigns:
+        shown = np.unique(campaign.reading)
+        if dial.resolution <= 0 or len(shown) < _FEWEST or _on_grid(shown, dial) > 0.5:
+            continue
+        for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
+                                     (INCH, "inches", "millimetres")):  # fmt: skip
+            if _on_grid(shown * factor, dial) == 1.0:
+                name = campaign.file.rpartition("/")[2] or campaign.name
+                raise InputError(
+                    f"{name}: the readings are multiples of the dial's step of "
+                    f"{dial.resolution * 1e3:g} mm only once they are multiplied by {factor:.4g}: "
+                    f"they seem to be {meant} taken for {taken}; give reading_mm in millimetres, "
+                    f"or correct resolution in the machine file"
+                )
+
+
+def _on_grid(readings: Array, dial: Dial) -> float:
+    steps = readings / dial.resolution
+    return float(np.mean(np.abs(steps - np.round(steps)) < _OFF_GRID))
+
+
+def check_slips(estimate: Estimate) -> None:
+    """Refuse points of the tool that are far from where all others put them.
+
+    Points are left out one after the other, the worst first, and the rest identified again: one
+    that then is ten times as far off as what the rest leave did not come from this machine.
+
+    Raises:
+        InputError: naming the file, the lines and the distances.
+    """
+    problem = estimate.problem
+    first = len(problem.campaigns)
+    if not problem.points or estimate.sigma_scale == 1.0:
+        return
+    point = np.full(len(problem.measured), -1)
+    names: list[tuple[int, int]] = []
+    for k, factor in enumerate(problem.points):
+        rows = problem.factor_rows[first + k]
+        point[rows] = factor.point + len(names)
+        names += [(k, p) for p in range(int(factor.point.max(initial=-1)) + 1)]
+    worst = _worst(estimate, point, min(_MOST, len(names) // 4))
+    try:
+        again = solve(_without(problem, [names[p] for p in worst]), method="nested", widen=False)
+    except NumericsError:
+        return
+    off = (problem.measured - again.predicted) / problem.sigma
+    rest = off[(point >= 0) & ~np.isin(point, worst)]
+    limit = _SLIPPED * max(1.0, float(np.sqrt(np.mean(rest**2))))
+    slipped = [p for p in sorted(worst) if np.linalg.norm(off[point == p]) > limit]
+    if slipped:
+        raise InputError("; ".join(_said(problem, names[p], off, point == p) for p in slipped)
+                         + ": correct the row or remove it")  # fmt: skip
+
+
+def _said(problem: Problem, name: tuple[int, int], off: Array, rows: NDArray[np.bool_]) -> str:
+    """Where a point stands, and how far off it is."""
+    points = problem.points[name[0]].points
+    file = Path(points.file).name or problem.points[name[0]].name
+    distance = float(np.linalg.norm((off * problem.sigma)[rows])) * 1e3
+    turned = isinstance(points, ToolCampaign) and points.setups[points.setup[name[1]]].kind
+    unit = "mrad" if turned == "incline" else "mm"
+    return f"{file}, line {points.line[name[1]]}: {distance:.3g} {unit} off what all others say"
+
+
+def _worst(estimate: Estimate, point: NDArray[np.int64], count: int) -> list[int]:
+    """Points whose rows agree least with the rest, left out one after the other."""
+    problem = estimate.problem
+    basis = fitted_basis(problem, estimate.nuisance, estimate.at)[: len(point)]
+    rest = problem.weighing.whiten(estimate.residuals)
+    found: list[int] = []
+    for _ in range(count):
+        # Residuals and leverage of a fit without the points that were left out.
+        out = np.isin(point, found)
+        inner = np.eye(basis.shape[1]) - basis[out].T @ basis[out]
+        inverse = np.asarray(np.linalg.pinv(inner, rcond=1e-9, hermitian=True))
+        left = rest + basis @ (inverse @ (basis[out].T @ rest[out]))
+        share = np.einsum("nq,nq->n", basis @ inverse, basis)
+        square = np.where(out | (point < 0), 0.0, left**2 / np.maximum(1 - share, 1e-3))
+        found.append(int(np.argmax(np.bincount(point[point >= 0], square[point >= 0]))))
+    return found
+
+
+def _without(problem: Problem, left_out: Sequence[tuple[int, int]]) -> Problem:
+    """The problem with some points of the tool without weight."""
+    points = []
+    for k, factor in enumerate(problem.points):
+        own = [p for j, p in left_out if j == k]
+        points.append(factor.silenced(np.isin(factor.point, own)))
+    return replace(problem.at_tolerance(), points=tuple(points))

@@ -1,0 +1,110 @@
+"""Readings that are not what they seem: none of them may pass for a machine with nothing wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.errors import InputError
+from orthoglide.fit.noise import station_table
+from orthoglide.simulation import simulate, simulate_tcp
+
+RIG = Path(__file__).parent / "data" / "rig"
+MACHINE = og.Machine.load(RIG / "machine.toml")
+
+
+def rig(number: int = 2) -> og.Campaign:
+    return og.read_campaign(RIG / f"rig-{number}.csv", MACHINE.spec)
+
+
+def shuffled(campaign: og.Campaign, seed: int, within: bool) -> og.Campaign:
+    rng = np.random.default_rng(seed)
+    order = np.arange(len(campaign))
+    for setup in range(len(campaign.setups)) if within else [slice(None)]:
+        rows = np.flatnonzero(campaign.setup == setup) if within else order.copy()
+        order[rows] = rng.permutation(rows)
+    return campaign.with_readings(campaign.reading[order])
+
+
+@pytest.mark.parametrize("within", [False, True], ids=["all", "within setups"])
+@pytest.mark.parametrize("number", [2, 5])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_shuffled_readings_are_refused(number: int, seed: int, within: bool) -> None:
+    with pytest.raises(InputError, match=rf"rig-{number}.csv.*visits to the same posture scatter"):
+        og.close_loop(shuffled(rig(number), seed, within))
+
+
+def test_one_shuffled_setup_is_set_aside() -> None:
+    whole = rig(5)
+    rows = np.flatnonzero(whole.setup == 3)
+    readings = whole.reading.copy()
+    readings[rows] = readings[np.random.default_rng(0).permutation(rows)]
+    (blunder,) = og.close_loop(whole.with_readings(readings), MACHINE).blunders
+    assert (blunder.kind, blunder.setups) == ("scatter", (whole.setups[3].name,))
+
+
+@pytest.mark.parametrize("factor", [25.4, 1 / 25.4])
+@pytest.mark.parametrize("ask", [og.close_loop, og.identify])
+def test_inches_throughout_are_refused(ask, factor: float) -> None:
+    spoilt = rig().with_readings(np.round(rig().reading * factor, 9))
+    with pytest.raises(InputError, match=f"rig-2.csv.*multiplied by {1 / factor:.4g}"):
+        ask(spoilt, MACHINE)
+    finer = replace(MACHINE.spec, dial=replace(MACHINE.spec.dial, resolution=1e-9))
+    og.identify(rig(), og.Machine(finer))  # and what is in millimetres is not
+
+
+@pytest.mark.parametrize("kind", ["standard", "sweep"])
+@pytest.mark.parametrize("length", [5e-3, -5e-3])
+def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> None:
+    wrong = MACHINE.with_parameters({"leg_length.y": length})
+    verdict = og.close_loop(simulate(wrong, kind, noise=5e-6, seed=1), MACHINE)
+    assert (verdict.word, verdict.effects) == ("adequate", ())
+    (far,) = [w for w in verdict.after.warnings if w.kind == "tolerance"]
+    assert far.startswith("leg_length.y is ")
+    assert float(far.split()[2]) == pytest.approx(50, rel=0.1)
+    assert verdict.after.values["leg_length.y"] == pytest.approx(length, rel=0.1)
+
+
+def tcp_points(slip: float, **more: float):
+    truth = {"joint_offset.x": 1e-3, "leg_length.x": 1e-4, "axis_tilt.y.z": 1e-3, **more}
+    points = simulate_tcp(MACHINE.with_parameters(truth), seed=1)
+    p = points.p + np.random.default_rng(0).normal(0, 1e-5, points.p.shape)
+    p[7, 1] += slip
+    return replace(points, p=p, file="somewhere/points.csv")
+
+
+@pytest.mark.parametrize("frame", ["rigid", "translation"])
+@pytest.mark.parametrize("slip", [0.1, -0.01, 0.001])
+def test_a_slip_in_a_tcp_point_is_named(slip: float, frame) -> None:
+    for ask in (og.identify, og.close_loop):
+        with pytest.raises(InputError, match=r"points.csv, line 9: .* mm off what all others say"):
+            ask(tcp_points(slip), MACHINE, frame=frame)
+
+
+def test_what_no_parameter_explains_is_no_slip() -> None:
+    """A bow that is not free bends all points: sigma is scaled with the misfit, none refused."""
+    found = og.identify(tcp_points(0.0, **{"rail_bow.x.z": 1e-3}), MACHINE)
+    scores = found.scores
+    assert found.sigma_scale == pytest.approx(np.sqrt(scores.chi2 / scores.dof))
+    assert found.sigma_scale > 2
+
+
+def test_copies_of_repeats_are_said() -> None:
+    whole = rig()
+    station = np.unique(station_table(whole), axis=0, return_inverse=True)[1].reshape(-1)
+    first = np.unique(station, return_index=True)[1]
+    found = og.identify(whole.with_readings(whole.reading[first][station]), MACHINE)
+    assert [w for w in found.warnings if w.kind == "copies" and "say nothing of the noise" in w]
+    assert not [w for w in og.identify(whole, MACHINE).warnings if w.kind == "copies"]
+
+
+def test_the_training_file_as_holdout_is_said() -> None:
+    renamed = replace(rig(), name="other", file="other.csv")
+    same = og.close_loop(rig(), MACHINE, holdout=renamed)
+    assert [w for w in same.after.warnings if "they judge nothing" in w]
+    other = og.close_loop(rig(), MACHINE, holdout=rig(1))
+    assert not [w for w in other.after.warnings if w.kind == "holdout"]
