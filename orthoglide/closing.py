@@ -158,9 +158,11 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     known = full_posterior(before, [c.parameter for c in causes])
     progress(Step("allowing"))
     found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
+    if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
+        found = replace(found, located=())
     verdict = Verdict(
         request, _word(found, left, known.share), before, known.after, found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty,
+        found.weighed, left, known, blunders, faulty=faulty, alone=found.alone,
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
     changed = (*since, *(c.measured(verdict.after) for c in changes))

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
-
-Ints = NDArray[np.int64]
 
 DRAWS = 1999
 """Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
@@ -36,32 +33,13 @@ class Left:
 
 
 def left_over(estimate: Estimate) -> Left:
-    """Test what a fit leaves against the noise.
-
-    The scatter of repeats about their station's mean is no cause of the machine. What is left of
-    the means is held against the noise as it was declared (chi-squared), or against that scatter
-    where the noise was taken from it (F, Fisher's lack of fit); where it was declared all readings
-    are tested as well, and the smaller of both is doubled.
+    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`.
 
     Args:
         estimate: the fit.
     """
-    from scipy.special import chdtrc, fdtrc
-
-    problem, scores = estimate.problem, estimate.scores
-    station, n = problem.station, len(problem.measured)
-    stations = int(station.max(initial=-1)) + 1
-    repeats = n - stations
-    within = float(about_means(station, estimate.nuisance.weight, estimate.residuals[:, None])[0])
-    dof, between = scores.dof - repeats, max(scores.chi2 - within, 0.0)
-    if scores.dof <= 0:
-        return Left(1.0)
-    if dof < 1 or not repeats:
-        return Left(float(chdtrc(scores.dof, scores.chi2)))
-    if problem.noise.source == "repeats" and within > 0:
-        return Left(float(fdtrc(dof, repeats, between / dof * repeats / within)))
-    both = chdtrc(scores.dof, scores.chi2), chdtrc(dof, between)
-    return Left(min(1.0, 2 * float(min(both))))
+    p = estimate.scores.lack_of_fit_p
+    return Left(p if np.isfinite(p) else 1.0)
 
 
 @dataclass(frozen=True)
@@ -113,7 +91,9 @@ def _with_noise(problem: Problem, readings: Array) -> tuple[Campaign, ...]:
 def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
     """Noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
     n = len(problem.measured)
-    resolution = problem.machine.spec.dial.resolution
+    dials = problem.rows[-1].stop if problem.rows else 0
+    # What is not read from a dial has no step: its noise is all scatter.
+    resolution = problem.machine.spec.dial.resolution * (np.arange(n) < dials)
     variance = problem.sigma**2 + problem.noise.common**2 - resolution**2 / 12
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
@@ -123,32 +103,17 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
-    if on_grid(problem.measured, resolution):
-        value = signatures.estimate.at.value[:, None]
-        datum = rng.uniform(0, resolution, (problem.setup_count, draws))[problem.setup_of_row]
-        shown = np.round((value + datum + noise) / resolution) * resolution
-        return np.asarray(shown - value - datum)
-    return noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution
+    step = problem.machine.spec.dial.resolution
+    if dials and on_grid(problem.measured[:dials], step):
+        value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
+        datum = rng.uniform(0, step, (problem.setup_count, draws))[setup]
+        shown = np.round((value + datum + noise[:dials]) / step) * step
+        noise[:dials] = shown - value - datum
+        return np.asarray(noise)
+    return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
 
 
 def on_grid(readings: Array, resolution: float) -> bool:
     """Whether readings, metres, are all multiples of a dial's step, but for binary fractions."""
     steps = readings / resolution if resolution > 0 else np.full(1, np.nan)
     return bool(np.all(np.abs(steps - np.round(steps)) < _OFF_GRID))
-
-
-def about_means(station: Ints, weights: Array, readings: Array) -> Array:
-    """Whitened sum of squares ``(k,)`` of readings ``(n, k)`` about their station means.
-
-    Args:
-        station: of each reading ``(n,)``, numbered from 0.
-        weights: 1 / sigma of each reading ``(n,)``.
-        readings: ``(n, k)``, metres.
-    """
-    weight = weights[:, None] ** 2
-    order = np.argsort(station, kind="stable")
-    starts = np.flatnonzero(np.diff(station[order], prepend=-1))
-    total = np.add.reduceat((readings * weight)[order], starts, axis=0)
-    share = np.add.reduceat(weight[order], starts, axis=0)
-    square = np.sum(readings**2 * weight, axis=0)
-    return np.asarray(square - np.sum(total**2 / share, axis=0))

@@ -9,7 +9,7 @@ eq. 17 and 56). Level and slope are left in: the effects of the catalogue compet
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
@@ -17,12 +17,15 @@ import numpy as np
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect, LegConditions, Motion, sin
-from orthoglide.geometry import LEGS, Array, leg_axes
+from orthoglide.effects.words import toward
+from orthoglide.geometry import LEGS, Array
+from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
 
-Against = Literal["travel", "approach", "command", "time"]
-Part = Literal["drive", "rail", "carriage", "bar"]
+Against = Literal["travel", "approach", "command", "time", "reading"]
+Part = Literal["drive", "rail", "carriage", "bar", "dial"]
 Joints = tuple[tuple[str, float], ...]
+Range = tuple[float, float]
 
 _ROOM = 1.25
 """Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
@@ -73,7 +76,9 @@ class Place:
         variable: in [-1, 1], of the leg's conditions.
         kernel: how smooth it is.
         unit: standard deviation to expect of a place that is wrong, SI.
-        span: first and last second of a session; ``None``: the stroke.
+        span: first and last of its variable, seconds or metres; ``None``: the stroke.
+        setup: the dial's mounting; else empty.
+        names: of legs and directions.
     """
 
     part: Part
@@ -85,14 +90,18 @@ class Place:
     variable: Callable[[LegConditions], Any]
     kernel: Kernel
     unit: float
-    span: tuple[float, float] | None = None
+    span: Range | None = None
+    setup: str = ""
+    names: LegNames = Orthoglide.names
 
     @property
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
+        if self.setup:
+            return f"dial.{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
-        by = f".{LEGS[self.by]}" if self.against == "command" else ""
-        return f"{self.part}.{LEGS[self.leg]}{way}/{self.against}{by}"
+        by = f".{self.names.legs[self.by]}" if self.against == "command" else ""
+        return f"{self.part}.{self.names.legs[self.leg]}{way}/{self.against}{by}"
 
     @property
     def turns(self) -> bool:
@@ -102,7 +111,7 @@ class Place:
     @property
     def of_machine(self) -> bool:
         """Whether a calibrated machine keeps it: what changes with time is the campaign's."""
-        return self.against != "time"
+        return self.against != "time" and not self.setup
 
     @cached_property
     def effect(self) -> Effect:
@@ -118,21 +127,26 @@ class Place:
             look_at=self.look_at,
             members=partial(_members, self),
             paired=True,
+            names=self.names,
         )
 
     @property
     def words(self) -> str:
         """Where and how, as a clause."""
-        leg = LEGS[self.leg]
+        if self.setup:
+            what = "creeps with time" if self.against == "time" else "is not true over its range"
+            return f"the dial of {self.setup} {what}"
+        leg = self.names.legs[self.leg]
         how = {
             "travel": "by its travel",
             "approach": "by the side it is approached from",
-            "command": f"by the command of drive {LEGS[self.by]}",
+            "command": f"by the command of drive {self.names.legs[self.by]}",
             "time": "with time",
         }[self.against]
         what = {
             "drive": f"drive {leg} goes wrong along its axis",
-            "rail": f"the path of the {leg} carriage leaves its line toward {self.direction}",
+            "rail": f"the path of the {leg} carriage leaves its line toward "
+            f"{toward(self.direction, 1.0)}",
             "carriage": f"the {leg} carriage turns about {self.direction}",
             "bar": f"bar {self.direction} of leg {leg} changes its length"
             if self.direction
@@ -143,7 +157,9 @@ class Place:
     @property
     def look_at(self) -> str:
         """What to look at on the machine."""
-        leg = LEGS[self.leg]
+        if self.setup:
+            return "the dial against gauge blocks, and its stand"
+        leg = self.names.legs[self.leg]
         return {
             "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
             "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
@@ -192,21 +208,39 @@ def _time_between(start: float, end: float, c: LegConditions) -> Any:
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
 _OU = Kernel(1 / 3, 24, smooth=False)  # a sixth of the session
+_DRIFT = Kernel(0.5, 8)  # warmth comes and goes slowly
+_CREEP, _DIAL = Kernel(0.5, 8, smooth=False), Kernel(0.5, 6)
 _UM = 1e-6
 
 
-def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ...]:
+@dataclass(frozen=True)
+class Session:
+    """The time in which something was measured.
+
+    Attributes:
+        start: first second.
+        end: last second.
+        leg: whose dials were read; ``None``: of the whole campaign.
+    """
+
+    start: float
+    end: float
+    leg: int | None = None
+
+
+def places(
+    sessions: Sequence[Session] = (), names: LegNames = Orthoglide.names
+) -> tuple[Place, ...]:
     """All places of a machine.
 
     Args:
-        sessions: leg, first and last second in which its dials were read; none where time was not
-            recorded.
+        sessions: of each leg, and of the campaign; none where time was not recorded.
+        names: of legs and directions.
     """
     found: list[Place] = []
     for leg in range(len(LEGS)):
-        a, b, c = leg_axes(leg)
-        own = LEGS[a]
-        drive, across = (("travel", 1.0),), {"b": LEGS[b], "c": LEGS[c]}
+        own = names.legs[leg]
+        drive, across = (("travel", 1.0),), dict(zip("bc", names.across[leg], strict=True))
 
         def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
                 kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
@@ -235,16 +269,42 @@ def places(sessions: Sequence[tuple[int, float, float]] = ()) -> tuple[Place, ..
         for bar in "12":
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
     both = (("stretch1", 1.0), ("stretch2", 1.0))
-    for leg, start, end in sessions:
-        variable, span = partial(_time_between, start, end), (start, end)
-        moving: tuple[tuple[Part, Joints, str], ...] = (
-            ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
-            ("drive", (("travel", 1.0),), ""),
-        )  # fmt: skip
-        for part, joints, way in moving:
-            unit = 50 * _UM
-            found.append(Place(part, leg, joints, way, "time", 0, variable, _OU, unit, span))
-    return tuple(found)
+    for session in sessions:
+        span, whole = (session.start, session.end), session.leg is None
+        variable, kernel = partial(_time_between, *span), _DRIFT if whole else _OU
+        for leg in range(len(LEGS)) if session.leg is None else [session.leg]:
+            moving: tuple[tuple[Part, Joints, str], ...] = (
+                ("bar", both[:1], "1"), ("bar", both[1:], "2"), ("bar", both, ""),
+            )  # fmt: skip
+            if whole:
+                moving = (("drive", (("travel", 1.0),), ""),)
+            for part, joints, way in moving:
+                unit = 50 * _UM
+                found.append(Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span))
+    return tuple(replace(place, names=names) for place in found)
+
+
+def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tuple[Place, ...]:
+    """Places of one mounting of a dial: its creep, and its curve.
+
+    Args:
+        setup: the mounting.
+        leg: that it touches.
+        time: first and last second; ``None`` where it was not recorded.
+        reading: smallest and largest predicted reading, metres: a curve by what was measured
+            would fit its own noise.
+    """
+    found = []
+    if time is not None:
+        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 20 * _UM, time, setup))
+    return (
+        *found,
+        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 20 * _UM, reading, setup),
+    )
+
+
+def _none(c: LegConditions) -> Any:
+    raise TypeError("a dial's place is a function of no leg's conditions")
 
 
 def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:
@@ -257,4 +317,5 @@ def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    return catalogue.with_effects(p.effect for p in places() if p.effect.name in wanted)
+    every = places((), catalogue.legs)
+    return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -40,6 +40,11 @@ class Scores:
     cv_rms: float
 
     @property
+    def shown_rms(self) -> float:
+        """The papers' figure where dials were read, else of all readings, metres."""
+        return self.rms if np.isnan(self.deviation_rms) else self.deviation_rms
+
+    @property
     def cost(self) -> float:
         """What the fit minimises: data, nuisances and priors."""
         return self.chi2 + self.prior_chi2
@@ -82,7 +87,8 @@ def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: fl
     means = _tail(max(here.chi2 - within, 0.0), stations - nuisance.free, here.shares, noise.dof)
     if rows == stations or noise.source == "repeats" or noise.common > 0:
         return means
-    return min(1.0, 2 * min(means, _tail(here.chi2, rows - nuisance.free, here.shares)))
+    whole = _tail(here.chi2, rows - nuisance.free, here.shares)
+    return min(1.0, 2 * min(means, whole)) if np.isfinite(means) else whole
 
 
 def _tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:

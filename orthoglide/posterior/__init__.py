@@ -1,5 +1,6 @@
 """Everything known is one posterior: the background, what stands out of it, and free places."""
 
+from orthoglide.posterior.budget import BudgetItem, budget
 from orthoglide.posterior.causes import (
     CandidateScore,
     Cause,
@@ -12,6 +13,7 @@ from orthoglide.posterior.everything import FullPosterior, full_posterior
 from orthoglide.posterior.outstanding import outstanding
 
 __all__ = [
+    "BudgetItem",
     "CandidateScore",
     "Cause",
     "Curve",
@@ -19,6 +21,7 @@ __all__ = [
     "FullPosterior",
     "Located",
     "Outstanding",
+    "budget",
     "full_posterior",
     "outstanding",
 ]

@@ -178,8 +178,11 @@ class Outstanding:
         causes: with names.
         located: places without.
         weighed: all that came near, most probable first.
+        alone: where nothing stands out of a background that shows: causes of which one would be
+            behind it if the rest of the machine were sound.
     """
 
     causes: tuple[Cause, ...]
     located: tuple[Located, ...]
     weighed: tuple[CandidateScore, ...]
+    alone: tuple[Explanation, ...] = ()

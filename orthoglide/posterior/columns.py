@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.accuracy import workspace
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect, LegConditions
-from orthoglide.effects.places import Place, places
+from orthoglide.effects.places import Place, Session, dial_places, places
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.factors import ByJoints
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.posterior.mixture import Group, Linear, whole
-from orthoglide.prediction import Conditions
+from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
+from orthoglide.posterior.twins import is_twin, tool_slopes, translations, twins
 
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
@@ -28,11 +28,15 @@ _UNTIED = 1e3
 _UNNOTICED = 1e-3
 """Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
-_FEW = 3.0
-"""Tolerances of a parameter that another may replace if no reading and no tool shows it."""
-
-_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
 _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
+
+_QUIET = 0.1
+"""Largest background, in tolerances, where a surface is all that was read: a wider one would draw
+any surface, and name nothing."""
+
+_LIKELY = 3.0
+"""Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
+surface those count that a machine may have."""
 
 _VISIBLE = 0.3
 """A cause is weighed if one tolerance lifts it this far above the noise, in all."""
@@ -112,17 +116,62 @@ def with_everything(problem: Problem) -> Problem:
     return with_free(problem, elementary_beyond(problem, effects), release=False)
 
 
+def one_surface(problem: Problem) -> bool:
+    """Whether plates and distances on them are all that was read."""
+    tools = [p.points for p in problem.points if isinstance(p, ToolReadings)]
+    kinds = {s.kind for tool in tools for s in tool.setups}
+    alone = not problem.campaigns and len(tools) == len(problem.points)
+    return alone and kinds <= {"plate", "distance"}
+
+
 def places_of(problem: Problem) -> tuple[Place, ...]:
-    """Places that these readings could show."""
-    sessions: list[tuple[int, float, float]] = []
+    """Places of the machine that these readings could show.
+
+    None where one surface is all that was read: the plate's own shape could be any, and a free
+    function of any part draws it as well.
+    """
+    if one_surface(problem):
+        return ()
+    sessions: list[Session] = []
     if len(problem.campaigns) == 1 and not problem.points:
         (campaign,) = problem.campaigns
-        leg = campaign.leg
-        for k in range(3):
-            time = campaign.time[leg == k]
+        for leg in (*range(len(LEGS)), None):
+            time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
-                sessions.append((k, float(time.min()), float(time.max())))
-    return places(sessions)
+                sessions.append(Session(float(time.min()), float(time.max()), leg))
+    approach = np.concatenate([f.conditions().approach for f in problem.factors])
+    one_sided = np.ptp(approach, axis=0) == 0  # which shows no difference between sides
+    found = places(sessions, problem.machine.catalogue.legs)
+    return tuple(p for p in found if p.against != "approach" or not one_sided[p.leg])
+
+
+def _of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
+
+    Args:
+        problem: its campaigns.
+        value: predicted readings ``(n,)``, metres.
+    """
+    columns, found = [np.zeros((len(value), 0))], list[Place]()
+    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
+        for k, setup in enumerate(campaign.setups):
+            rows = part.start + np.flatnonzero(campaign.setup == k)
+            time, shown = campaign.time[rows - part.start], value[rows]
+            if np.ptp(shown) <= 0:
+                continue
+            name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
+            timed = np.isfinite(time).all() and np.ptp(time) > 0
+            span = (float(time.min()), float(time.max())) if timed else None
+            dial = dial_places(name, setup.leg, span, (float(shown.min()), float(shown.max())))
+            for place in dial:
+                low, high = place.span or (0.0, 1.0)
+                by = time if place.against == "time" else shown
+                functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
+                block = np.zeros((len(value), len(functions)))
+                block[rows] = np.stack(functions, axis=1) * place.unit
+                columns.append(block)
+                found.append(place)
+    return np.hstack(columns), tuple(found)
 
 
 def everything(estimate: Estimate, at: Array | None = None) -> Everything:
@@ -147,14 +196,15 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
     project, sd = estimate.nuisance.project, wide.tolerance
     curves, found = _curves(wide, x)
-    rows = np.hstack([here.jacobian * sd, curves])
+    of_dials, dials = _of_dials(wide, here.value)
+    rows, found = np.hstack([here.jacobian * sd, curves, of_dials]), (*found, *dials)
     value = here.value - here.jacobian @ x
     columns, residual = project(rows), project(problem.measured - value)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
     fixed, known = _fixed(problem, len(scale))
-    slopes = _tool(wide, x) * sd
-    twins = _twins(wide, free, columns[:, : len(sd)], slopes)
-    for name in (other for others in twins.values() for other, _ in others):
+    slopes = tool_slopes(wide, x) * sd
+    same = twins(wide, free, columns[:, : len(sd)], slopes)
+    for name in (other for others in same.values() for other, _ in others):
         k = wide.names.index(name)
         rows[:, k] = columns[:, k] = 0.0
         fixed[k] = _NOTHING
@@ -165,82 +215,21 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     groups, causes, hidden = _groups(wide, free, columns, found)
     by_name = {
         n: tuple((o, f * sd[wide.names.index(o)] / sd[wide.names.index(n)]) for o, f in others)
-        for n, others in twins.items()
+        for n, others in same.items()
     }
     stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
                        * problem.sigma[:, None])  # fmt: skip
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, groups, stations)
+    if one_surface(problem):
+        quiet = tuple(s for s in SHARES if s <= _QUIET)
+        linear = replace(linear, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     return Everything(
-        wide, x, scale, found, causes, _reduced(linear), by_name, _translations(slopes), rows,
-        value, (padded, known[1]), tuple(n for n in hidden if not _is_twin(n, twins)),
+        wide, x, scale, found, causes, _reduced(linear), by_name, translations(slopes), rows,
+        value, (padded, known[1]), tuple(n for n in hidden if not is_twin(n, same)),
     )  # fmt: skip
-
-
-def _is_twin(name: str, twins: Mapping[str, Sequence[tuple[str, float]]]) -> bool:
-    return any(name == other for others in twins.values() for other, _ in others)
-
-
-def _tool(problem: Problem, x: Array) -> Array:
-    """TCP of the last campaign's machine over the workspace by unknown ``(g, 3, P)``, SI."""
-    machine, last = problem.machine, problem.last
-    names, matrix = problem.elementary(last)
-    kept = [k for k, name in enumerate(names) if name in machine.catalogue.motions]
-    values = {n: v for n, v in problem.values(last, x).items() if n in machine.catalogue.motions}
-    where = Conditions.at(workspace(machine.geometry))
-    _, slopes = machine.model.sensitivities(values, where, [names[k] for k in kept])
-    return slopes[:, :3] @ matrix[kept]
-
-
-def _translations(slopes: Array) -> Array:
-    """Orthonormal directions ``(P, 3)`` of the parameters that move the machine as a whole.
-
-    Args:
-        slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
-    """
-    mean = slopes.mean(axis=0)
-    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
-    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
-    return np.asarray(np.linalg.qr(directions)[0])
-
-
-def _twins(
-    wide: Problem, free: int, columns: Array, slopes: Array
-) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Parameters of which a few tolerances show the same as those of an earlier one, readings and
-    tool alike: they are one cause.
-
-    Args:
-        wide: its unknowns ``P``; those of dials, or of other campaigns, are no twins.
-        free: the first so many are free already and stay.
-        columns: readings ``(m, P)``, whitened, in tolerances.
-        slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
-    """
-    names, noise = wide.names, wide.noise.typical
-    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in names]
-    tool = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
-    length = np.linalg.norm(columns, axis=0)
-    unit = columns / np.where(length > 0, length, 1.0)
-    cosine = unit.T @ unit
-    found: dict[str, tuple[tuple[str, float], ...]] = {}
-    gone: set[int] = set()
-    for one in range(len(names)):
-        for other in range(max(one + 1, free), len(names)):
-            if {one, other} & gone or not length[one] or not length[other]:
-                continue
-            if of_dial[one] or of_dial[other] or names[one].campaign != names[other].campaign:
-                continue
-            factor = float(cosine[one, other]) * length[other] / length[one]
-            if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
-                continue
-            apart = np.linalg.norm(columns[:, other] - factor * columns[:, one])
-            moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
-            if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
-                gone.add(other)
-                found[names[one]] = (*found.get(names[one], ()), (names[other], 1 / factor))
-    return found
 
 
 def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
@@ -250,7 +239,7 @@ def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:
     instead.
     """
     fixed = np.full(count, np.nan)
-    fixed[: len(problem.names)] = 1.0
+    fixed[: len(problem.names)] = [u.width for u in problem.unknowns]
     if problem.earlier is None:
         return fixed, (np.zeros((0, len(problem.names))), np.zeros(0))
     matrix, target, spoken = rows_about(problem.earlier, problem.unknowns)

@@ -24,17 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-
-SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-"""Scales of the effects of the catalogue that no slab lets out, in tolerances."""
-
-FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
-                  (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
-"""Scales of the free functions that no slab lets out, in their units, and of an error of its own at
-every station, in the noise of a reading: what has no structure at all is noise to all causes."""
-
-SLABS = (0.3, 1.0, 3.0, 10.0)
-"""Scales of what stands out."""
+from orthoglide.posterior.linear import FREE_AND_ROUGH, SOUND, Linear, Scale
 
 _MOST = 6  # groups that stand out together
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
@@ -44,56 +34,8 @@ LEAST_SHARE = 0.05
 """Probability of a place from which it is part of the calibrated machine."""
 
 
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Coefficients that stand out together, or not.
-
-    Attributes:
-        name: of the cause or place.
-        places: of the coefficients that it moves ``(k,)``, or ``(q,)`` with ``weights``.
-        weights: from its own coefficients to those ``(q, k)``.
-        free: whether it is a free function.
-    """
-
-    name: str
-    places: NDArray[np.intp]
-    weights: Array
-    free: bool
-
-    @property
-    def size(self) -> int:
-        """Number of its own coefficients."""
-        return self.weights.shape[1]
-
-
 State = tuple[tuple[int, float], ...]
 """Groups that stand out, by place, each with its tau."""
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """Readings about a machine, linear in everything that could be wrong.
-
-    Attributes:
-        columns: whitened, nuisances projected out, by coefficient in tolerances ``(m, C)``.
-        residual: what the readings say of the sum ``(m,)``.
-        fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
-        free: which belong to free functions ``(C,)``.
-        groups: that may stand out.
-        stations: an error of one sigma at each station ``(m, s)``.
-    """
-
-    columns: Array
-    residual: Array
-    fixed: Array
-    free: NDArray[np.bool_]
-    groups: tuple[Group, ...]
-    stations: Array
-
-    def spike(self, share: float, free_share: float) -> Array:
-        """Prior variance of each coefficient without slabs ``(C,)``."""
-        background = np.where(self.free, free_share, share)
-        return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,36 +53,6 @@ class Averaged:
     prior: Array
 
 
-class _Scale:
-    """One point of the grid of scales: everything whitened by its background."""
-
-    def __init__(self, linear: Linear, share: float, free_share: float, rough: float) -> None:
-        self.linear, self.share, self.free_share = linear, share, free_share
-        self.rough = rough
-        self.spike = linear.spike(share, free_share)
-        A = linear.columns
-        cov = (A * self.spike) @ A.T
-        if rough > 0:
-            cov += rough**2 * linear.stations @ linear.stations.T
-        cov[np.diag_indices_from(cov)] += 1.0
-        factor = np.linalg.cholesky(cov)
-        both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
-        self.columns, self.residual = both[:, :-1], both[:, -1]
-        self.log_z = -0.5 * float(self.residual @ self.residual) - float(
-            np.log(np.diag(factor)).sum()
-        )
-
-    @cached_property
-    def by_group(self) -> Array:
-        """Columns of all groups side by side ``(m, K)``."""
-        return np.hstack([self.columns[:, g.places] @ g.weights for g in self.linear.groups])
-
-    @cached_property
-    def along(self) -> Array:
-        """Residual along them ``(K,)``."""
-        return np.asarray(self.by_group.T @ self.residual)
-
-
 @dataclass(frozen=True, eq=False)
 class _Visited:
     """A state with its log weights: ``(scales,)``, the prior counted."""
@@ -155,14 +67,14 @@ class Mixture:
     def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
         self.linear = linear
         self._given_names = frozenset(given)
-        self.scales = tuple(_Scale(linear, s, *f) for s, f in product(SHARES, FREE_AND_ROUGH))
+        self.scales = tuple(Scale(linear, s, *f) for s, f in product(linear.shares, FREE_AND_ROUGH))
         ends = np.cumsum([0, *(g.size for g in linear.groups)])
         self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
         for k, group in enumerate(linear.groups):
             self._by_size.setdefault(group.size, []).append(k)
         # Each slab is one of so many, at one of so many scales.
-        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(SLABS)))
+        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(linear.slabs)))
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self.best = self._search()
@@ -219,6 +131,23 @@ class Mixture:
         table = self.children[state][:, group]
         return self._child(state, group, int(np.argmax(np.exp(table - table.max()).sum(axis=0))))
 
+    @property
+    def _sound(self) -> list[int]:
+        """Scales of a machine that is sound but for what stands out."""
+        return [k for k, s in enumerate(self.scales) if s.share <= SOUND and s.rough == 0]
+
+    def over_sound_machine(self) -> Array:
+        """Log Bayes factor of each group alone, on a sound machine, by tau ``(groups, taus)``."""
+        self._best_child(())
+        return np.asarray(
+            self.children[()][self._sound].max(axis=0) - self.visited[()][self._sound].max()
+        )
+
+    def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """As `likeliest`, on a sound machine."""
+        logs = {k: self._log_z(self.scales[k], state) for k in self._sound}
+        return self.moments(state, self.scales[max(logs, key=lambda k: logs[k])], at)
+
     def next_odds(self) -> Array:
         """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
         self._best_child(self.best)
@@ -229,7 +158,7 @@ class Mixture:
         return np.asarray(pooled + self.cost)
 
     def _child(self, state: State, group: int, tau: int) -> State:
-        child = tuple(sorted((*state, (group, SLABS[tau]))))
+        child = tuple(sorted((*state, (group, self.linear.slabs[tau]))))
         self.visited[child] = self.children[state][:, group, tau]
         return child
 
@@ -241,7 +170,7 @@ class Mixture:
             )
         taken = {k for k, _ in state}
         groups = self.linear.groups
-        table = np.full((len(self.scales), len(groups), len(SLABS)), -np.inf)
+        table = np.full((len(self.scales), len(groups), len(self.linear.slabs)), -np.inf)
         for k, scale in enumerate(self.scales):
             columns, along = self._given(scale, state)
             for members in self._by_size.values():
@@ -251,7 +180,7 @@ class Mixture:
                 values, vectors = np.linalg.eigh(gram)
                 square = (vectors.transpose(0, 2, 1) @ along[span][:, :, None])[:, :, 0] ** 2
                 values = np.maximum(values, 0.0)
-                for t, tau in enumerate(SLABS):
+                for t, tau in enumerate(self.linear.slabs):
                     grown = 1 + tau**2 * values
                     gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
                     table[k, members, t] = gain
@@ -259,7 +188,7 @@ class Mixture:
         table[:, sorted(taken)] = -np.inf
         return table
 
-    def _out(self, scale: _Scale, state: State) -> tuple[Array, Array]:
+    def _out(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
 
         With these, ``rows - (left * shrink) @ left.T @ rows`` whitens what is out as well.
@@ -270,7 +199,7 @@ class Mixture:
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
-    def _given(self, scale: _Scale, state: State) -> tuple[Array, Array]:
+    def _given(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """All groups' columns with what is out whitened, and the residual along them."""
         if not state:
             return scale.by_group, scale.along
@@ -279,7 +208,7 @@ class Mixture:
         residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
         return columns, np.asarray(columns.T @ residual)
 
-    def _log_z(self, scale: _Scale, state: State) -> float:
+    def _log_z(self, scale: Scale, state: State) -> float:
         left, shrink = self._out(scale, state)
         along = left.T @ scale.residual
         gain = along @ ((1 - (1 - shrink) ** 2) * along)
@@ -294,7 +223,7 @@ class Mixture:
         for state, table in self.children.items():
             pooled = table.max(axis=0)
             for group, tau in zip(*np.nonzero(pooled > self._total(self.best) - 12), strict=True):
-                child = tuple(sorted((*state, (int(group), SLABS[tau]))))
+                child = tuple(sorted((*state, (int(group), self.linear.slabs[tau]))))
                 logs.setdefault(child, table[:, group, tau])
         top = max(float(v.max()) for v in logs.values())
         raw = {s: np.exp(v - top) for s, v in logs.items()}
@@ -347,7 +276,7 @@ class Mixture:
         """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""
         return self.moments(state, self.scales[int(np.argmax(self.visited[state]))], at)
 
-    def moments(self, state: State, scale: _Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
+    def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
         left, shrink = self._out(scale, state)
         residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
@@ -388,8 +317,3 @@ class Mixture:
             prior[block] += weight / total * (np.diag(scale.spike[at]) + spread @ spread.T)
         second[block] -= np.outer(mean[at], mean[at])
         return Averaged(mean, second, prior)
-
-
-def whole(name: str, places: Sequence[int], *, free: bool) -> Group:
-    """A group of coefficients, each for itself."""
-    return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free)

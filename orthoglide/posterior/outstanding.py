@@ -26,8 +26,11 @@ from orthoglide.posterior.causes import (
     Outstanding,
 )
 from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.mixture import Group, State
+from orthoglide.posterior.linear import Group
+from orthoglide.posterior.mixture import State
 from orthoglide.prediction import Conditions
+
+_OFF = 0.1  # tolerances: a background that is worth a word
 
 CREDIBLE = 0.95
 """Probability that a credible set holds the truth."""
@@ -49,6 +52,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
         tuple(f for f in found if isinstance(f, Cause)),
         tuple(f for f in found if isinstance(f, Located)),
         reader.weighed(),
+        () if found else reader.alone(),
     )
 
 
@@ -90,6 +94,27 @@ class _Reader:
             return mixture.best
         rest = tuple(s for s in mixture.best if s[0] != member)
         return mixture.child(rest, other)
+
+    def alone(self) -> tuple[Explanation, ...]:
+        """Causes of which one would be behind it if the rest of the machine were sound: a set of
+        95 %; none where the machine is sound.
+        """
+        mixture = self.posterior.mixture
+        table = mixture.over_sound_machine()
+        if self.posterior.share < _OFF or table.max() <= 0:
+            return ()
+        named = [k for k, g in enumerate(self.groups) if not g.free]
+        weight = np.exp(table[named] - table[named].max()).sum(axis=1)
+        weight /= weight.sum()
+        order = np.argsort(-weight, kind="stable")
+        count = int(np.searchsorted(np.cumsum(weight[order]), CREDIBLE)) + 1
+        found = []
+        for k in order[:count]:
+            group = named[int(k)]
+            state = ((group, mixture.linear.slabs[int(np.argmax(table[group]))]),)
+            at = self.groups[group].places
+            found.append(self._told(group, float(weight[k]), *mixture.over_sound(state, at)))
+        return tuple(one for explanation in found for one in self._twins(explanation))
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         several = [one for k, p in odds for one in self._twins(self._explanation(member, k, p))]
@@ -133,8 +158,12 @@ class _Reader:
         return [replace(e, probability=one.probability / len(found)) for e in found]
 
     def _explanation(self, member: int, k: int, probability: float) -> Explanation:
+        found = self.posterior.mixture.likeliest(self._state(member, k), self.groups[k].places)
+        return self._told(k, probability, *found)
+
+    def _told(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
+        """One group by the mean of all coefficients and the covariance of those it moves."""
         posterior, group = self.posterior, self.groups[k]
-        mean, covariance = posterior.mixture.likeliest(self._state(member, k), group.places)
         about = posterior.about
         candidate = about.candidates[k]
         # Its own coefficients by those that it moves: the mean of a pattern is its projection.

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
 
+_MOST_ITEMS = 12
+
 _FAULTS = {
     "outlier": "a reading out of line",
     "knocked_stand": "a stand that was knocked",
@@ -55,7 +57,7 @@ def tiles(result: Result) -> list[Tile]:
     before, after = result.before, result.after
     start = before.scores if result.improved else result.nominal
     found = [
-        _tile("Readings", start.deviation_rms, after.scores.deviation_rms, "mm rms left"),
+        _tile("Readings", start.shown_rms, after.scores.shown_rms, "mm rms left"),
         _tile("Stations left out", start.cv_rms, after.scores.cv_rms, "mm rms"),
     ]
     if result.hold_out is not None:
@@ -181,6 +183,25 @@ def located(result: Result, figures: Figures) -> Data:
         for k, one in enumerate(result.located, start=1)
     ]
     return {"places": found}
+
+
+def budget(result: Result) -> Data:
+    """What is wrong by what mending it gains."""
+    return {
+        "rows": [
+            {
+                "cause": item.cause,
+                "words": result.short(item.cause),
+                "tolerances": compact(item.tolerances, 2),
+                "beyond": f"{item.beyond_tolerance:.2f}",
+                "readings": f"{item.readings_rms * 1e3:.4f}",
+                "tcp": f"{item.tcp_mean * 1e3:.4f} ± {item.tcp_sigma * 1e3:.4f}",
+                "gain": f"{item.gain * 1e3:.4f} ± {item.gain_sigma * 1e3:.4f}",
+                "share": f"{item.share:.0%}",
+            }
+            for item in result.budget[:_MOST_ITEMS]
+        ]
+    }
 
 
 def apart(result: Result, figures: Figures) -> Data:

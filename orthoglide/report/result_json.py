@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from orthoglide.diagnosis.changes import Change
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
     from orthoglide.judging import TcpErrors
-    from orthoglide.posterior import CandidateScore, Cause, Curve, Explanation, Located
+    from orthoglide.posterior import BudgetItem, CandidateScore, Cause, Curve, Explanation, Located
     from orthoglide.request import Request
     from orthoglide.result import Result
 
@@ -62,6 +62,8 @@ def _mapping(result: Result) -> dict[str, Any]:
         "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
         "effects": [_cause(cause) for cause in result.effects],
         "located": [_located(found) for found in result.located],
+        "single_causes": [_explanation(one) for one in result.alone],
+        "budget": [_budget(item, result) for item in result.budget],
         "parameters": _parameters(result),
         "correlations": _correlations(result),
         "calibrated": _calibrated(result),
@@ -70,6 +72,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "changed": [_change(change) for change in result.changed],
         "weak_directions": [_weak(weak) for weak in after.weak],
         "cross_check": _check(before.check),
+        **({} if result.firmware is None else {"firmware": result.firmware.as_dict()}),
         "next_measurements": [
             {
                 "reason": s.reason,
@@ -160,11 +163,11 @@ def _located(found: Located) -> dict[str, Any]:
         "class_probability": number(found.probability, _SHORT),
         "resembling": list(found.resembling),
         "curve": [
-            [number(a * 1e3 if first.place.span is None else a, _SHORT), number(v, _SHORT),
+            [number(a if first.place.against == "time" else a * 1e3, _SHORT), number(v, _SHORT),
              number(s, _SHORT)]
             for a, v, s in zip(first.at, first.value * 1e3, first.sigma * 1e3, strict=True)
         ],
-        "at_unit": "mm" if first.place.span is None else "s",
+        "at_unit": "s" if first.place.against == "time" else "mm",
         "words": located_words(found),
     }  # fmt: skip
 
@@ -177,7 +180,7 @@ def _place(curve: Curve) -> dict[str, Any]:
         "direction": place.direction or None,
         "against": place.against,
         "by_leg": LEGS[place.by] if place.against == "command" else None,
-        "setup": None,
+        "setup": place.setup or None,
         "probability": number(curve.probability, _SHORT),
         "rms_mm" if not place.turns else "rms_mrad": _mm(curve.size, _SHORT),
         "unit": "mrad" if place.turns else "mm",
@@ -194,6 +197,25 @@ def _explanation(one: Explanation) -> dict[str, Any]:
         "unit": one.unit,
         "probability": number(one.probability, _SHORT),
         "words": one.words,
+    }
+
+
+def _budget(item: BudgetItem, result: Result) -> dict[str, Any]:
+    unit = result.catalogue.effect_of(item.cause).unit
+    return {
+        "cause": item.cause,
+        "members": list(item.members),
+        "value": number(item.value / unit.si),
+        "sigma": number(item.sigma / unit.si),
+        "unit": unit.name,
+        "tolerances": number(item.tolerances, _SHORT),
+        "beyond_tolerance": number(item.beyond_tolerance, _SHORT),
+        "readings_rms_mm": _mm(item.readings_rms, _SHORT),
+        "tcp_mean_mm": _mm(item.tcp_mean, _SHORT),
+        "tcp_sigma_mm": _mm(item.tcp_sigma, _SHORT),
+        "gain_mm": _mm(item.gain, _SHORT),
+        "gain_sigma_mm": _mm(item.gain_sigma, _SHORT),
+        "gain_share": number(item.share, _SHORT),
     }
 
 

@@ -18,8 +18,17 @@ from orthoglide.frames import data_frame
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.posterior import CandidateScore, Cause, FullPosterior, Located
+from orthoglide.posterior import (
+    BudgetItem,
+    CandidateScore,
+    Cause,
+    Explanation,
+    FullPosterior,
+    Located,
+    budget,
+)
 from orthoglide.request import Request
+from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
 
 if TYPE_CHECKING:
@@ -30,6 +39,7 @@ if TYPE_CHECKING:
 Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
 
 _HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
+_MOST_RIVALS = 6  # between which readings are proposed
 _PROPOSED = 12
 """Readings that are proposed for each purpose."""
 
@@ -53,6 +63,8 @@ class Result:
         faulty: the base fit with the faulty readings in, where there are any.
         hold_out: scores on readings held out, or ``None``.
         tcp: errors at measured TCP points by alignment, or ``None``.
+        alone: where nothing stands out: causes of which one would be behind it on a machine that
+            is sound otherwise.
     """
 
     request: Request
@@ -69,6 +81,7 @@ class Result:
     faulty: Estimate | None = None
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
+    alone: tuple[Explanation, ...] = ()
 
     @property
     def nominal(self) -> Scores:
@@ -186,6 +199,11 @@ class Result:
         """
         return data_frame(self.columns, index="parameter")
 
+    @cached_property
+    def budget(self) -> tuple[BudgetItem, ...]:
+        """What is wrong by what mending it gains, largest first; none of ``identify``."""
+        return () if self.posterior is None else budget(self.posterior, self.effects)
+
     # --- What is left -----------------------------------------------------------------------
 
     @cached_property
@@ -222,13 +240,15 @@ class Result:
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide.planning import next_measurements
+        from orthoglide.planning import deciding_instruments, next_measurements
 
         if not self.request.searches:
             return ()
+        if self.request.machine.geometry.layout.hanging:
+            return deciding_instruments(self.after, self.effects)
         rivals = [
             (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
-        ]
+        ] or [(e.name, e.machine) for e in self.alone[:_MOST_RIVALS]]
         apart = next_measurements(self.after, rivals, count=_PROPOSED, directions=())
         return (*apart, *next_measurements(self.before, count=_PROPOSED))
 
@@ -264,6 +284,11 @@ class Result:
         they are to be shown.
         """
         return controller_numbers(self.machine, force=True)
+
+    @cached_property
+    def firmware(self) -> FirmwareAdvice | None:
+        """Numbers for the firmware of a machine that was imported from it; ``None`` for others."""
+        return firmware_advice(self.request.machine, self.machine, self.after, self.effects)
 
     @property
     def cautions(self) -> tuple[str, ...]:

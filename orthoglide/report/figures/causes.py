@@ -200,12 +200,17 @@ def draw_located(found: Located, place: int) -> Drawing:
     return style.multiples(f"located-{place}", "What was found, by place", figure, corners, height)
 
 
-_AGAINST = {"travel": "travel, mm", "approach": "travel, mm", "time": "time, s"}
+_AGAINST = {
+    "travel": "travel, mm",
+    "approach": "travel, mm",
+    "time": "time, s",
+    "reading": "reading, mm",
+}
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
     place = curve.place
-    at = curve.at * (1e3 if place.span is None else 1.0)
+    at = curve.at * (1.0 if place.against == "time" else 1e3)
     value, band = curve.value * 1e3, 1.96e3 * curve.sigma
     axes.fill_between(at, value - band, value + band, color=style.BAND, linewidth=0)
     axes.plot(at, value, color=style.FIT, linewidth=1.6)

@@ -1,0 +1,145 @@
+"""The error budget: what each cause makes of the readings and of the tool, and what mending gains.
+
+The error counted is the tool's over the workspace that the best zeros and bar lengths of a
+controller leave, a shift of the whole removed: what a mechanic can still gain. It is drawn from the
+posterior, so that causes which these readings cannot part are counted jointly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.accuracy import tcp_slopes, without_place
+from orthoglide.geometry import Array
+from orthoglide.posterior.causes import Cause
+from orthoglide.posterior.everything import FullPosterior
+
+_DRAWS = 400
+
+
+@dataclass(frozen=True)
+class BudgetItem:
+    """One cause in the budget; metres where not said otherwise.
+
+    Attributes:
+        cause: name of a cause found, of a place, or of an effect with all that is left of it.
+        members: its parameters, others of the same readings and tool among them.
+        value: of a cause of one parameter, SI; nan of several.
+        sigma: of that.
+        tolerances: largest of its parameters, in tolerances.
+        beyond_tolerance: probability that any of them is beyond its tolerance.
+        readings_rms: root mean square of its part of the readings, datums fitted.
+        tcp_mean: mean of its part of the tool's error.
+        tcp_sigma: standard deviation of that.
+        gain: by how much the mean error of the tool falls if it is put right or compensated.
+        gain_sigma: standard deviation of that.
+        share: ``gain`` over the mean error.
+    """
+
+    cause: str
+    members: tuple[str, ...]
+    value: float
+    sigma: float
+    tolerances: float
+    beyond_tolerance: float
+    readings_rms: float
+    tcp_mean: float
+    tcp_sigma: float
+    gain: float
+    gain_sigma: float
+    share: float
+
+
+def budget(posterior: FullPosterior, causes: Sequence[Cause]) -> tuple[BudgetItem, ...]:
+    """Rank what is wrong by what mending it gains, largest first.
+
+    Args:
+        posterior: of everything.
+        causes: found, each counted for itself; what is left of an effect is counted together.
+    """
+    machine = posterior.machine
+    known, catalogue = machine.posterior, machine.catalogue
+    slopes = without_place(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
+    base = np.array([catalogue.effect_of(n).name in catalogue.base for n in known.names])
+    slopes = _past(slopes[:, base], slopes)
+    drawn = known.mean + np.random.default_rng(0).standard_normal(
+        (_DRAWS, len(known.names))
+    ) @ known.root.T  # fmt: skip
+    total = _mean_length(drawn @ slopes.T)
+    found = []
+    for cause, names in _members(posterior, causes, known.names, base):
+        at = [known.names.index(n) for n in names]
+        part = drawn[:, at] @ slopes[:, at].T
+        gain = total - _mean_length(drawn @ slopes.T - part)
+        tolerance = np.array([machine.tolerance(n) for n in names])
+        size, single = np.abs(drawn[:, at]) / tolerance, len(at) == 1
+        length = _mean_length(part)
+        found.append(
+            BudgetItem(
+                cause,
+                tuple(t for n in names for t in (n, *dict(posterior.about.twins.get(n, ())))),
+                float(known.mean[at[0]]) if single else float("nan"),
+                float(np.sqrt(known.covariance[at[0], at[0]])) if single else float("nan"),
+                float(np.max(np.abs(known.mean[at]) / tolerance)),
+                float(np.mean((size > 1).any(axis=1))),
+                _shown(posterior, names),
+                float(length.mean()),
+                float(length.std()),
+                float(gain.mean()),
+                float(gain.std()),
+                float(gain.mean() / max(total.mean(), 1e-12)),
+            )
+        )
+    return tuple(sorted(found, key=lambda item: (-item.gain, item.cause)))
+
+
+def _members(
+    posterior: FullPosterior, causes: Sequence[Cause], names: Sequence[str], base: Array
+) -> list[tuple[str, list[str]]]:
+    """Causes with the machine's parameters that each is made of, none twice, zeros left out."""
+    catalogue = posterior.machine.catalogue
+    twins = {t for others in posterior.about.twins.values() for t, _ in others}
+    left = [n for n, b in zip(names, base, strict=True) if not b and n not in twins]
+    found: list[tuple[str, list[str]]] = []
+    for cause in causes:
+        parts = {
+            str(catalogue.parameter(p).plain)
+            for one in cause.explanations
+            for n in one.parameters
+            if not catalogue.effect_of(n).of_dial
+            for p in catalogue.elementary(n)
+        }
+        mine = [n for n in left if n in parts]
+        if mine:
+            found.append((cause.name, mine))
+            left = [n for n in left if n not in parts]
+    by_effect: dict[str, list[str]] = {}
+    for n in left:
+        by_effect.setdefault(catalogue.effect_of(n).name, []).append(n)
+    return [*found, *by_effect.items()]
+
+
+def _past(base: Array, slopes: Array) -> Array:
+    """Slopes past what zeros and lengths can take."""
+    scale = np.linalg.norm(base, axis=0)
+    basis, _ = np.linalg.qr(base / np.where(scale > 0, scale, 1.0))
+    return np.asarray(slopes - basis @ (basis.T @ slopes))
+
+
+def _mean_length(errors: Array) -> Array:
+    """Mean distance over the workspace ``(draws,)`` of errors ``(draws, 3 g)``."""
+    return np.asarray(np.linalg.norm(errors.reshape(len(errors), -1, 3), axis=2).mean(axis=1))
+
+
+def _shown(posterior: FullPosterior, names: Sequence[str]) -> float:
+    """Root mean square of a cause's part of the readings at the mean, metres."""
+    about, mean = posterior.about, posterior.mean
+    at = [k for k, n in enumerate(about.problem.names) if n.plain in set(names)]
+    for place in posterior.places:
+        if set(place.effect.motions) & set(names):
+            at += about.coefficients(place).tolist()
+    rows = about.rows[:, at] @ mean[at]
+    return float(np.sqrt(np.mean((rows - posterior.before.nuisance.fitted(rows)) ** 2)))

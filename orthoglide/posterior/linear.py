@@ -1,0 +1,113 @@
+"""The readings, linear in everything that could be wrong, and scales of the background."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array
+
+SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+"""Scales of the effects of the catalogue that no slab lets out, in tolerances."""
+
+FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
+                  (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
+"""Scales of the free functions that no slab lets out, in their units, and of an error of its own at
+every station, in the noise of a reading: what has no structure at all is noise to all causes."""
+
+SOUND = 0.03
+"""Tolerances: a machine of which everything is off by less is sound."""
+
+SLABS = (0.3, 1.0, 3.0, 10.0)
+"""Scales of what stands out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Coefficients that stand out together, or not.
+
+    Attributes:
+        name: of the cause or place.
+        places: of the coefficients that it moves ``(k,)``, or ``(q,)`` with ``weights``.
+        weights: from its own coefficients to those ``(q, k)``.
+        free: whether it is a free function.
+    """
+
+    name: str
+    places: NDArray[np.intp]
+    weights: Array
+    free: bool
+
+    @property
+    def size(self) -> int:
+        """Number of its own coefficients."""
+        return self.weights.shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Readings about a machine, linear in everything that could be wrong.
+
+    Attributes:
+        columns: whitened, nuisances projected out, by coefficient in tolerances ``(m, C)``.
+        residual: what the readings say of the sum ``(m,)``.
+        fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
+        free: which belong to free functions ``(C,)``.
+        groups: that may stand out.
+        stations: an error of one sigma at each station ``(m, s)``.
+        shares: scales that the effects' background may have, in tolerances.
+        slabs: those of what stands out.
+    """
+
+    columns: Array
+    residual: Array
+    fixed: Array
+    free: NDArray[np.bool_]
+    groups: tuple[Group, ...]
+    stations: Array
+    shares: tuple[float, ...] = SHARES
+    slabs: tuple[float, ...] = SLABS
+
+    def spike(self, share: float, free_share: float) -> Array:
+        """Prior variance of each coefficient without slabs ``(C,)``."""
+        background = np.where(self.free, free_share, share)
+        return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
+
+
+class Scale:
+    """One point of the grid of scales: everything whitened by its background."""
+
+    def __init__(self, linear: Linear, share: float, free_share: float, rough: float) -> None:
+        self.linear, self.share, self.free_share = linear, share, free_share
+        self.rough = rough
+        self.spike = linear.spike(share, free_share)
+        A = linear.columns
+        cov = (A * self.spike) @ A.T
+        if rough > 0:
+            cov += rough**2 * linear.stations @ linear.stations.T
+        cov[np.diag_indices_from(cov)] += 1.0
+        factor = np.linalg.cholesky(cov)
+        both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
+        self.columns, self.residual = both[:, :-1], both[:, -1]
+        self.log_z = -0.5 * float(self.residual @ self.residual) - float(
+            np.log(np.diag(factor)).sum()
+        )
+
+    @cached_property
+    def by_group(self) -> Array:
+        """Columns of all groups side by side ``(m, K)``."""
+        return np.hstack([self.columns[:, g.places] @ g.weights for g in self.linear.groups])
+
+    @cached_property
+    def along(self) -> Array:
+        """Residual along them ``(K,)``."""
+        return np.asarray(self.by_group.T @ self.residual)
+
+
+def whole(name: str, places: Sequence[int], *, free: bool) -> Group:
+    """A group of coefficients, each for itself."""
+    return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free)

@@ -1,0 +1,82 @@
+"""What readings and tool cannot tell apart, and what moves the machine as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from orthoglide.accuracy import workspace
+from orthoglide.fit import Problem
+from orthoglide.geometry import Array
+from orthoglide.prediction import Conditions
+
+_FEW = 3.0
+"""Tolerances of a parameter that another may replace if no reading and no tool shows it."""
+
+_SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
+
+
+def is_twin(name: str, twins: Mapping[str, Sequence[tuple[str, float]]]) -> bool:
+    """Whether another parameter stands for one."""
+    return any(name == other for others in twins.values() for other, _ in others)
+
+
+def tool_slopes(problem: Problem, x: Array) -> Array:
+    """TCP of the last campaign's machine over the workspace by unknown ``(g, 3, P)``, SI."""
+    machine, last = problem.machine, problem.last
+    names, matrix = problem.elementary(last)
+    kept = [k for k, name in enumerate(names) if name in machine.catalogue.motions]
+    values = {n: v for n, v in problem.values(last, x).items() if n in machine.catalogue.motions}
+    where = Conditions.at(workspace(machine.geometry))
+    _, slopes = machine.model.sensitivities(values, where, [names[k] for k in kept])
+    return slopes[:, :3] @ matrix[kept]
+
+
+def translations(slopes: Array) -> Array:
+    """Orthonormal directions ``(P, 3)`` of the parameters that move the machine as a whole.
+
+    Args:
+        slopes: TCP by parameter over the workspace, in tolerances ``(g, 3, P)``, metres.
+    """
+    mean = slopes.mean(axis=0)
+    shape = (slopes - mean).reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes)) / _SHAPELESS
+    directions = np.linalg.solve(np.eye(shape.shape[1]) + shape.T @ shape, mean.T)
+    return np.asarray(np.linalg.qr(directions)[0])
+
+
+def twins(
+    wide: Problem, free: int, columns: Array, slopes: Array
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Parameters of which a few tolerances show the same as those of an earlier one, readings and
+    tool alike: they are one cause.
+
+    Args:
+        wide: its unknowns ``P``; those of dials, or of other campaigns, are no twins.
+        free: the first so many are free already and stay.
+        columns: readings ``(m, P)``, whitened, in tolerances.
+        slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
+    """
+    names, noise = wide.names, wide.noise.typical
+    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in names]
+    tool = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
+    length = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(length > 0, length, 1.0)
+    cosine = unit.T @ unit
+    found: dict[str, tuple[tuple[str, float], ...]] = {}
+    gone: set[int] = set()
+    for one in range(len(names)):
+        for other in range(max(one + 1, free), len(names)):
+            if {one, other} & gone or not length[one] or not length[other]:
+                continue
+            if of_dial[one] or of_dial[other] or names[one].campaign != names[other].campaign:
+                continue
+            factor = float(cosine[one, other]) * length[other] / length[one]
+            if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
+                continue
+            apart = np.linalg.norm(columns[:, other] - factor * columns[:, one])
+            moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
+            if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
+                gone.add(other)
+                found[names[one]] = (*found.get(names[one], ()), (names[other], 1 / factor))
+    return found
