@@ -14,6 +14,8 @@ from orthoglide.geometry import Array
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Scales of the effects of the catalogue that no slab lets out, in tolerances."""
 
+_RARE = -3.0  # log of the prior weight of a machine that is off by more than its tolerances
+
 FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
                   (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
 """Scales of the free functions that no slab lets out, in their units, and of an error of its own at
@@ -89,8 +91,12 @@ class Scale:
         factor = np.linalg.cholesky(cov)
         both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
         self.columns, self.residual = both[:, :-1], both[:, -1]
-        self.log_z = -0.5 * float(self.residual @ self.residual) - float(
-            np.log(np.diag(factor)).sum()
+        # Beyond its tolerances altogether is a machine in twenty.
+        unlikely = _RARE if share > 1 else 0.0
+        self.log_z = (
+            unlikely
+            - 0.5 * float(self.residual @ self.residual)
+            - float(np.log(np.diag(factor)).sum())
         )
 
     @cached_property
