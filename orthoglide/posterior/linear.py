@@ -63,6 +63,8 @@ class Linear:
         free: which belong to free functions ``(C,)``.
         groups: that may stand out.
         stations: an error of one sigma at each station ``(m, s)``.
+        shares: scales that the effects' background may have, in tolerances.
+        slabs: those of what stands out.
     """
 
     columns: Array
@@ -71,6 +73,8 @@ class Linear:
     free: NDArray[np.bool_]
     groups: tuple[Group, ...]
     stations: Array
+    shares: tuple[float, ...] = SHARES
+    slabs: tuple[float, ...] = SLABS
 
     def spike(self, share: float, free_share: float) -> Array:
         """Prior variance of each coefficient without slabs ``(C,)``."""
