@@ -41,6 +41,8 @@ def describe_left(estimate: Estimate) -> tuple[str, ...]:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs
         by approach, drifts in time, or repeats along an axis.
     """
+    if not estimate.problem.campaigns:  # only readings of dials are looked at
+        return ()
     rest = _Rest(estimate)
     tests = (_where, _single_station, _parity, _hysteresis, _trend, _period)
     found = tuple(text for test in tests if (text := test(rest)))

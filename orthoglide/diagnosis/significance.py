@@ -91,7 +91,9 @@ def _with_noise(problem: Problem, readings: Array) -> tuple[Campaign, ...]:
 def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
     """Noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
     n = len(problem.measured)
-    resolution = problem.machine.spec.dial.resolution
+    dials = problem.rows[-1].stop if problem.rows else 0
+    # What is not read from a dial has no step: its noise is all scatter.
+    resolution = problem.machine.spec.dial.resolution * (np.arange(n) < dials)
     variance = problem.sigma**2 + problem.noise.common**2 - resolution**2 / 12
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
@@ -101,12 +103,14 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
-    if on_grid(problem.measured, resolution):
-        value = signatures.estimate.at.value[:, None]
-        datum = rng.uniform(0, resolution, (problem.setup_count, draws))[problem.setup_of_row]
-        shown = np.round((value + datum + noise) / resolution) * resolution
-        return np.asarray(shown - value - datum)
-    return noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution
+    step = problem.machine.spec.dial.resolution
+    if dials and on_grid(problem.measured[:dials], step):
+        value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
+        datum = rng.uniform(0, step, (problem.setup_count, draws))[setup]
+        shown = np.round((value + datum + noise[:dials]) / step) * step
+        noise[:dials] = shown - value - datum
+        return np.asarray(noise)
+    return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
 
 
 def on_grid(readings: Array, resolution: float) -> bool:

@@ -9,7 +9,7 @@ eq. 17 and 56). Level and slope are left in: the effects of the catalogue compet
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
@@ -17,7 +17,9 @@ import numpy as np
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect, LegConditions, Motion, sin
-from orthoglide.geometry import LEGS, Array, leg_axes
+from orthoglide.effects.words import toward
+from orthoglide.geometry import LEGS, Array
+from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
 
 Against = Literal["travel", "approach", "command", "time", "reading"]
@@ -76,6 +78,7 @@ class Place:
         unit: standard deviation to expect of a place that is wrong, SI.
         span: first and last of its variable, seconds or metres; ``None``: the stroke.
         setup: the dial's mounting; else empty.
+        names: of legs and directions.
     """
 
     part: Part
@@ -89,6 +92,7 @@ class Place:
     unit: float
     span: Range | None = None
     setup: str = ""
+    names: LegNames = Orthoglide.names
 
     @property
     def name(self) -> str:
@@ -96,8 +100,8 @@ class Place:
         if self.setup:
             return f"dial.{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
-        by = f".{LEGS[self.by]}" if self.against == "command" else ""
-        return f"{self.part}.{LEGS[self.leg]}{way}/{self.against}{by}"
+        by = f".{self.names.legs[self.by]}" if self.against == "command" else ""
+        return f"{self.part}.{self.names.legs[self.leg]}{way}/{self.against}{by}"
 
     @property
     def turns(self) -> bool:
@@ -123,6 +127,7 @@ class Place:
             look_at=self.look_at,
             members=partial(_members, self),
             paired=True,
+            names=self.names,
         )
 
     @property
@@ -131,16 +136,17 @@ class Place:
         if self.setup:
             what = "creeps with time" if self.against == "time" else "is not true over its range"
             return f"the dial of {self.setup} {what}"
-        leg = LEGS[self.leg]
+        leg = self.names.legs[self.leg]
         how = {
             "travel": "by its travel",
             "approach": "by the side it is approached from",
-            "command": f"by the command of drive {LEGS[self.by]}",
+            "command": f"by the command of drive {self.names.legs[self.by]}",
             "time": "with time",
         }[self.against]
         what = {
             "drive": f"drive {leg} goes wrong along its axis",
-            "rail": f"the path of the {leg} carriage leaves its line toward {self.direction}",
+            "rail": f"the path of the {leg} carriage leaves its line toward "
+            f"{toward(self.direction, 1.0)}",
             "carriage": f"the {leg} carriage turns about {self.direction}",
             "bar": f"bar {self.direction} of leg {leg} changes its length"
             if self.direction
@@ -153,7 +159,7 @@ class Place:
         """What to look at on the machine."""
         if self.setup:
             return "the dial against gauge blocks, and its stand"
-        leg = LEGS[self.leg]
+        leg = self.names.legs[self.leg]
         return {
             "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
             "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
@@ -222,17 +228,19 @@ class Session:
     leg: int | None = None
 
 
-def places(sessions: Sequence[Session] = ()) -> tuple[Place, ...]:
+def places(
+    sessions: Sequence[Session] = (), names: LegNames = Orthoglide.names
+) -> tuple[Place, ...]:
     """All places of a machine.
 
     Args:
         sessions: of each leg, and of the campaign; none where time was not recorded.
+        names: of legs and directions.
     """
     found: list[Place] = []
     for leg in range(len(LEGS)):
-        a, b, c = leg_axes(leg)
-        own = LEGS[a]
-        drive, across = (("travel", 1.0),), {"b": LEGS[b], "c": LEGS[c]}
+        own = names.legs[leg]
+        drive, across = (("travel", 1.0),), dict(zip("bc", names.across[leg], strict=True))
 
         def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
                 kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
@@ -273,7 +281,7 @@ def places(sessions: Sequence[Session] = ()) -> tuple[Place, ...]:
             for part, joints, way in moving:
                 unit = 50 * _UM
                 found.append(Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span))
-    return tuple(found)
+    return tuple(replace(place, names=names) for place in found)
 
 
 def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tuple[Place, ...]:
@@ -309,4 +317,5 @@ def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    return catalogue.with_effects(p.effect for p in places() if p.effect.name in wanted)
+    every = places((), catalogue.legs)
+    return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import Words, mm, more
+from orthoglide.parameters import Parameter
 from orthoglide.units import MM
 
 PLATE_BOW = Effect(
@@ -19,14 +20,14 @@ PLATE_BOW = Effect(
     look_at="the plate with a straight edge across its middle",
     words=Words(
         lambda p, v: (
-            f"the plate of {p.setup} is a {more(v, 'bowl', 'dome')}: its rim stands {mm(v)} "
+            f"{_plate(p)} is a {more(v, 'bowl', 'dome')}: its rim stands {mm(v)} "
             f"{more(v, 'higher', 'lower')} than its middle"
         ),
-        lambda p: f"the plate of {p.setup} is a bowl or a dome",
+        lambda p: f"{_plate(p)} is a bowl or a dome",
         "the plates are bowls or domes",
         mm,
         lambda p, v: (
-            f"lay a straight edge across the plate of {p.setup}: expect a gap of {mm(v)} under its "
+            f"lay a straight edge across {_plate(p)}: expect a gap of {mm(v)} under its "
             f"{more(v, 'middle', 'ends')}"
         ),
     ),
@@ -43,14 +44,14 @@ PLATE_TREFOIL = Effect(
     look_at="the plate turned by 60 degrees on its seat: a pattern of its own turns with it",
     words=Words(
         lambda p, v: (
-            f"the plate of {p.setup} has three lobes {mm(v)} high, one of them toward "
+            f"{_plate(p)} has three lobes {mm(v)} high, one of them toward "
             f"{_lobe(p.direction, v)} degrees"
         ),
-        lambda p: f"the plate of {p.setup} has three high and three low sides",
+        lambda p: f"{_plate(p)} has three high and three low sides",
         "the plates have three high and three low sides",
         mm,
         lambda p, v: (
-            f"turn the plate of {p.setup} by 60 degrees and measure again: expect its three lobes "
+            f"turn {_plate(p)} by 60 degrees and measure again: expect its three lobes "
             f"of {mm(v)} to turn with it, high where they were low"
         ),
     ),
@@ -60,6 +61,10 @@ PLATE_TREFOIL = Effect(
         ("sin", lambda x, y: 3 * x**2 * y - y**3),
     ),
 )
+
+
+def _plate(p: Parameter) -> str:
+    return f"the plate of {p.setup}" if p.setup else "the plate"
 
 
 def _lobe(part: str, value: float) -> int:

@@ -39,7 +39,7 @@ _SIDES = {
 def toward(axis: str, value: float) -> str:
     """An axis with the sign of a value: ``z``, ``−z``; or the side, ``the centre``."""
     if axis in _SIDES:
-        return _SIDES[axis][value < 0]
+        return _SIDES[axis][bool(value < 0)]
     return axis if value >= 0 else f"{MINUS}{axis}"
 
 

@@ -40,6 +40,11 @@ class Scores:
     cv_rms: float
 
     @property
+    def shown_rms(self) -> float:
+        """The papers' figure where dials were read, else of all readings, metres."""
+        return self.rms if np.isnan(self.deviation_rms) else self.deviation_rms
+
+    @property
     def cost(self) -> float:
         """What the fit minimises: data, nuisances and priors."""
         return self.chi2 + self.prior_chi2

@@ -4,7 +4,22 @@ The formats and equations are those of the firmware's documentation and sources
 (klippy/kinematics/delta.py, klippy/extras/delta_calibrate.py, bed_mesh.py); the code is our own.
 """
 
-from orthoglide.klipper.firmware import Firmware
+from orthoglide.klipper.corrections import (
+    Corrections,
+    corrections,
+    firmware_of,
+    unseen_by_firmware,
+)
+from orthoglide.klipper.firmware import Firmware, rods_words
 from orthoglide.klipper.importing import Imported, import_printer
 
-__all__ = ["Firmware", "Imported", "import_printer"]
+__all__ = [
+    "Corrections",
+    "Firmware",
+    "Imported",
+    "corrections",
+    "firmware_of",
+    "import_printer",
+    "rods_words",
+    "unseen_by_firmware",
+]

@@ -112,6 +112,23 @@ class Firmware:
         return found
 
 
+ROD_SPREAD = 5e-4
+"""Rods of one set that differ by more were fitted to something else, metres."""
+
+
+def rods_words(firmware: Firmware) -> str:
+    """A sentence where the arms cannot be those of one set of rods; empty where they can."""
+    spread = max(firmware.arm) - min(firmware.arm)
+    if spread <= ROD_SPREAD:
+        return ""
+    shown = ", ".join(f"{v * 1e3:.3f}" for v in firmware.arm)
+    return (
+        f"The arms that the firmware stores ({shown} mm) differ by {spread * 1e3:.2f} mm, more "
+        f"than rods of one set do: the fit that gave them has put other errors there. Measure the "
+        f"rods side by side before you trust any of its numbers."
+    )
+
+
 def _three(values: tuple[float, ...]) -> Triple:
     a, b, c = values
     return a, b, c
@@ -135,10 +152,15 @@ def shifted(old: Firmware, by: Array) -> Firmware:
     )
 
 
+SIDEWAYS = 0.03
+"""Weight of an error along the plate against one of height: prints are a tenth of a millimetre
+high, and what a probe says of the tool's place along the plate is uncertain."""
+
+
 def refitted(old: Firmware, points: Array, below: Array) -> tuple[Firmware, Array]:
     """The numbers with which the firmware brings its nozzle nearest to points.
 
-    Least squares on the heights of the carriages, by Gauss-Newton.
+    Weighted least squares on where it then believes the nozzle is, by Gauss-Newton.
 
     Args:
         old: its present numbers.
@@ -147,18 +169,23 @@ def refitted(old: Firmware, points: Array, below: Array) -> tuple[Firmware, Arra
             (negative: below) ``(n, 3)``, metres.
 
     Returns:
-        The new numbers, and by how much their carriages miss ``(n, 3)``, metres.
+        The new numbers, and how far it then believes to be from the points ``(n, 3)``, metres.
     """
+    weight = np.array([SIDEWAYS, SIDEWAYS, 1.0])
+
+    def miss(firmware: Firmware) -> Array:
+        return firmware.points(below + firmware.at_endstop) - points
+
     new, width = old, 1e-6
     for _ in range(_STEPS):
         columns = [
-            (shifted(new, width * e).below(points) - shifted(new, -width * e).below(points))
-            / (2 * width)
+            (miss(shifted(new, width * e)) - miss(shifted(new, -width * e))) * weight / (2 * width)
             for e in np.eye(FITTED)
         ]
         matrix = np.stack(columns, axis=-1).reshape(-1, FITTED)
-        step = np.linalg.lstsq(matrix, (below - new.below(points)).reshape(-1), rcond=None)[0]
+        right = -(miss(new) * weight).reshape(-1)
+        step = np.linalg.lstsq(matrix, right, rcond=None)[0]
         new = shifted(new, np.asarray(step, dtype=float))
         if np.abs(step).max() < 1e-11:
             break
-    return new, below - new.below(points)
+    return new, miss(new)

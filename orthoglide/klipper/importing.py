@@ -16,7 +16,7 @@ from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.klipper.config import Config, Section, read_config
-from orthoglide.klipper.firmware import TOWERS, Firmware
+from orthoglide.klipper.firmware import TOWERS, Firmware, rods_words
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
@@ -30,9 +30,6 @@ nozzle below the platform's joints. Typical ones; effects that turn the platform
 PROBE, CALLIPER, RIM = 1.8e-5, 5e-5, 1e-4
 """Repeatability of a touch of the probe and of a calliper's distance, metres; around the rim only
 one of two pillars' widths is taken off, and pillars differ by a tenth of a millimetre."""
-
-ROD_SPREAD = 5e-4
-"""Rods of one set that differ by more were fitted to something else, metres."""
 
 _FULL_STEPS = 200
 _FAR = 5e-3  # metres by which a stored height may miss the height that the stored numbers give
@@ -334,15 +331,8 @@ def _machine(
 
 
 def _notes(firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
-    spread = max(firmware.arm) - min(firmware.arm)
-    if spread > ROD_SPREAD:
-        shown = ", ".join(f"{v * 1e3:.3f}" for v in firmware.arm)
-        yield Note(
-            f"the stored arms ({shown} mm) differ by {spread * 1e3:.2f} mm, more than rods of one "
-            f"set do: the fit that gave them has put other errors there; measure the rods side by "
-            f"side before you trust any number of this file",
-            "rods",
-        )
+    if told := rods_words(firmware):
+        yield Note(told, "rods")
     names = {s.kind for c in stored for s in c.setups}
     if "plate" in names and not any(c.name.startswith("mesh") for c in stored):
         yield Note(

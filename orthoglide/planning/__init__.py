@@ -5,7 +5,12 @@ from orthoglide.planning.detectable import Detectability, SmallestEffect, smalle
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.repeats import Repeats, repeats_needed
-from orthoglide.planning.suggestions import Suggestion, next_measurements, next_sheet
+from orthoglide.planning.suggestions import (
+    Suggestion,
+    deciding_instruments,
+    next_measurements,
+    next_sheet,
+)
 
 __all__ = [
     "Design",
@@ -14,6 +19,7 @@ __all__ = [
     "Repeats",
     "SmallestEffect",
     "Suggestion",
+    "deciding_instruments",
     "design",
     "next_measurements",
     "next_sheet",

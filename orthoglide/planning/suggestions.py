@@ -27,6 +27,7 @@ from orthoglide.planning.rivals import (
     inseparable_groups,
     inseparable_words,
 )
+from orthoglide.posterior import Cause
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "none"]
@@ -89,14 +90,16 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
     return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
 
 
-def _of_instruments(rivals: Rivals) -> tuple[Suggestion, ...]:
-    """Instruments at the tool that would decide; readings are not laid out one by one."""
-    fits = [(name, found) for name, found in rivals if isinstance(found, Estimate)]
-    if len(fits) < 2:
-        return ()
+def deciding_instruments(fit: Estimate, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
+    """Instruments at the tool that would decide between rivals, where no dial is set on the legs.
+
+    Args:
+        fit: of the readings at hand.
+        causes: that were found, with their rivals.
+    """
     return tuple(
         Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
-        for reason, gain in deciding(fits)
+        for reason, gain in deciding(fit, causes)
     )
 
 
@@ -129,8 +132,6 @@ def next_measurements(
     """
     estimate = fit.estimate if isinstance(fit, Signatures) else fit
     machine = machine or estimate.problem.machine
-    if machine.geometry.layout.hanging:
-        return _of_instruments(rivals)
     weak = estimate.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(estimate.sigma_scale, 1.0)
     several = [explanation(name, found, estimate, scale) for name, found in rivals]

@@ -16,9 +16,10 @@ from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.factors import ByJoints
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.posterior.linear import Group, Linear, whole
+from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import is_twin, tool_slopes, translations, twins
 
 _UNTIED = 1e3
@@ -28,6 +29,14 @@ _UNNOTICED = 1e-3
 """Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
 _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
+
+_QUIET = 0.1
+"""Largest background, in tolerances, where a surface is all that was read: a wider one would draw
+any surface, and name nothing."""
+
+_LIKELY = 3.0
+"""Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
+surface those count that a machine may have."""
 
 _VISIBLE = 0.3
 """A cause is weighed if one tolerance lifts it this far above the noise, in all."""
@@ -107,8 +116,22 @@ def with_everything(problem: Problem) -> Problem:
     return with_free(problem, elementary_beyond(problem, effects), release=False)
 
 
+def one_surface(problem: Problem) -> bool:
+    """Whether plates and distances on them are all that was read."""
+    tools = [p.points for p in problem.points if isinstance(p, ToolReadings)]
+    kinds = {s.kind for tool in tools for s in tool.setups}
+    alone = not problem.campaigns and len(tools) == len(problem.points)
+    return alone and kinds <= {"plate", "distance"}
+
+
 def places_of(problem: Problem) -> tuple[Place, ...]:
-    """Places of the machine that these readings could show."""
+    """Places of the machine that these readings could show.
+
+    None where one surface is all that was read: the plate's own shape could be any, and a free
+    function of any part draws it as well.
+    """
+    if one_surface(problem):
+        return ()
     sessions: list[Session] = []
     if len(problem.campaigns) == 1 and not problem.points:
         (campaign,) = problem.campaigns
@@ -116,7 +139,10 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
             time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
                 sessions.append(Session(float(time.min()), float(time.max()), leg))
-    return places(sessions)
+    approach = np.concatenate([f.conditions().approach for f in problem.factors])
+    one_sided = np.ptp(approach, axis=0) == 0  # which shows no difference between sides
+    found = places(sessions, problem.machine.catalogue.legs)
+    return tuple(p for p in found if p.against != "approach" or not one_sided[p.leg])
 
 
 def _of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
@@ -196,6 +222,9 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, groups, stations)
+    if one_surface(problem):
+        quiet = tuple(s for s in SHARES if s <= _QUIET)
+        linear = replace(linear, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     return Everything(
         wide, x, scale, found, causes, _reduced(linear), by_name, translations(slopes), rows,

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.posterior.linear import FREE_AND_ROUGH, SHARES, SLABS, SOUND, Linear, Scale
+from orthoglide.posterior.linear import FREE_AND_ROUGH, SOUND, Linear, Scale
 
 _MOST = 6  # groups that stand out together
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
@@ -67,14 +67,14 @@ class Mixture:
     def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
         self.linear = linear
         self._given_names = frozenset(given)
-        self.scales = tuple(Scale(linear, s, *f) for s, f in product(SHARES, FREE_AND_ROUGH))
+        self.scales = tuple(Scale(linear, s, *f) for s, f in product(linear.shares, FREE_AND_ROUGH))
         ends = np.cumsum([0, *(g.size for g in linear.groups)])
         self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
         for k, group in enumerate(linear.groups):
             self._by_size.setdefault(group.size, []).append(k)
         # Each slab is one of so many, at one of so many scales.
-        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(SLABS)))
+        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(linear.slabs)))
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self.best = self._search()
@@ -158,7 +158,7 @@ class Mixture:
         return np.asarray(pooled + self.cost)
 
     def _child(self, state: State, group: int, tau: int) -> State:
-        child = tuple(sorted((*state, (group, SLABS[tau]))))
+        child = tuple(sorted((*state, (group, self.linear.slabs[tau]))))
         self.visited[child] = self.children[state][:, group, tau]
         return child
 
@@ -170,7 +170,7 @@ class Mixture:
             )
         taken = {k for k, _ in state}
         groups = self.linear.groups
-        table = np.full((len(self.scales), len(groups), len(SLABS)), -np.inf)
+        table = np.full((len(self.scales), len(groups), len(self.linear.slabs)), -np.inf)
         for k, scale in enumerate(self.scales):
             columns, along = self._given(scale, state)
             for members in self._by_size.values():
@@ -180,7 +180,7 @@ class Mixture:
                 values, vectors = np.linalg.eigh(gram)
                 square = (vectors.transpose(0, 2, 1) @ along[span][:, :, None])[:, :, 0] ** 2
                 values = np.maximum(values, 0.0)
-                for t, tau in enumerate(SLABS):
+                for t, tau in enumerate(self.linear.slabs):
                     grown = 1 + tau**2 * values
                     gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
                     table[k, members, t] = gain
@@ -223,7 +223,7 @@ class Mixture:
         for state, table in self.children.items():
             pooled = table.max(axis=0)
             for group, tau in zip(*np.nonzero(pooled > self._total(self.best) - 12), strict=True):
-                child = tuple(sorted((*state, (int(group), SLABS[tau]))))
+                child = tuple(sorted((*state, (int(group), self.linear.slabs[tau]))))
                 logs.setdefault(child, table[:, group, tau])
         top = max(float(v.max()) for v in logs.values())
         raw = {s: np.exp(v - top) for s, v in logs.items()}

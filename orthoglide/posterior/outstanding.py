@@ -26,7 +26,7 @@ from orthoglide.posterior.causes import (
     Outstanding,
 )
 from orthoglide.posterior.everything import FullPosterior
-from orthoglide.posterior.linear import SLABS, Group
+from orthoglide.posterior.linear import Group
 from orthoglide.posterior.mixture import State
 from orthoglide.prediction import Conditions
 
@@ -111,7 +111,7 @@ class _Reader:
         found = []
         for k in order[:count]:
             group = named[int(k)]
-            state = ((group, SLABS[int(np.argmax(table[group]))]),)
+            state = ((group, mixture.linear.slabs[int(np.argmax(table[group]))]),)
             at = self.groups[group].places
             found.append(self._told(group, float(weight[k]), *mixture.over_sound(state, at)))
         return tuple(one for explanation in found for one in self._twins(explanation))

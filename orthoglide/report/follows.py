@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
     from orthoglide.observations import Campaign
     from orthoglide.result import Result, Workspace
+    from orthoglide.result.firmware import FirmwareAdvice
 
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
@@ -55,6 +56,21 @@ def controller(result: Result) -> Data:
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "left_over": listed(numbers.left_over),
         "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
+    }
+
+
+def firmware(advice: FirmwareAdvice) -> Data:
+    """Numbers for a firmware, old and new, and what it cannot hold."""
+    found = advice.corrections
+    return {
+        "first": advice.first,
+        "rows": found.rows,
+        "height": [f"{v * 1e3:.3f}" for v in found.height],
+        "sideways": [f"{v * 1e3:.3f}" for v in found.sideways],
+        "paste": advice.paste,
+        "undo": advice.undo,
+        "beyond": [sentence(text) for text in advice.beyond],
+        "unseen": [sentence(text) for text in advice.unseen],
     }
 
 

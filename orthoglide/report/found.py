@@ -57,7 +57,7 @@ def tiles(result: Result) -> list[Tile]:
     before, after = result.before, result.after
     start = before.scores if result.improved else result.nominal
     found = [
-        _tile("Readings", start.deviation_rms, after.scores.deviation_rms, "mm rms left"),
+        _tile("Readings", start.shown_rms, after.scores.shown_rms, "mm rms left"),
         _tile("Stations left out", start.cv_rms, after.scores.cv_rms, "mm rms"),
     ]
     if result.hold_out is not None:

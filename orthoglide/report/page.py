@@ -74,7 +74,10 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         yield Section("look", "What to look at on the machine", found.look(result))
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
-    controller = follows.controller(result)
+    if result.firmware is not None:
+        data = follows.firmware(result.firmware)
+        yield Section("firmware", "Numbers for the firmware", data)
+    controller = {"rows": ()} if result.firmware else follows.controller(result)
     if controller["rows"]:
         yield Section("controller", "Numbers for the controller", controller)
     yield Section("judged", "Before and after", found.judged(result, figures))

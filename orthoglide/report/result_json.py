@@ -72,6 +72,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "changed": [_change(change) for change in result.changed],
         "weak_directions": [_weak(weak) for weak in after.weak],
         "cross_check": _check(before.check),
+        **({} if result.firmware is None else {"firmware": result.firmware.as_dict()}),
         "next_measurements": [
             {
                 "reason": s.reason,

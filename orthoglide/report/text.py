@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from orthoglide.result import Result
+    from orthoglide.result.firmware import FirmwareAdvice
 
 _WIDTH = 100  # where the output goes to a file
 
@@ -51,6 +52,9 @@ def summary(result: Result, ranked: bool = False) -> str:
     remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
     remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
     parts += [Text(f"- {line}") for line in remarks]
+    if result.firmware is not None:
+        parts.append(_firmware(result.firmware))
+        parts += [Text(f"- {sentence(text)}") for text in result.firmware.unseen]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
 
@@ -121,6 +125,13 @@ def _tried(result: Result) -> Table:
     shown = _table("weighed", "evidence", "probability")
     for tried in result.candidates:
         shown.add_row(tried.name, signed(tried.evidence, 1), f"{tried.probability:.2f}")
+    return shown
+
+
+def _firmware(advice: FirmwareAdvice) -> Table:
+    shown = _table("printer.cfg", "old", "new")
+    for row in advice.corrections.rows:
+        shown.add_row(*row)
     return shown
 
 

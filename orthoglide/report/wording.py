@@ -39,13 +39,15 @@ def headline(result: Result) -> str:
     if not result.request.searches:
         fit = result.after
         return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
+    first = "" if result.firmware is None else result.firmware.first
     said = {"adequate": _adequate, "unexplained": _unexplained, "partial": _partial}
     text = said.get(result.word, _explained)(result)
     # Faults of the data belong to the verdict: a reader of the first lines must know.
     count = len(result.blunders)
     if count:
         text += f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
-    return " ".join([text, *(sentence(change.message) for change in result.changed)])
+    told = [first] if first else []
+    return " ".join([*told, text, *(sentence(change.message) for change in result.changed)])
 
 
 # --- Of a closed loop -----------------------------------------------------------------------
@@ -58,11 +60,11 @@ def _adequate(result: Result) -> str:
         return (
             f"No single cause stands out: everything is off by a little, about {share} of its "
             f"tolerance. With the {base} set right and all of it in the model, {_fall(result)}, "
-            f"which is the noise of the dial.{_alone(result)}"
+            f"which is the noise of {_instrument(result)}.{_alone(result)}"
         )
     return (
         f"Nothing is wrong that these readings could show beyond the {base}: with these set "
-        f"right, {_fall(result)}, which is the noise of the dial."
+        f"right, {_fall(result)}, which is the noise of {_instrument(result)}."
     )
 
 
@@ -92,8 +94,8 @@ def _unexplained(result: Result) -> str:
 
 def _explained(result: Result) -> str:
     return (
-        f"{_causes(result)} With this in the model, {_fall(result)}, which is the noise of the "
-        f"dial."
+        f"{_causes(result)} With this in the model, {_fall(result)}, which is the noise of "
+        f"{_instrument(result)}."
     )
 
 
@@ -102,6 +104,10 @@ def _partial(result: Result) -> str:
         f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and nothing "
         f"known explains the rest. {_why_significant(result)}"
     )
+
+
+def _instrument(result: Result) -> str:
+    return "the dial" if result.after.problem.campaigns else "the readings"
 
 
 def _why_significant(result: Result) -> str:
@@ -207,7 +213,7 @@ def _found(fit: Estimate) -> str:
 
 def _gain(fit: Estimate) -> str:
     """What the fit does to the deviations."""
-    before, after = fit.nominal.deviation_rms * 1e3, fit.scores.deviation_rms * 1e3
+    before, after = fit.nominal.shown_rms * 1e3, fit.scores.shown_rms * 1e3
     verb = "hardly change" if after > _HARDLY * before else "reduce"
     places = decimals_for(after, 3)
     return f"{verb} the deviations from {before:.{places}f} to {after:.{places}f} mm"

@@ -28,6 +28,7 @@ from orthoglide.posterior import (
     budget,
 )
 from orthoglide.request import Request
+from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
 
 if TYPE_CHECKING:
@@ -239,10 +240,12 @@ class Result:
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide.planning import next_measurements
+        from orthoglide.planning import deciding_instruments, next_measurements
 
         if not self.request.searches:
             return ()
+        if self.request.machine.geometry.layout.hanging:
+            return deciding_instruments(self.after, self.effects)
         rivals = [
             (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
         ] or [(e.name, e.machine) for e in self.alone[:_MOST_RIVALS]]
@@ -281,6 +284,11 @@ class Result:
         they are to be shown.
         """
         return controller_numbers(self.machine, force=True)
+
+    @cached_property
+    def firmware(self) -> FirmwareAdvice | None:
+        """Numbers for the firmware of a machine that was imported from it; ``None`` for others."""
+        return firmware_advice(self.request.machine, self.machine, self.after, self.effects)
 
     @property
     def cautions(self) -> tuple[str, ...]:

@@ -1,0 +1,173 @@
+"""The firmware's numbers for a calibrated machine, beside the old ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.fit import Estimate
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.geometry import Array
+from orthoglide.klipper.firmware import TOWERS, Firmware, refitted
+from orthoglide.machine import Machine
+from orthoglide.prediction import Conditions
+
+PROBED = (0.95, 0.90, 0.85, 0.70, 0.75, 0.80)
+"""Radii of the firmware's own seven points, one in the centre, over its calibration radius; on rays
+at 90, 150 ... degrees."""
+
+_RINGS, _RAYS, _HEIGHTS = (0.0, 0.5, 1.0), 12, (0.0, 0.05)
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """New numbers for the firmware.
+
+    Attributes:
+        old: its present numbers.
+        new: those that bring the calibrated machine nearest to where it is told to be.
+        height: mean error of height over the plate ``(before, after)``, metres, rms.
+        sideways: the same along the plate, best shift and turn not removed.
+    """
+
+    old: Firmware
+    new: Firmware
+    height: tuple[float, float]
+    sideways: tuple[float, float]
+
+    @property
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Section and key, old and new, as the file has them."""
+        found = [("[printer] delta_radius", self.old.delta_radius, self.new.delta_radius, 1e3)]
+        for k, name in enumerate(TOWERS):
+            for key, unit in (("angle", 1.0), ("arm_length", 1e3), ("position_endstop", 1e3)):
+                attribute = {"arm_length": "arm", "position_endstop": "endstop"}.get(key, key)
+                one, other = getattr(self.old, attribute)[k], getattr(self.new, attribute)[k]
+                found.append((f"[stepper_{name}] {key}", one, other, unit))
+        return [(name, f"{a * unit:.6f}", f"{b * unit:.6f}") for name, a, b, unit in found]
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "old": self.old.as_dict(),
+            "new": self.new.as_dict(),
+            "height_rms_mm": [round(v * 1e3, 6) for v in self.height],
+            "sideways_rms_mm": [round(v * 1e3, 6) for v in self.sideways],
+        }
+
+
+def firmware_of(machine: Machine) -> Firmware | None:
+    """What the firmware believes of a machine that was imported; ``None`` of another."""
+    kept = machine.spec.provenance.get("klipper")
+    if not isinstance(kept, Mapping):
+        return None
+    try:
+        return Firmware.of(kept)
+    except (KeyError, TypeError, ValueError):  # the table was edited
+        return None
+
+
+def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections | None:
+    """New numbers for a machine's firmware.
+
+    The plate is the firmware's z = 0: its height and slopes, as fitted, go into the endstops.
+
+    Args:
+        old: its present numbers.
+        machine: calibrated.
+        fit: whose readings touched the plate; without any there is nothing to say.
+    """
+    plate = _plate(fit)
+    if plate is None:
+        return None
+    radius, plane = plate
+    wanted = _points(radius)
+    lifted = wanted + np.outer(np.column_stack([np.ones(len(wanted)), wanted[:, :2]]) @ plane,
+                               [0.0, 0.0, 1.0])  # fmt: skip
+    geometry = machine.geometry
+    at_zero = np.array([leg.carriage[2] - leg.platform[2] for leg in geometry.legs])
+    below = machine.inverse(lifted) + at_zero - old.at_endstop
+    lengths = {e.name for e in machine.catalogue.effects if e.controller == "bar_length"}
+    longer = [
+        sum(machine.values.get(f"{name}.{leg}", 0.0) for name in lengths)
+        for leg in geometry.leg_names
+    ]
+    a, b, c = (geometry.L + v for v in longer)
+    start = replace(old, arm=(a, b, c))
+    new, _ = refitted(start, wanted, below)
+    errors = [f.points(below + f.at_endstop) - wanted for f in (old, new)]
+    before, after = (float(np.sqrt(np.mean(e[:, 2] ** 2))) for e in errors)
+    one, other = (float(np.sqrt(np.mean(np.sum(e[:, :2] ** 2, axis=1)))) for e in errors)
+    return Corrections(old, new, (before, after), (one, other))
+
+
+def unseen_by_firmware(
+    machine: Machine, fit: Estimate, names: Sequence[str], values: Mapping[str, float]
+) -> float:
+    """What a cause of this size changes the firmware's seven heights by, refitted, over a touch.
+
+    Args:
+        machine: nominal or calibrated.
+        fit: whose readings touched the plate.
+        names: elementary parameters of the machine.
+        values: theirs, SI.
+
+    Returns:
+        The largest change that its six numbers do not take up, in sigmas of a touch; nan where no
+        plate was touched.
+    """
+    plate = _plate(fit)
+    if plate is None or not names:
+        return float("nan")
+    angle = np.deg2rad(90.0 + 60.0 * np.arange(6))
+    ring = np.array(PROBED) * plate[0]
+    points = np.zeros((7, 3))
+    points[1:, 0], points[1:, 1] = ring * np.cos(angle), ring * np.sin(angle)
+    at = Conditions.at(machine.with_only({}).inverse(points))
+    zeros = [p for e in machine.catalogue.effects if e.controller == "zero" for p in e.motions]
+    places = [p for e in machine.catalogue.effects if e.controller == "place" for p in e.motions]
+    every = [*zeros, *places, *names]
+    _, by_name = machine.with_only({}).model.sensitivities({}, at, every)
+    by_z = by_name[:, 2]
+    out = by_z[:, 3:9]
+    radial, tangential = out[:, 0::2].sum(axis=1), out[:, 1::2]
+    six = np.column_stack([by_z[:, :3], radial, tangential[:, :2]])
+    shift = by_z[:, 9:] @ np.array([values[n] for n in names])
+    left = shift - six @ np.linalg.lstsq(six, shift, rcond=1e-9)[0]
+    sigma = float(np.median(fit.problem.sigma))
+    return float(np.abs(left).max() / sigma)
+
+
+def _plate(fit: Estimate) -> tuple[float, Array] | None:
+    """Radius that was touched, and the plate's height and slopes ``(3,)``; of most touches."""
+    best: tuple[int, float, Array] | None = None
+    problem = fit.problem
+    for k, factor in enumerate(problem.points):
+        if not isinstance(factor, ToolReadings):
+            continue
+        rows = problem.factor_rows[len(problem.campaigns) + k]
+        slopes = fit.at.slopes[len(problem.campaigns) + k]
+        rest = problem.measured[rows] - fit.at.value[rows]
+        for place, setup in enumerate(factor.points.setups):
+            own = np.flatnonzero(factor.setup == place)
+            if setup.kind != "plate" or len(own) < 3:
+                continue
+            columns = np.column_stack([np.ones(len(own)), slopes[own, :2]])
+            plane = np.asarray(-np.linalg.lstsq(columns, rest[own], rcond=None)[0], dtype=float)
+            radius = float(np.hypot(*slopes[own, :2].T).max())
+            if best is None or len(own) > best[0]:
+                best = (len(own), radius, plane)
+    return None if best is None else best[1:]
+
+
+def _points(radius: float) -> Array:
+    angle = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    found = [
+        [ring * radius * np.cos(t), ring * radius * np.sin(t), z]
+        for z in _HEIGHTS
+        for ring in _RINGS
+        for t in (angle if ring else angle[:1])
+    ]
+    return np.array(found)

@@ -1,0 +1,168 @@
+"""The linear delta against three spheres and against an independent machine of six bars."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from orthoglide.effects import catalogue_of, relabelled
+from orthoglide.effects.wording import cause_words
+from orthoglide.errors import FileError, InputError
+from orthoglide.geometry import Geometry
+from orthoglide.layout import LinearDelta, Orthoglide
+from orthoglide.machine import Machine
+from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
+from orthoglide.mechanism import Mechanism
+from orthoglide.mechanism.loops import Loops
+from orthoglide.parameters import Parameter
+from orthoglide.prediction import Conditions
+from orthoglide.reduction.spheres import intersect_spheres
+from tests.rig_delta import DeltaRig
+
+RIG = DeltaRig()
+DELTA = Geometry(
+    RIG.L, RIG.d, RIG.r, RIG.stroke, LinearDelta((RIG.radius,) * 3, RIG.angles, RIG.tool)
+)
+UNEVEN = Geometry(
+    0.3455, 0.05, 0.032, (-0.17, 0.43),
+    LinearDelta((0.1949, 0.195, 0.1951), (210.2, 330.07, 90.0), (0.001, -0.002, -0.04)),
+)  # fmt: skip
+CATALOGUE = catalogue_of(LinearDelta.names)
+NAMES = [p for p in CATALOGUE.parameters if p.effect in {
+    "joint_offset", "encoder_scale", "axis_offset", "axis_tilt", "rail_tilt", "rail_bow",
+    "mount_tilt", "leg_length", "bar_mismatch", "parallelogram_width",
+}]  # fmt: skip
+SIZE = {"mm": 3e-4, "rad": 4e-3, "1": 1e-3}
+
+
+def points(count: int = 12, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    r, t = 0.13 * np.sqrt(rng.random(count)), rng.random(count) * 7
+    return np.stack([r * np.cos(t), r * np.sin(t), 0.15 * rng.random(count)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return Machine(MachineFile(geometry=DELTA))
+
+
+@pytest.mark.parametrize("geometry", [DELTA, UNEVEN], ids=["even", "uneven"])
+def test_parallel_legs_are_three_spheres(geometry: Geometry) -> None:
+    mechanism, p = Mechanism(geometry), points(40)
+    travel = mechanism.inverse(p)
+    centres = np.stack(
+        [leg.carriage - leg.platform + travel[:, [k]] * leg.slide
+         for k, leg in enumerate(geometry.legs)], axis=1,
+    )  # fmt: skip
+    assert np.abs(intersect_spheres(centres, geometry.L) - p).max() < 1e-12
+    assert np.abs(mechanism.forward(travel) - p).max() < 1e-12
+    assert np.abs(mechanism.close(travel[0]).p - p[0]).max() < 1e-12
+    assert np.abs(mechanism.forward(np.zeros(3))).max() < 1e-14
+
+
+def test_the_other_assembly_mode_is_the_mirror_image() -> None:
+    mechanism, travel = Mechanism(DELTA), np.array([[0.02, 0.05, 0.01]])
+    centres = np.stack(
+        [leg.carriage - leg.platform + travel[:, [k]] * leg.slide
+         for k, leg in enumerate(DELTA.legs)], axis=1,
+    )  # fmt: skip
+    other = intersect_spheres(centres, DELTA.L, "other")
+    assert np.abs(mechanism.forward(travel, mode="other") - other).max() < 1e-11
+
+
+def test_constraint_jacobian_is_the_derivative_of_the_closures() -> None:
+    mechanism = Mechanism(DELTA)
+    q = mechanism.close(np.array([0.02, 0.05, 0.01])).q + 1e-3
+    loops, width = Loops(mechanism.tree), 1e-6
+    jacobian = loops.jacobian(q)
+    for k in range(len(q)):
+        step = np.zeros(len(q))
+        step[k] = width
+        slope = (loops.update(q + step) - loops.update(q - step)) / (2 * width)
+        assert np.abs(slope - jacobian[:, k]).max() < 1e-7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_effects_agree_with_independent_geometry(machine: Machine, name: Parameter) -> None:
+    value = SIZE[CATALOGUE.effect_of(name).unit.name]
+    p = points(4, 3)
+    travel = np.array([RIG.inverse(q) for q in p])
+    pose = machine.with_parameters({name: value}).pose(travel)
+    rig = DeltaRig(errors={name: value})
+    for k in range(len(p)):
+        place, turn = rig.pose(travel[k], p[k])
+        assert np.abs(pose.p[k] - place).max() < 2e-9
+        assert np.abs(Rotation.from_matrix(pose.R[k]).as_rotvec() - turn).max() < 2e-8
+    moved = np.abs(pose.p - p).max() + np.abs(pose.R - np.eye(3)).max()
+    assert moved > 1e-6 or name.effect in ("mount_tilt", "encoder_scale")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_relabelled_towers_are_the_same_machine_turned(machine: Machine, name: Parameter) -> None:
+    value, travel = SIZE[CATALOGUE.effect_of(name).unit.name], np.array([[0.01, 0.04, -0.02]])
+    turned = relabelled(name, LinearDelta.names)
+    assert turned != name
+    assert turned in CATALOGUE.parameters
+    one = machine.with_parameters({name: value}).forward(travel)[0]
+    other = machine.with_parameters({turned: value}).forward(np.roll(travel, 1, axis=1))[0]
+    about = Rotation.from_euler("z", 120, degrees=True)
+    assert np.abs(about.apply(one) - other).max() < 1e-12
+
+
+def test_sensitivities_are_finite_differences(machine: Machine) -> None:
+    at = Conditions.at(np.array([[0.02, 0.05, -0.03]]))
+    _, slopes = machine.model.sensitivities({}, at, NAMES)
+    for k, name in enumerate(NAMES):
+        width = 1e-6
+        ends = [machine.model.outputs({name: s * width}, at).p for s in (1, -1)]
+        assert np.abs((ends[0] - ends[1]) / (2 * width) - slopes[:, :3, k]).max() < 1e-6
+
+
+def test_compensated_commands_reach_the_points_on_the_independent_machine(machine: Machine) -> None:
+    rng = np.random.default_rng(1)
+    errors = {n: float(SIZE[CATALOGUE.effect_of(n).unit.name] * rng.standard_normal())
+              for n in NAMES}  # fmt: skip
+    p = points(4, 5)
+    commands = machine.with_parameters(errors).inverse(p)
+    rig = DeltaRig(errors=errors)
+    for target, travel in zip(p, commands, strict=True):
+        # Several turns at once differ by their order: second-order terms of milliradians.
+        assert np.abs(rig.pose(travel, target)[0] - target).max() < 1e-6
+
+
+def test_every_layout_has_its_names() -> None:
+    assert Orthoglide.names.relabelled("x", "y") == ("y", "z")
+    assert LinearDelta.names.relabelled("c", "radial") == ("a", "radial")
+    assert "axis_tilt.tangential.common" in CATALOGUE.structured("axis_tilt")
+    assert not {"plate_bow"} & set(catalogue_of(Orthoglide.names))
+    for name in CATALOGUE:
+        assert pickle.loads(pickle.dumps(CATALOGUE[name])) is CATALOGUE[name]
+
+
+def test_directions_are_said_as_sides() -> None:
+    said = cause_words(CATALOGUE, "axis_tilt.a.radial", {"axis_tilt.a.radial": -2e-3})
+    assert "toward the centre by 2 mrad" in said
+    common = "rail_tilt.tangential.common"
+    assert "the clockwise side" in cause_words(CATALOGUE, common, {common: -2e-3})
+
+
+def test_machine_files_keep_the_layout() -> None:
+    spec = MachineFile(name="delta", geometry=UNEVEN)
+    assert parse_machine_file(machine_text(spec)) == spec
+    text = machine_text(MachineFile(name="delta", geometry=DELTA))
+    moved = text.replace("r = 32.0\n", "").replace("[layout]\n", "[layout]\nr_mm = 32.0\n")
+    assert parse_machine_file(moved).geometry == DELTA
+    with pytest.raises(FileError, match="do not reach"):
+        parse_machine_file(text.replace("L = 345.0", "L = 150.0").replace("-140.0", "-100.0"))
+    with pytest.raises(FileError, match="did you mean 'linear-delta'"):
+        parse_machine_file(text.replace('"linear-delta"', '"linear_delta"'))
+    with pytest.raises(FileError, match="keep one"):
+        parse_machine_file(text.replace("[layout]\n", "[layout]\nr_mm = 30.0\n"))
+
+
+def test_towers_that_cannot_be_meant_are_refused() -> None:
+    with pytest.raises(InputError, match="10 degrees apart"):
+        LinearDelta((0.2,) * 3, (90.0, 92.0, 210.0))
+    with pytest.raises(InputError, match="positive"):
+        LinearDelta((0.2, -0.2, 0.2))
