@@ -138,8 +138,7 @@ def _told(r: Record) -> str:
         for t in r["truth"]
     )
     effects = " + ".join(
-        f"{e['name']} (p {e['members'][0][2]:.2f}, naming {e['p'][1]:.3f}, "
-        f"{len(e['members']) - 1} rivals)"
+        f"{e['name']} (p {e['members'][0][2]:.2f}, {len(e['members']) - 1} rivals)"
         for e in r["effects"]
     )
     chi2 = f"chi2 {r['chi2'][0]:.0f} -> {r['chi2'][1]:.0f} on {r['chi2'][2]}"

@@ -80,10 +80,11 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     if case.kind == "fault":
         measured, found = ac.spoil(case.what, measured, rng)
         touched = tuple(found)
-    return Drawn(bare, rig, tuple(causes), measured, touched, _points(rig, rng))
+    return Drawn(bare, rig, tuple(causes), measured, touched, points_of(rig, rng))
 
 
-def _points(rig: Rig, rng: np.random.Generator) -> TcpPoints:
+def points_of(rig: Rig, rng: np.random.Generator) -> TcpPoints:
+    """What a perfect tracker says of a machine."""
     table = rc.tcp_points(rig, POINTS, rng)
     command = np.array([[row[k] for k in rc.RHO] for row in table]) * 1e-3
     p = np.array([[row[f"p_{x}_mm"] for x in "xyz"] for row in table]) * 1e-3
@@ -207,24 +208,27 @@ def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
 
 
 def _said(verdict: Verdict) -> Record:
-    left = verdict.detection
     effects = [
         {
             "name": e.name,
-            "family": e.trial.candidate.effect,
-            "members": [[e.name, list(e.parameters), e.probability]]
-            + [[r.trial.candidate.name, list(r.trial.candidate.parameters), r.weight]
-               for r in e.rivals],
-            "p": [e.detection_p, e.naming_p],
-            "plausible": e.trial.plausible,
+            "family": verdict.catalogue.effect_of(e.name).name,
+            "members": [
+                [one.name, list(one.parameters), one.probability] for one in e.explanations
+            ],
         }
         for e in verdict.effects
+    ]
+    located = [
+        {"places": [c.place.name for c in f.members], "resembling": list(f.resembling),
+         "probability": f.probability}
+        for f in verdict.located
     ]  # fmt: skip
     return {
         "word": verdict.word,
         "effects": effects,
+        "located": located,
         "stopped": verdict.stopped,
-        "left": [left.p_value, left.lack_of_fit_p],
+        "left": [verdict.left.p_value, verdict.share],
         "chi2": [verdict.before.scores.chi2, verdict.after.scores.chi2, verdict.after.scores.dof],
         "blunders": [[b.kind, [row for _, row in b.rows]] for b in verdict.blunders],
     }
@@ -275,11 +279,11 @@ def _tcp(verdict: Verdict) -> Record:
 
 def _covered(rig: Rig, verdict: Verdict) -> list[list[Any]]:
     """Name, error in stated sigmas and sigma in tolerances of each parameter that is seen."""
-    problem, values = verdict.after.problem, verdict.after.values
+    problem, values = verdict.before.problem, verdict.after.values
     setups = tuple(s.name for s in problem.campaigns[0].setups)
     found = []
     for unknown in problem.unknowns:
-        sigma = verdict.sigmas[unknown.name]
+        sigma = verdict.after.sigmas[unknown.name]
         share = sigma / unknown.tolerance
         if share > SEEN:
             continue

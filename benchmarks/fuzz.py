@@ -47,8 +47,8 @@ from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spo
 from orthoglide.cli import cli
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text
-from orthoglide.observations import csv_text, tcp_rows
-from orthoglide.simulation import simulate_tcp
+from orthoglide.observations import campaign_text, csv_text, tcp_rows
+from orthoglide.simulation import simulate, simulate_tcp
 
 LIMIT = 10.0
 """Seconds of processor time that a small input may take."""
@@ -131,7 +131,7 @@ def originals() -> dict[str, str]:
     return {
         "campaign": campaign, "small": small, "machine": machine_text(machine.spec), "tcp": tcp,
         "result": result, "path": path, "rho": rho, "printer": _PRINTER, "delta": delta,
-        "mesh": mesh, "travel": travel,
+        "mesh": mesh, "simulated": campaign_text(simulate(machine, seed=0)), "travel": travel,
     }  # fmt: skip
 
 
@@ -144,6 +144,7 @@ COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
     "identify points": (4, {"--fit-tcp": "tcp"}, ("--out", "out")),
     "identify by": (4, {"a.csv": "small", "--machine": "machine"}, ("--out", "out")),
     "diagnose": (4, {"a.csv": "small", "--tcp": "tcp"}, ("--json",)),
+    "diagnose simulated": (3, {"a.csv": "simulated", "--machine": "machine"}, ("--quiet",)),
     "close-loop": (2, {"a.csv": "campaign", "--holdout": "small"}, ("--out", "out")),
     "rerun": (4, {"r.json": "result"}, ()),
     "rerun again": (2, {"r.json": "result"}, ("--out", "out")),
@@ -157,14 +158,15 @@ COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
     "forward delta": (1, {"--csv": "travel", "--machine": "delta"}, ("--out", "out")),
     "protocol": (2, {"--machine": "machine"}, ("--out", "out")),
 }  # fmt: skip
+_SLOW = ("identify published", "identify two", "diagnose", "diagnose simulated", "close-loop")
 _SPOIL = {"machine": spoil_toml, "result": spoil_json, "printer": spoil_config}
 _SPOIL |= {"delta": spoil_toml}
 
 
-def draw_case(number: int, only: str = "") -> Case:
-    """The case of a number; ``only`` of one command."""
+def draw_case(number: int, only: str = "", light: bool = False) -> Case:
+    """The case of a number; ``only`` of one command, or of those that take no second."""
     draw = Random(number)
-    names = [name for name in COMMANDS if name.startswith(only)]
+    names = [n for n in COMMANDS if n.startswith(only) and not (light and n in _SLOW)]
     name = draw.choices(names, [COMMANDS[n][0] for n in names])[0]
     _, given, options = COMMANDS[name]
     spoilt = draw.choice(list(given))

@@ -14,6 +14,10 @@ from orthoglide.geometry import Array
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Scales of the effects of the catalogue that no slab lets out, in tolerances."""
 
+_RARE = -3.0
+"""Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
+errors that have no structure: one in twenty each."""
+
 FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
                   (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
 """Scales of the free functions that no slab lets out, in their units, and of an error of its own at
@@ -93,8 +97,11 @@ class Scale:
         factor = np.linalg.cholesky(cov)
         both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
         self.columns, self.residual = both[:, :-1], both[:, -1]
-        self.log_z = -0.5 * float(self.residual @ self.residual) - float(
-            np.log(np.diag(factor)).sum()
+        unlikely = _RARE * ((share > 1) + (rough > 0))
+        self.log_z = (
+            unlikely
+            - 0.5 * float(self.residual @ self.residual)
+            - float(np.log(np.diag(factor)).sum())
         )
 
     @cached_property

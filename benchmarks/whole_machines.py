@@ -1,0 +1,167 @@
+"""Machines on which everything is wrong at once: TCP errors, and whether intervals hold.
+
+    python benchmarks/whole_machines.py --machines 60 --jobs 2 --cache whole.jsonl
+
+Machines are simulated by the tests' own (`tests/rig.py`), every effect that moves the tool drawn at
+``f`` of its tolerance in the rig's machine file. ``oracle`` is the posterior that is told ``f``.
+A run goes on where it stopped, from the cache.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import attribution_cases as ac
+from benchmarks.attribution_run import campaign, machine, points_of
+from orthoglide.closing import Verdict, close_loop
+from orthoglide.errors import OrthoglideError
+from orthoglide.judging import tcp_errors
+from orthoglide.posterior.linear import Scale
+from tests import rig_campaigns as rc
+from tests.rig import Rig, parameter_names
+
+SHARES = (0.0, 0.1, 0.3, 1.0)
+"""Of their tolerances by which machines are off; 0: offsets and lengths alone."""
+
+FAMILIES = (
+    "axis_tilt", "axis_offset", "rail_bow", "encoder_scale", "screw_error", "backlash",
+    "bar_mismatch", "parallelogram_width",
+)  # fmt: skip
+
+Record = dict[str, Any]
+Case = tuple[float, str, int]
+
+
+def rig_of(share: float, rng: np.random.Generator) -> Rig:
+    """A machine of which everything is off by a share of its tolerance."""
+    errors = ac.base_errors(rng)
+    for name in parameter_names():
+        family = name.partition(".")[0]
+        if family in FAMILIES:
+            errors[name] = share * machine().tolerance(family) * float(rng.standard_normal())
+    return Rig(errors=errors)
+
+
+def run(case: Case, seed: int) -> Record:
+    """One machine: what it is off by, before and after, and what was stated."""
+    share, protocol, number = case
+    rng = np.random.default_rng([seed, round(1000 * share), number])
+    rig, began = rig_of(share, rng), time.perf_counter()
+    rows = rc.simulate(rig, rc.protocol_rows(protocol), rng)
+    points = points_of(rig, rng)
+    record: Record = {"case": list(case), "seed": seed}
+    try:
+        verdict = close_loop([campaign(rows)], machine(), tcp=points)
+    except OrthoglideError as error:
+        return record | {"word": "error", "message": str(error)}
+    seconds = time.perf_counter() - began
+    assert verdict.tcp is not None
+    errors = verdict.tcp["translation"]
+    told = tcp_errors(machine(), points, {}, oracle(verdict, max(share, 1e-3)))["translation"]
+    return record | {
+        "word": verdict.word,
+        "named": [e.name for e in verdict.effects] + [f.name for f in verdict.located],
+        "tcp": [1e3 * e[0] for e in (errors.nominal, errors.before, errors.after, told.after)],
+        "stated": 1e3 * verdict.numbers.expected["compensated"].shape,
+        "inside": errors.inside,
+        "parameters": covered(verdict, rig),
+        "seconds": round(seconds, 2),
+    }
+
+
+def oracle(verdict: Verdict, share: float) -> dict[str, float]:
+    """Parameters of the posterior that is told the share, SI."""
+    posterior = verdict.posterior
+    assert posterior is not None
+    linear, none = posterior.mixture.linear, np.zeros(0, dtype=np.intp)
+    mean, _ = posterior.mixture.moments((), Scale(linear, share, 1e-3, 0.0), none)
+    names, values, _ = posterior.machine_with(mean)
+    motions = machine().catalogue.motions
+    return {n: float(v) for n, v in zip(names, values, strict=True) if n in motions}
+
+
+def covered(verdict: Verdict, rig: Rig) -> list[bool]:
+    """Of each parameter of the machine, whether its 95 % interval holds."""
+    known = verdict.machine.posterior
+    twins = {t for others in verdict.posterior.about.twins.values() for t, _ in others}  # type: ignore[union-attr]
+    found = []
+    for name, sigma in known.sigmas.items():
+        family = name.partition(".")[0]
+        if family in (*FAMILIES, "joint_offset", "leg_length") and name not in twins:
+            apart = verdict.values.get(name, 0.0) - rig.error(name)
+            found.append(bool(abs(apart) <= 1.96 * sigma))
+    return found
+
+
+def records(cases: Sequence[Case], seed: int, jobs: int, cache: Path | None) -> Iterator[Record]:
+    """Records of all cases, those of an earlier run first."""
+    lines = cache.read_text().splitlines() if cache and cache.exists() else []
+    known = [r for r in map(json.loads, lines) if r["seed"] == seed]
+    yield from (r for r in known if tuple(r["case"]) in cases)
+    done = {tuple(r["case"]) for r in known}
+    missing = [c for c in cases if c not in done]
+    with multiprocessing.get_context("fork").Pool(jobs) as pool:
+        for record in pool.imap_unordered(partial(run, seed=seed), missing):
+            if cache:
+                with cache.open("a") as file:
+                    file.write(json.dumps(record) + "\n")
+            yield record
+
+
+def table(found: Sequence[Record]) -> Iterator[str]:
+    """The table, in Markdown."""
+    yield "| machines | n | nominal | before | after | oracle | stated | worse than before |" + (
+        " TCP inside | parameters inside | verdicts |"
+    )
+    yield "|---" * 11 + "|"
+    for share in SHARES:
+        rows = [r for r in found if r["case"][0] == share and "tcp" in r]
+        if not rows:
+            continue
+        tcp = np.array([r["tcp"] for r in rows]).mean(axis=0)
+        stated = float(np.mean([r["stated"] for r in rows]))
+        # Worse by more than it states itself.
+        worse = sum(r["tcp"][2] > r["tcp"][1] + r["stated"] for r in rows)
+        inside = np.array([r["inside"] for r in rows])
+        held = np.array([np.mean(r["parameters"]) for r in rows])
+        words: dict[str, int] = {}
+        for r in rows:
+            words[r["word"]] = words.get(r["word"], 0) + 1
+        error = 1 / np.sqrt(max(len(rows) - 1, 1))
+        yield (
+            f"| f = {share:g} | {len(rows)} | "
+            + " | ".join(f"{v:.4f}" for v in (*tcp, stated))
+            + f" | {worse} | {inside.mean():.3f} ± {inside.std() * error:.3f} | "
+            + f"{held.mean():.3f} ± {held.std() * error:.3f} | "
+            + ", ".join(f"{w} {n}" for w, n in sorted(words.items()))
+            + " |"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--machines", type=int, default=60, help="of each share")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    options = parser.parse_args()
+    every = [
+        (f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(options.machines) for f in SHARES
+    ]
+    began = time.perf_counter()
+    found = list(records(every, options.seed, options.jobs, options.cache))
+    print("\n".join(table(found)))
+    print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s; TCP errors in mm.")
+
+
+if __name__ == "__main__":
+    main()
