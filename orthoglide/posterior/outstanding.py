@@ -101,7 +101,7 @@ class _Reader:
         """
         mixture = self.posterior.mixture
         table = mixture.over_sound_machine()
-        if self.posterior.share < _OFF or table.max() <= 0:
+        if self.posterior.share < _OFF or table.max(initial=0.0) <= 0:
             return ()
         named = [k for k, g in enumerate(self.groups) if not g.free]
         weight = np.exp(table[named] - table[named].max()).sum(axis=1)
