@@ -14,7 +14,10 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
+import tomllib
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
@@ -35,7 +38,9 @@ def main() -> int:
         description="Run the demo, the tests and the checks; makes .venv when it is missing.",
         epilog="What follows the task is handed on: dev.py test -k closure.",
     )
-    tasks = {"demo": demo, "test": test, "lint": lint, "check": check, "bench": bench}
+    tasks = {
+        "demo": demo, "test": test, "lint": lint, "check": check, "bench": bench, "mutate": mutate,
+    }  # fmt: skip
     parser.add_argument("task", choices=tasks, help=", ".join(f"{n}: {hint(t)}" for n, t in
                                                                tasks.items()))  # fmt: skip
     parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="for the task")
@@ -92,6 +97,40 @@ def bench(rest: list[str]) -> int:
             known = ", ".join(sorted(p.stem for p in path.parent.glob("*.py")))
             raise SystemExit(f"there is no benchmark {path.stem}: it is one of {known}")
     return max(python(str(path), *rest[1:]) for path in paths)
+
+
+def mutate(rest: list[str]) -> int:
+    """Break lines that tests guard, one at a time, and see them fail: mutate noise."""
+    environment("test")
+    listed = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text(encoding="utf-8"))["mutant"]
+    chosen = [m for m in listed if all(word in m["name"] for word in rest)]
+    if not chosen:
+        raise SystemExit(f"no mutant has {' '.join(rest)} in its name: see tests/mutants.toml")
+    guards = list(dict.fromkeys(test for m in chosen for test in m["tests"]))
+    if python("-m", "pytest", "-q", "-n", "0", *guards):
+        raise SystemExit("the tests that guard these lines fail already: mend them first")
+    survivors = [m["name"] for m in chosen if not killed(m)]
+    print(f"{len(chosen) - len(survivors)} of {len(chosen)} mutants were seen")
+    return 1 if survivors else 0
+
+
+def killed(mutant: dict[str, Any]) -> bool:
+    """Whether a mutant's tests fail on a copy that is broken so."""
+    with tempfile.TemporaryDirectory() as place:
+        copy = Path(place)
+        for name in ("orthoglide", "tests", "urdf"):
+            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copy(ROOT / "pyproject.toml", copy)
+        target = copy / mutant["file"]
+        text = target.read_text(encoding="utf-8")
+        if text.count(mutant["old"]) != 1:
+            raise SystemExit(f"{mutant['file']} has not one line {mutant['old']!r}: mend the list")
+        target.write_text(text.replace(mutant["old"], mutant["new"]), encoding="utf-8")
+        ask = [str(interpreter()), "-m", "pytest", "-x", "-q", "-n", "0", *mutant["tests"]]
+        paths = {**os.environ, "PYTHONPATH": str(copy)}
+        seen = subprocess.call(ask, cwd=copy, env=paths, stdout=subprocess.DEVNULL) == 1
+    print(f"{'seen' if seen else 'SURVIVED'}: {mutant['name']}", flush=True)
+    return seen
 
 
 def python(*words: str, cwd: Path = ROOT) -> int:

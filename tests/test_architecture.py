@@ -31,6 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"result"}),
     frozenset({"report"}),
     frozenset({"closing"}),
+    frozenset({"checking"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),
 )

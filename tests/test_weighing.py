@@ -97,9 +97,33 @@ def test_a_better_dial_gives_no_worse_verdict(noise: float, resolution: float) -
     machine = with_dial(resolution)
     lost = with_dial(resolution, **{"backlash.x": 6e-5})
     verdict = og.close_loop(simulate(lost, "sweep", noise=noise, seed=1), machine)
-    assert (verdict.word, [e.name for e in verdict.effects]) == ("explained", ["backlash.x"])
+    assert verdict.word in ("explained", "ambiguous", "located")
+    if noise < 1e-5:  # a cause by its name; at a third of its size perhaps only its place
+        assert [e.name for e in verdict.effects] == ["backlash.x"]
     sound = og.close_loop(simulate(machine, "standard", noise=noise, seed=1), machine)
     assert (sound.word, sound.effects) == ("adequate", ())
+
+
+def test_a_value_far_beyond_its_tolerance_is_not_pulled_back() -> None:
+    machine = og.Machine.nominal()
+    truth = machine.with_parameters({"joint_offset.x": 20e-3})
+    found = og.identify(simulate(truth, "sweep", noise=5e-6, seed=1), machine)
+    assert found.scores.prior_chi2 < 10
+    assert found.sigma_scale == 1.0
+    assert found.values["joint_offset.x"] == pytest.approx(20e-3, rel=2e-3)
+
+
+def test_what_the_model_lacks_does_not_widen_tolerances() -> None:
+    """Ends that deviate alike bend lengths by metres where nothing holds them."""
+    found = og.identify(_bowed(), og.Machine.nominal())
+    assert found.sigma_scale > 1
+    assert {u.width for u in found.problem.unknowns} == {1.0}
+
+
+def _bowed() -> og.Campaign:
+    campaign = simulate(og.Machine.nominal(), "sweep", noise=5e-6, seed=0)
+    along = campaign.command[np.arange(len(campaign)), campaign.leg] - 0.31025
+    return campaign.with_readings(campaign.reading + 5e-5 * ((along + 0.02) / 0.08) ** 2)
 
 
 @pytest.mark.parametrize("kind", ["standard", "sweep"])

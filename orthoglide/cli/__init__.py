@@ -13,6 +13,7 @@ import click
 
 from orthoglide import __version__
 from orthoglide.cli import (
+    check,
     closing,
     compare,
     compensate,
@@ -45,6 +46,7 @@ def cli() -> None:
 _MODULES = (
     closing,
     identification,
+    check,
     rerun,
     sheets,
     design,

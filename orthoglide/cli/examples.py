@@ -15,6 +15,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "identify april.csv --out april",
         "identify april.csv may.csv --fit-tcp tracker.tcp.csv --noise 0.004 --out spring",
     ),
+    "check": (
+        "check before.csv after.csv --machine machine.toml",
+        "check april/result.json after.csv --out repaired",
+    ),
     "rerun": ("rerun april/result.json", "rerun april/result.json --inputs data --out again"),
     "protocol": ("protocol --kind sweep --machine machine.toml --out sheet.csv",),
     "simulate": ("simulate --machine bent.toml --kind sweep --seed 1 --out bent.csv",),

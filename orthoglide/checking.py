@@ -1,0 +1,180 @@
+"""Two states of one machine: what changed between them, what did not, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.closing import Verdict, run
+from orthoglide.effects.wording import parameter_words
+from orthoglide.errors import InputError
+from orthoglide.fit import Estimate, identify
+from orthoglide.machine import Machine
+from orthoglide.numerals import decimals_for, plain, signed
+from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
+from orthoglide.progress import Progress, Step, silent
+from orthoglide.request import Request
+from orthoglide.units import Unit
+
+CHANGED = 3.0
+"""Sigmas of a difference that count as a change; among some ten parameters, one false in forty."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter in both states, each from its own readings, SI.
+
+    Attributes:
+        parameter: its name.
+        before: value in the old state.
+        after: value in the new one.
+        sigma: standard deviation of the difference.
+        unit: of files.
+    """
+
+    parameter: Parameter
+    before: float
+    after: float
+    sigma: float
+    unit: Unit
+
+    @property
+    def changed(self) -> bool:
+        """Whether the difference is beyond what the readings leave open."""
+        return abs(self.after - self.before) > CHANGED * self.sigma
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Old, new, difference and its sigma in the unit of files, and whether it changed."""
+        si, places = self.unit.si, decimals_for(self.sigma / self.unit.si, most=9)
+        values = (plain(v / si, places) for v in (self.before, self.after))
+        apart = signed((self.after - self.before) / si, places)
+        said = "yes" if self.changed else "no"
+        return (*values, apart, f"{self.sigma / si:.{places}f}", self.unit.name, said)
+
+    def __str__(self) -> str:
+        before, after, apart, sigma, unit, _ = self.cells
+        words = parameter_words(self.parameter)
+        if self.changed:
+            return f"{words} changed from {before} to {after} {unit}: by {apart} ± {sigma}"
+        return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit}"
+
+
+COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
+"""What `Difference.cells` holds."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """What became of a machine.
+
+    Attributes:
+        old: names of the campaigns of the old state.
+        new: of the new one.
+        verdict: of all readings together, of the machine as it is in the last of them.
+        differences: of the base parameters and of the causes found.
+    """
+
+    old: tuple[str, ...]
+    new: tuple[str, ...]
+    verdict: Verdict
+    differences: tuple[Difference, ...]
+
+    @cached_property
+    def sentences(self) -> tuple[str, ...]:
+        """What changed, largest in sigmas first, and beyond which uncertainty nothing else did."""
+        changed = [d for d in self.differences if d.changed]
+        changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
+        first = [] if changed else ["Nothing changed beyond the uncertainty of these readings"]
+        return (*first, *map(str, changed), *(str(d) for d in self.differences if not d.changed))
+
+    def __str__(self) -> str:
+        return "\n".join(self.sentences)
+
+
+def check(
+    old: Sequence[Campaign],
+    new: Sequence[Campaign],
+    machine: Machine | None = None,
+    *,
+    noise: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Check:
+    """Compare two states of a machine by their readings.
+
+    Both states are closed together, so that what never changed is known from all readings; then
+    every parameter of the base and of the causes found is given one value before and one after.
+
+    Args:
+        old: readings of the old state, in the order they were taken.
+        new: readings of the new one.
+        machine: dimensions, tolerances, dial; nominal where absent.
+        noise: standard deviation of one reading, metres.
+        seed: of every random draw.
+        progress: called with each step.
+
+    Raises:
+        InputError: where a side is empty or the campaigns cannot be used.
+        NumericsError: where the base model cannot be identified.
+    """
+    if not old or not new:
+        raise InputError("there is nothing to compare: give readings of both states")
+    machine, progress = machine or Machine.nominal(), progress or silent
+    before, after = _told_apart(old, new)
+    request = Request("close-loop", (*before, *after), machine, (), noise, seed)
+    verdict = run(request, progress)
+    progress(Step("comparing"))
+    names = _compared(verdict)
+    kept = verdict.before.problem.campaigns
+    since = next(c.name for c in kept if c.name in {a.name for a in after})
+    own = [f"{name}@{since}" for name in names]
+    apart = identify(kept, machine, names, own=own, noise=noise)
+    return Check(
+        tuple(c.name for c in before),
+        tuple(c.name for c in after),
+        verdict,
+        tuple(_differences(apart, names)),
+    )
+
+
+def _told_apart(
+    old: Sequence[Campaign], new: Sequence[Campaign]
+) -> tuple[list[Campaign], list[Campaign]]:
+    """The campaigns of both sides, no two of one name."""
+    names = [c.name for c in (*old, *new)]
+    if len(set(names)) == len(names):
+        return list(old), list(new)
+    sides = ((old, "old"), (new, "new"))
+    before, after = (
+        [replace(c, name=f"{side}-{k}-{c.name}") for k, c in enumerate(several, start=1)]
+        for several, side in sides
+    )
+    return before, after
+
+
+def _compared(verdict: Verdict) -> list[str]:
+    """Parameters of the machine in the base model and of the causes found, without campaigns."""
+    catalogue = verdict.request.machine.catalogue
+    base = catalogue.expand(catalogue.base)
+    found = [catalogue.parameter(n) for c in verdict.effects for n in c.chosen.parameters
+             if n.partition(".")[0] in catalogue]  # fmt: skip
+    named = (n.plain for n in found if not catalogue.effect_of(n).of_dial)
+    return list(dict.fromkeys(map(str, (*base, *named))))
+
+
+def _differences(estimate: Estimate, names: Iterable[str]) -> Iterable[Difference]:
+    catalogue = estimate.problem.machine.catalogue
+    plain_names = [catalogue.parameter(n).plain for n in estimate.names]
+    for name in names:
+        places = [k for k, n in enumerate(plain_names) if n == name]
+        if len(places) == 2:
+            one, other = (float(v) for v in estimate.x[places])
+            spread = estimate.covariance[np.ix_(places, places)]
+            sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
+            parameter = plain_names[places[0]]
+            yield Difference(parameter, one, other, sigma, catalogue.effect_of(parameter).unit)

@@ -1,0 +1,113 @@
+"""``check``: two states of an independently simulated machine, before and after a repair."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import orthoglide as og
+from orthoglide.checking import Check, check
+from orthoglide.cli import cli
+from orthoglide.errors import InputError
+from tests import rig_campaigns as rc
+from tests.rig import Rig
+
+RIG = Path(__file__).parent / "data" / "rig"
+WORN = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "leg_length.z": -6e-5}
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    return og.Machine.load(RIG / "machine.toml")
+
+
+def rows(seed: int, protocol: str = "standard", **errors: float) -> list[rc.Row]:
+    """One machine, but for ``errors``; other dials, another day."""
+    rig = Rig().with_errors(WORN | errors).with_background(np.random.default_rng(99), 0.02)
+    return rc.simulate(rig, protocol, np.random.default_rng(seed))
+
+
+def campaign(machine: og.Machine, name: str, measured: list[rc.Row]) -> og.Campaign:
+    columns = {key: [row[key] for row in measured] for key in measured[0]}
+    return og.Campaign.from_frame(columns, name=name, machine_file=machine.spec)
+
+
+def compared(machine: og.Machine, old: list[rc.Row], new: list[rc.Row]) -> Check:
+    return check([campaign(machine, "c", old)], [campaign(machine, "c", new)], machine)
+
+
+def test_zeros_that_were_entered_are_seen_and_nothing_else(machine: og.Machine) -> None:
+    new = {"joint_offset.x": 0.0, "joint_offset.y": 0.1e-3}
+    found = compared(machine, rows(1), rows(2, **new))
+    by_name = {str(d.parameter): d for d in found.differences}
+    assert {n for n, d in by_name.items() if d.changed} == set(new)
+    for name, value in new.items():
+        d = by_name[name]
+        assert abs(d.after - d.before - (value - WORN[name])) < 4 * d.sigma
+        assert 0 < d.sigma < 0.2e-3
+    assert found.old != found.new  # though both files have one name
+    assert "changed from" in found.sentences[0]
+    assert sum("did not change" in s for s in found.sentences) == len(by_name) - 2
+
+
+def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> None:
+    found = compared(machine, rows(1), rows(2))
+    assert not [d for d in found.differences if d.changed]
+    assert found.sentences[0].startswith("Nothing changed beyond the uncertainty")
+    assert all("±" in s for s in found.sentences[1:])
+
+
+def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None:
+    tilt = "axis_tilt.y.z"
+    found = compared(
+        machine, rows(1, "sweep", **{tilt: 3e-3}), rows(2, "sweep", **{tilt: 1e-3})
+    )  # fmt: skip
+    d = {str(d.parameter): d for d in found.differences}[tilt]
+    assert d.changed
+    assert d.after - d.before == pytest.approx(-2e-3, abs=max(4 * d.sigma, 0.1e-3))
+
+
+def test_both_sides_have_readings(machine: og.Machine) -> None:
+    with pytest.raises(InputError, match="readings of both states"):
+        check([], [campaign(machine, "c", rows(1))], machine)
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(cli, [str(a) for a in arguments])
+
+
+def test_from_files_and_results_to_words_and_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rc.write_csv(rows(1), "old.csv")
+    rc.write_csv(rows(2, **{"joint_offset.x": 0.0}), "new.csv")
+    options = ("--machine", RIG / "machine.toml")
+    plain = run("check", "old.csv", "new.csv", *options)
+    assert plain.exit_code == 0, plain.output
+    assert "joint offset of leg x changed from" in plain.stdout
+    assert "What is left now:" in plain.stdout
+    assert "prove their signs" in plain.stdout
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["new.csv", "old.csv"]
+
+    assert run("identify", "old.csv", *options, "--out", "before", "--quiet").exit_code == 0
+    kept = run("check", "before/result.json", "new.csv", "--out", "out")
+    assert kept.exit_code == 0, kept.output
+    assert kept.stdout.splitlines()[:3] == plain.stdout.splitlines()[:3]
+    page = (tmp_path / "out" / "check.html").read_text()
+    assert "joint offset of leg x changed from" in page
+    table = list(csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text())))
+    by_name = {row["parameter"]: row for row in table}
+    assert by_name["joint_offset.x"]["changed"] == "yes"
+    assert float(by_name["joint_offset.x"]["difference"]) == pytest.approx(-1.2, abs=0.1)
+    assert by_name["joint_offset.y"]["changed"] == "no"
+    assert (tmp_path / "out" / "report.html").exists()
+
+    refused = run("check", "old.csv", "none.csv", "--out", "other")
+    assert refused.exit_code == 2
+    assert not (tmp_path / "other").exists()

@@ -1,0 +1,336 @@
+"""Every test, interval and p-value against made-up draws with a known answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import orthoglide as og
+from orthoglide.accuracy import Map, without_place
+from orthoglide.diagnosis import pattern, significance
+from orthoglide.diagnosis.repeat_faults import Scatter
+from orthoglide.diagnosis.signatures import signatures
+from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.fit import Estimate
+from orthoglide.fit.least_squares import fitted_basis, normal
+from orthoglide.fit.noise import repeat_variance
+from orthoglide.fit.scores import _tail, deviation_rms
+from orthoglide.fit.unknowns import build_unknowns
+from orthoglide.machine_file import Dial
+from orthoglide.observations import protocol
+from orthoglide.simulation import simulate
+
+NOISE = 5e-6
+
+
+def machine(**dial: float | None) -> og.Machine:
+    spec = og.Machine.nominal().spec
+    return og.Machine(replace(spec, dial=Dial(**{"resolution": 0.0, **dial})))
+
+
+def fitted(kind="standard", seed: int = 0, noise: float | None = NOISE, **dial) -> Estimate:
+    made = machine(**dial)
+    return og.identify(simulate(made, kind, noise=NOISE, seed=seed), made, noise=noise)
+
+
+def covariance(found: Estimate) -> np.ndarray:
+    """Of the readings, rounding, datums and placements counted, written out."""
+    problem, nuisance = found.problem, found.nuisance
+    same = np.equal.outer(problem.station, problem.station)
+    known = nuisance.precision > 0
+    columns = nuisance.columns[:, known]
+    wide = np.where(known, 0.0, 0.1)
+    loose = nuisance.columns * wide
+    return (
+        np.diag(problem.sigma**2)
+        + problem.noise.common**2 * same
+        + (columns / nuisance.precision[known]) @ columns.T
+        + loose @ loose.T
+    )
+
+
+# -- noise ----------------------------------------------------------------------------------------
+
+
+def test_visits_under_another_load_are_no_repeats() -> None:
+    sheet = protocol("standard")
+    rng = np.random.default_rng(0)
+    reading = NOISE * rng.standard_normal(len(sheet))
+    loaded = np.where(sheet.repeat == 2, 10.0, 0.0)
+    sags = replace(sheet, reading=reading + 1e-4 * (loaded > 0), load=loaded)
+    variance, dof = repeat_variance([sags])
+    assert variance < 4 * NOISE**2
+    assert 0 < dof < repeat_variance([replace(sags, load=0 * loaded)])[1]
+
+
+def test_degrees_of_freedom_of_successive_differences() -> None:
+    """The variance's own scatter over many campaigns is that of a chi-squared on as many."""
+    sheet = protocol("sweep")
+    rng = np.random.default_rng(1)
+    found = [
+        repeat_variance([sheet.with_readings(rng.standard_normal(len(sheet)))]) for _ in range(400)
+    ]
+    values, dof = np.array([v for v, _ in found]), found[0][1]
+    assert values.mean() == pytest.approx(1, rel=0.03)
+    assert 2 / values.var() == pytest.approx(dof, rel=0.25)
+
+
+@pytest.mark.parametrize("resolution", [0.0, 1e-5])
+def test_drawn_noise_is_as_large_as_the_noise_of_a_reading(resolution: float) -> None:
+    found = fitted(noise=None, resolution=resolution, repeatability=NOISE, placement=0.0)
+    drawn = significance._noise(found.problem, signatures(found), np.random.default_rng(0), 2000)
+    total = np.sqrt(NOISE**2 + resolution**2 / 12)
+    assert np.std(drawn) == pytest.approx(total, rel=0.02)
+    assert found.problem.noise.typical == pytest.approx(total)
+
+
+# -- lack of fit ----------------------------------------------------------------------------------
+
+
+def test_the_tail_of_squares_that_priors_hold_back() -> None:
+    shares = np.array([1.0, 1.0, 0.9, 0.4, 0.1, 0.0])
+    rng = np.random.default_rng(2)
+    for count in (5, 8, 20):
+        weights = np.concatenate([1 - shares, np.ones(max(count - len(shares), 0))])
+        if count < len(shares):
+            continue
+        drawn = np.sum(weights * rng.standard_normal((200_000, len(weights))) ** 2, axis=1)
+        for p in (0.5, 0.1, 0.01):
+            assert _tail(float(np.quantile(drawn, 1 - p)), count, shares) == pytest.approx(
+                p, rel=0.1
+            )
+        noise = rng.chisquare(10, len(drawn)) / 10
+        limit = float(np.quantile(drawn / noise, 0.95))
+        assert _tail(limit, count, shares, 10.0) == pytest.approx(0.05, rel=0.15)
+    assert np.isnan(_tail(1.0, 3, np.ones(3)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("size", [0.0, 2e-5])
+def test_lack_of_fit_is_the_smaller_of_two_tests_doubled(seed: int, size: float) -> None:
+    """Of all readings and of the station means, each from a covariance written out."""
+    made = machine()
+    bent = made.with_parameters({"rail_bow.x.z": size})
+    found = og.identify(simulate(bent, "standard", noise=NOISE, seed=seed), made, noise=NOISE)
+    problem = found.problem
+    rest = problem.measured - found.at.value
+    inverse = np.linalg.inv(covariance(found))
+    chi2 = float(rest @ inverse @ rest)
+    station = problem.station
+    means = (np.bincount(station, rest) / np.bincount(station))[station]
+    within = float(np.sum((rest - means) ** 2)) / NOISE**2
+    assert found.scores.chi2 == pytest.approx(chi2, rel=1e-3)
+    inside = len(rest) - len(np.unique(station))
+    p = [
+        stats.chi2.sf(chi2, found.scores.dof),
+        stats.chi2.sf(chi2 - within, found.scores.dof - inside),
+    ]
+    assert found.scores.lack_of_fit_p == pytest.approx(min(1, 2 * min(p)), rel=0.1)
+
+
+def test_noise_from_repeats_is_held_against_fisher() -> None:
+    found = fitted(noise=None)
+    problem, scores = found.problem, found.scores
+    assert problem.noise.source == "repeats"
+    rest = problem.measured - found.at.value
+    inside = len(rest) - len(np.unique(problem.station))
+    between = scores.chi2 - problem.weighing.within(rest)
+    dof = scores.dof - inside
+    expected = stats.f.sf(between / dof, dof, problem.noise.dof)
+    assert scores.lack_of_fit_p == pytest.approx(expected, rel=0.02)
+
+
+def test_priors_are_no_question_to_the_readings() -> None:
+    found = fitted()
+    here = normal(found.problem, found.at, found.nuisance)
+    assert found.scores.chi2 == pytest.approx(here.chi2)
+    assert found.scores.prior_chi2 == pytest.approx(
+        float(np.sum((found.x / found.problem.prior_sd) ** 2))
+    )
+    assert found.scores.cost == pytest.approx(here.cost)
+    assert here.determined == pytest.approx(np.trace(
+        np.linalg.solve(here.information, here.jacobian.T @ here.jacobian)), rel=1e-6)  # fmt: skip
+
+
+# -- scores and bounds ----------------------------------------------------------------------------
+
+
+def test_deviations_are_from_the_first_posture_in_order() -> None:
+    """The rows of the file may stand in any sequence."""
+    made = machine()
+    whole = simulate(made, "standard", noise=NOISE, seed=0)
+    turned = replace(whole, order=whole.order[::-1].copy())
+    problem = og.identify(turned, made).problem
+    residual = np.random.default_rng(0).standard_normal(len(whole))
+    apart = []
+    for setup in range(len(whole.setups)):
+        rows = np.flatnonzero(whole.setup == setup)
+        mean = {
+            k: residual[rows[problem.place[rows] == k]].mean() for k in set(problem.place[rows])
+        }
+        first = problem.place[rows[np.argmin(turned.order[rows])]]
+        apart += [v - mean[first] for k, v in mean.items() if k != first]
+    assert deviation_rms(problem, residual) == pytest.approx(np.sqrt(np.mean(np.square(apart))))
+
+
+def test_unknowns_stay_within_fifty_tolerances() -> None:
+    made = machine()
+    problem = og.identify(simulate(made, "standard", noise=NOISE, seed=0), made).problem
+    for unknown in build_unknowns(made, problem.factors, ["joint_offset", "leg_length"]):
+        assert unknown.bound == pytest.approx(max(50 * unknown.tolerance, 0.05))
+
+
+# -- station means --------------------------------------------------------------------------------
+
+
+def test_station_means_against_all_written_out() -> None:
+    """Residual, signatures and shown readings, as the projected means of dense algebra."""
+    found = fitted("sweep", noise=None, resolution=1e-5, repeatability=1e-6)
+    assert found.problem.noise.common > 0
+    seen = signatures(found)
+    means = StationMeans.of(seen)
+    station = found.problem.station
+    indicator = np.eye(station.max() + 1)[station]
+    basis = seen.whiten(indicator)
+    left, singular, _ = np.linalg.svd(basis, full_matrices=False)
+    left = left[:, singular > 1e-6]
+    expected = left @ (left.T @ seen.residual)
+    assert means.chi2 == pytest.approx(float(expected @ expected))
+    extra = np.random.default_rng(0).standard_normal(len(station)) * NOISE
+    shown = left @ (left.T @ seen.whiten(extra))
+    assert float(np.sum(means.shown(extra) ** 2)) == pytest.approx(float(shown @ shown))
+    assert float(means.residual @ means.shown(extra)) == pytest.approx(float(expected @ shown))
+    one = np.zeros(len(station))
+    one[station == 7] = found.problem.weighing.mean_sigma[7]
+    square, along = means.lone()
+    assert square[7] == pytest.approx(float(np.sum(means.shown(one) ** 2)))
+    assert along[7] == pytest.approx(float(means.residual @ means.shown(one)))
+    columns = np.stack([means.shown((station == k).astype(float)) for k in (3, 7, 9)], axis=1)
+    gain = float(np.sum((np.linalg.qr(columns)[0].T @ means.residual) ** 2))
+    assert means.freed(np.array([3, 7, 9])) == pytest.approx((gain, 3))
+
+
+def test_station_means_past_an_effect() -> None:
+    """An effect beside the fit widens the noise by its signature: whitened anew, and shown so."""
+    found = fitted("sweep")
+    means = StationMeans.of(signatures(found))
+    one = next(k for k, c in enumerate(means.signatures.candidates) if c.name == "rail_bow.x.z")
+    other = next(k for k, c in enumerate(means.signatures.candidates) if c.name == "backlash.y")
+    after = means.beside(one).beside(other)
+    extra = np.random.default_rng(0).standard_normal(len(found.problem.measured)) * NOISE
+    expected, left = means.shown(extra), means
+    for place in (one, other):
+        basis, size, _ = np.linalg.svd(
+            left.signatures.of(means.signatures.candidates[place]), full_matrices=False
+        )
+        basis = basis * np.sqrt(1 - 1 / np.sqrt(1 + size**2))
+        expected = expected - basis @ (basis.T @ expected)
+        left = left.beside(place)
+    assert after.shown(extra) == pytest.approx(expected, abs=1e-9)
+    assert after.dof < means.dof
+
+
+def test_slips_against_all_written_out() -> None:
+    """Outliers and steps at every reading at once, as each column by itself."""
+    rng = np.random.default_rng(0)
+    count = 40
+    station = np.unique(rng.integers(0, 9, count), return_inverse=True)[1]
+    weight = rng.uniform(0.5, 2, count)
+    read, trend = rng.standard_normal(count), rng.standard_normal((count, 3))
+    empty = np.zeros((count, 0))
+    seen = Scatter(0, np.arange(count), weight, station, read, trend, read, empty)
+    seen = seen.without(rng.standard_normal((count, 2)))
+    free = np.hstack([np.eye(9)[station] * weight[:, None], seen.found])
+    hidden = np.linalg.qr(free)[0]
+
+    def past(columns: np.ndarray) -> np.ndarray:
+        return columns - hidden @ (hidden.T @ columns)
+
+    assert seen.rest == pytest.approx(past(read))
+    assert seen.dof == count - 11
+    later = np.greater_equal.outer(np.arange(count), np.arange(count))
+    for kind, shown, rows in (("outlier", np.eye(count), slice(None)),
+                              ("knocked_stand", later, slice(2, -1))):  # fmt: skip
+        columns = past(shown * weight[:, None])
+        square = np.sum(columns**2, axis=0)
+        size = columns.T @ past(read) / square.clip(1e-12)
+        gain, found = seen.gains(kind)
+        assert gain[rows] == pytest.approx((size**2 * square)[rows])
+        assert found[rows] == pytest.approx(size[rows])
+        assert seen.column(kind, 7)[:, 0] == pytest.approx(columns[:, 7])
+
+
+# -- the pattern of what is left ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("by_reading", [True, False])
+def test_contrasts_are_tested_by_fishers_f(by_reading: bool) -> None:
+    """Against all readings, or the means of the stations: two regressions written out."""
+    found = fitted("sweep")
+    rest = pattern._Rest(found)
+    column = np.random.default_rng(0).standard_normal(int(rest.station.max()) + 1)[rest.station]
+    basis = fitted_basis(found.problem, found.nuisance, found.at)[: rest.count]
+    y, x = found.residuals / NOISE, column / NOISE
+    x = x - basis @ (basis.T @ x)
+    gain = float(x @ y) ** 2 / float(x @ x)
+    mean = np.bincount(rest.station, y) / np.bincount(rest.station)
+    total = float(y @ y) if by_reading else float(np.sum(mean[rest.station] ** 2))
+    count = len(y) if by_reading else len(mean)
+    degrees = count - float(np.sum(basis**2)) - 1
+    expected = stats.f.sf(gain / ((total - gain) / degrees), 1, degrees)
+    p, share = rest.p_value(column[:, None], by_reading=by_reading)
+    assert p == pytest.approx(expected, rel=1e-6)
+    assert share == pytest.approx(gain / total)
+
+
+def test_a_drift_is_held_against_all_readings_and_hysteresis_against_stations() -> None:
+    asked = []
+
+    class Asked(pattern._Rest):
+        def p_value(self, columns, by_reading=False):
+            asked.append(by_reading)
+            return 1.0, 0.0
+
+    rest = Asked(fitted("sweep"))
+    pattern._trend(rest)
+    pattern._hysteresis(rest)
+    assert asked[0] is True
+    assert set(asked[1:]) == {False}
+
+
+# -- accuracy -------------------------------------------------------------------------------------
+
+
+def test_a_field_is_taken_after_its_best_translation() -> None:
+    field = np.random.default_rng(0).standard_normal((50, 3))
+    moved = without_place(field + np.array([1.0, -2.0, 3.0]))
+    assert moved == pytest.approx(without_place(field))
+    assert np.sum(moved**2) <= np.sum((field - field[0]) ** 2)
+    assert moved.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
+
+
+def test_the_stated_radius_holds_ninety_five_in_a_hundred() -> None:
+    """In a plane's worth of directions and in one: at least that, as coordinates are pooled."""
+    rng = np.random.default_rng(0)
+    for sigma in ([1.0, 0.0, 0.0], [1.0, 1.0, 1.0]):
+        stated = Map(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), np.array([sigma]))
+        drawn = np.linalg.norm(rng.standard_normal((100_000, 3)) * sigma, axis=1)
+        inside = np.mean(drawn <= stated.uncertainty[0])
+        assert inside == pytest.approx(0.95, abs=0.003) if sigma[1] == 0 else inside > 0.95
+
+
+def test_intervals_of_scaled_sigmas_are_students() -> None:
+    found = fitted()
+    normal_factor = replace(found, sigma_scale=1.0).coverage_factor
+    scaled = replace(found, sigma_scale=1.5).coverage_factor
+    assert normal_factor == pytest.approx(stats.norm.ppf(0.975))
+    assert scaled == pytest.approx(stats.t.ppf(0.975, found.scores.dof))
+
+
+def test_made_up_campaigns_of_the_model_lack_nothing() -> None:
+    """p-values of lack of fit over many campaigns: one in ten below a tenth, and no fewer."""
+    p = [fitted(seed=seed).scores.lack_of_fit_p for seed in range(80)]
+    assert 1 <= sum(v < 0.1 for v in p) <= 18
