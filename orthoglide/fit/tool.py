@@ -31,6 +31,8 @@ SCALE_SD, OFFSET_SD = 0.01, 2e-4
 
 _FEWEST_REPEATS = 6
 _DEGREE, _FEWEST_ROUGH = 4, 12
+_LEAST = 0.05
+_STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -316,11 +318,21 @@ def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:
         return 0.0
     reading = campaign.reading[rows]
     rest = reading - (np.bincount(place, reading) / count)[place]
-    return float(np.sqrt(np.sum(rest**2) / dof))
+    found = float(np.sqrt(np.sum(rest**2) / dof))
+    kind = campaign.kind[int(np.flatnonzero(rows)[0])]
+    return max(found, _LEAST * REPEATABILITY[kind])  # readings that all agree have a coarse step
 
 
 def _centre(p: Array, distance: Array) -> Array:
     """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``."""
     columns = np.column_stack([2 * p, np.ones(len(p))])
     right = np.sum(p * p, axis=1) - distance**2
-    return np.asarray(np.linalg.lstsq(columns, right, rcond=1e-9)[0][:3])
+    centre, longer = np.linalg.lstsq(columns, right, rcond=1e-9)[0][:3], 0.0
+    for _ in range(_STEPS):
+        toward = p - centre
+        length = np.maximum(np.linalg.norm(toward, axis=1), 1e-9)
+        rest = distance - length - longer
+        slopes = np.column_stack([-toward / length[:, None], np.ones(len(p))])
+        step = np.linalg.lstsq(slopes, rest, rcond=1e-6)[0]
+        centre, longer = centre + step[:3], longer + float(step[3])
+    return np.asarray(centre)

@@ -32,7 +32,7 @@ PROBE, CALLIPER, RIM = 1.8e-5, 5e-5, 1e-4
 one of two pillars' widths is taken off, and pillars differ by a tenth of a millimetre."""
 
 _FULL_STEPS = 200
-_FAR = 5e-3  # metres by which a stored height may miss the height that the stored numbers give
+_FAR = 3e-3  # metres by which a stored height may miss the height that the stored numbers give
 _ROUND = 12
 
 

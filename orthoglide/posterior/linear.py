@@ -113,7 +113,9 @@ class Scale:
     @cached_property
     def by_group(self) -> Array:
         """Columns of all groups side by side ``(m, K)``."""
-        return np.hstack([self.columns[:, g.places] @ g.weights for g in self.linear.groups])
+        none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
+        blocks = (self.columns[:, g.places] @ g.weights for g in self.linear.groups)
+        return np.hstack([none, *blocks])
 
     @cached_property
     def along(self) -> Array:

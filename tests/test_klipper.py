@@ -1,0 +1,225 @@
+"""What a firmware stored: imported, closed, corrected; and what is no such file."""
+
+import json
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.closing import close_loop
+from orthoglide.errors import FileError, InputError
+from orthoglide.klipper import Firmware, import_printer
+from orthoglide.klipper.corrections import corrections
+from orthoglide.klipper.firmware import refitted
+from orthoglide.machine import Machine
+from orthoglide.machine_file import machine_text, parse_machine_file
+from orthoglide.observations import csv_text, read_readings, readings_from_rows, tool_rows
+from tests.klipper_files import DATA, simulated_cfg
+from tests.rig_delta import DeltaRig
+
+CONFIGS = sorted(DATA.glob("*.cfg"))
+V400 = DATA / "v400-april.cfg"
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.stem)
+def test_every_stored_file_imports_and_reads_back(path: Path, tmp_path: Path) -> None:
+    found = import_printer(path)
+    spec = parse_machine_file(machine_text(found.machine))
+    assert spec.geometry == found.machine.geometry
+    for campaign in found.campaigns:
+        file = tmp_path / f"{campaign.name}.csv"
+        file.write_text(csv_text(tool_rows(campaign, found.machine)))
+        (again,) = read_readings(file, spec)
+        assert again.setups == campaign.setups
+        for name in ("command", "second", "reading", "sigma", "approach"):
+            one, other = getattr(again, name), getattr(campaign, name)
+            assert np.array_equal(one, other, equal_nan=True), name
+
+
+def test_the_machine_without_errors_is_what_the_firmware_believes() -> None:
+    """Heights and meshes put through the imported machine are the firmware's own points."""
+    found = import_printer(V400)
+    machine, mesh = Machine(found.machine), found.campaigns[2]
+    assert len(mesh) == 441
+    p = machine.forward(mesh.command)
+    told = np.array([[float(v) for v in label.split()] for label in mesh.posture])
+    assert np.abs(p[:, :2] * 1e3 - told).max() < 1e-3
+    calibration = found.campaigns[0]
+    assert [s.name for s in calibration.setups] == ["heights", "spokes", "rim"]
+    heights = machine.forward(calibration.command[:7])
+    assert np.abs(heights[:, 2] - calibration.reading[:7]).max() < 2e-4
+    ends = [machine.forward(c[7:]) for c in (calibration.command, calibration.second)]
+    apart = np.linalg.norm(ends[0] - ends[1], axis=1)
+    assert np.abs(apart - calibration.reading[7:]).max() < 1e-3
+
+
+def test_rods_that_cannot_be_true_are_told_first() -> None:
+    assert "Measure the rods" in import_printer(V400).notes[0]
+    assert not any("rods" in n for n in import_printer(DATA / "flight505.cfg").notes)
+
+
+def test_the_firmware_s_equations_invert() -> None:
+    firmware = Firmware(0.163, (210.0, 330.2, 90.0), (0.345, 0.3452, 0.3449), (0.42, 0.421, 0.42))
+    p = np.array([[0.05, -0.03, 0.01], [-0.08, 0.02, 0.1]])
+    assert np.abs(firmware.points(firmware.heights(p)) - p).max() < 1e-12
+    other = Firmware(0.1627, (210.1, 330.1, 90.0), (0.345, 0.3452, 0.3449), (0.4203, 0.42, 0.4201))
+    ring = np.array([[r * np.cos(t), r * np.sin(t), z] for z in (0, 0.05) for r in (0.05, 0.1)
+                     for t in np.arange(6)])  # fmt: skip
+    again, left = refitted(firmware, ring, other.below(ring))
+    assert np.abs(left).max() < 1e-9
+    assert again.delta_radius == pytest.approx(other.delta_radius, abs=1e-9)
+    kept = Firmware.of(json.loads(json.dumps(other.as_dict())))
+    assert kept.endstop == pytest.approx(other.endstop, abs=1e-12)
+
+
+def test_corrections_bring_the_independent_machine_to_the_plate(tmp_path: Path) -> None:
+    """Six true errors that the firmware can hold: its new numbers put the nozzle on the plate."""
+    truth = {"joint_offset.a": 4e-4, "joint_offset.b": -3e-4, "joint_offset.c": 1e-4,
+             "axis_offset.a.radial": 5e-4, "axis_offset.b.radial": 5e-4,
+             "axis_offset.c.radial": 5e-4}  # fmt: skip
+    rig, file = DeltaRig(errors=truth), tmp_path / "printer.cfg"
+    file.write_text(simulated_cfg(rig, noise=0.0))
+    found = import_printer(file)
+    machine = Machine(found.machine)
+    estimate = og.identify(list(found.campaigns), machine)
+    old = Firmware.of(found.machine.provenance["klipper"])
+    made = corrections(old, estimate.machine, estimate)
+    assert made is not None
+    nominal = np.sqrt(rig.L**2 - (rig.radius - rig.r) ** 2)
+
+    def heights(firmware: Firmware) -> np.ndarray:
+        t = np.arange(6) * np.pi / 3
+        p = np.stack([0.1 * np.cos(t), 0.1 * np.sin(t), 0 * t], axis=1)
+        travel = firmware.below(p) + old.at_endstop - nominal  # endstops stay where they are
+        return np.array([rig.pose(s, q)[0][2] for s, q in zip(travel, p, strict=True)])
+
+    assert np.abs(heights(made.old)).max() > 1e-4
+    assert np.abs(heights(made.new)).max() < 5e-6
+    assert np.abs(made.new.heights(np.zeros((1, 3)))).max() > 0
+
+
+@pytest.mark.parametrize("lean", [4e-3, -4e-3])
+def test_the_sign_of_a_lean_comes_through_the_firmware_s_file(lean: float, tmp_path: Path) -> None:
+    errors = {f"rail_tilt.{leg}.tangential": lean for leg in "abc"}
+    file = tmp_path / "printer.cfg"
+    file.write_text(simulated_cfg(DeltaRig(errors=errors)))
+    found = import_printer(file)
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    assert verdict.word == "ambiguous"
+    every = {one.name: one for c in verdict.effects for one in c.explanations}
+    assert "plate_trefoil.default.cos" in every  # the bed could have that shape
+    told = every["rail_tilt.tangential.common"].values["rail_tilt.tangential.common"]
+    assert told == pytest.approx(lean, rel=0.25)
+    side = "counter-clockwise" if lean > 0 else "the clockwise"
+    assert side in every["rail_tilt.tangential.common"].words
+
+
+def test_a_machine_with_nothing_wrong_is_left_alone(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    file.write_text(simulated_cfg(DeltaRig(), seed=3))
+    found = import_printer(file)
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    assert verdict.word == "adequate"
+
+
+def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
+    """FLSUN V400: six numbers leave 0.05 mm; tilted towers and the bed share what is left."""
+    out, done = tmp_path / "in", tmp_path / "out"
+    runner = CliRunner()
+    assert runner.invoke(cli, ["import", "klipper", str(V400), "--out", str(out)]).exit_code == 0
+    result = runner.invoke(
+        cli,
+        ["close-loop", str(out / "mesh-default_25Probe.csv"), "--machine",
+         str(out / "machine.toml"), "--out", str(done), "--quiet"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    told = json.loads((done / "result.json").read_text())
+    assert told["before"]["rms_mm"] == pytest.approx(0.052, abs=0.002)
+    assert told["after"]["rms_mm"] < 0.032
+    assert told["verdict"] == "ambiguous"
+    names = {n for e in told["effects"] for n in (e["name"], *e["indistinguishable_from"])}
+    assert {"plate_trefoil.default_25Probe.cos", "rail_tilt.tangential.common",
+            "axis_tilt.tangential.common"} <= names  # fmt: skip
+    firmware = told["firmware"]
+    assert "Measure the rods" in firmware["first"]
+    assert any("seven points" in text for text in firmware["unseen_by_seven_points"])
+    assert firmware["old"]["delta_radius_mm"] == 162.820595
+    assert firmware["height_rms_mm"][1] < firmware["height_rms_mm"][0]
+    reasons = " ".join(s["reason"] for s in told["next_measurements"])
+    assert "turned by 60 degrees" in reasons
+    assert "level on the platform" in reasons
+    page = (done / "report.html").read_text()
+    assert "To undo" in page
+    assert "Numbers for the firmware" in page
+    calibrated = Machine.load(done / "calibrated.toml")
+    assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
+
+
+BROKEN = {
+    "no printer": ("[printer]", "[prnter]", "no section [printer]"),
+    "cartesian": ("kinematics: delta", "kinematics: cartesian", "not 'delta'"),
+    "a word for a number": ("angle = 210.211440", "angle = north", "which is no number"),
+    "arm too short": ("arm_length = 345.283908", "arm_length = 45.2", "exchanged"),
+    "steps of another time": ("31752.000,42168.000,31693.000", "31752.000,32168.000,31693.000",
+                              "different times"),
+    "two numbers": ("32257.400,32158.800,32215.600", "32257.400,32158.800", "where 3 belong"),
+    "distance in another place": ("distance0 = 97.4598", "distance0 = 41.2", "DELTA_ANALYZE"),
+    "ragged mesh": ("0.014937, 0.014937, 0.014937, 0.014937, 0.014937, 0.014937, 0.014937, "
+                    "0.014937, 0.014937", "0.014937, 0.014937", "rows of 9"),
+    "turned round": ("max_x = 147.0", "max_x = -148.0", "not above min_x"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_broken_file_is_told_with_its_line(kind: str, tmp_path: Path) -> None:
+    old, new, phrase = BROKEN[kind]
+    text = V400.read_text()
+    assert old in text
+    file = tmp_path / "printer.cfg"
+    file.write_text(text.replace(old, new))
+    with pytest.raises(FileError) as caught:
+        import_printer(file)
+    assert phrase in str(caught.value)
+    assert "printer.cfg" in str(caught.value)
+    run = CliRunner().invoke(cli, ["import", "klipper", str(file), "--out", str(tmp_path / "o")])
+    assert run.exit_code == 2
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_file_without_readings_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    file.write_text(V400.read_text().partition("#*# [delta_calibrate]")[0])
+    with pytest.raises(FileError, match="holds no readings"):
+        import_printer(file)
+
+
+def test_mutated_files_give_a_sentence_or_a_campaign(tmp_path: Path) -> None:
+    rng, texts, fine = random.Random(7), [p.read_text() for p in CONFIGS], 0
+    told: list[str] = []
+    for _ in range(60):
+        text = rng.choice(texts)
+        for _ in range(rng.choice((1, 2))):
+            at = rng.randrange(len(text))
+            text = (
+                text[:at]
+                + rng.choice(["", "9", "-", ",", "x", "\n", "[", "nan", "é"])
+                + (text[at + rng.choice((0, 1, 1, 40)) :])
+            )
+        file = tmp_path / "printer.cfg"
+        file.write_text(text)
+        try:
+            found = import_printer(file)
+            parse_machine_file(machine_text(found.machine))
+            for campaign in found.campaigns:
+                rows = tool_rows(campaign, found.machine)
+                readings_from_rows(rows, found.machine, name="again")
+            fine += 1
+        except InputError as error:
+            told.append(str(error))
+    assert fine
+    assert len(told) + fine == 60
+    assert all(text.strip() for text in told)

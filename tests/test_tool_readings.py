@@ -1,0 +1,178 @@
+"""Readings of the tool: read, written, predicted, and fitted with their nuisances."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.errors import FileError, InputError
+from orthoglide.fit.tool import ToolReadings, roughness
+from orthoglide.geometry import Geometry
+from orthoglide.layout import LinearDelta
+from orthoglide.machine import Machine
+from orthoglide.machine_file import Instrument, MachineFile
+from orthoglide.observations import Campaign, ToolCampaign, csv_text, read_readings, tool_rows
+from tests.rig_delta import DeltaRig
+
+RIG = DeltaRig()
+SPEC = MachineFile(
+    geometry=Geometry(
+        RIG.L, RIG.d, RIG.r, RIG.stroke, LinearDelta((RIG.radius,) * 3, RIG.angles, RIG.tool)
+    )
+)
+MACHINE = Machine(SPEC)
+TRUE = MACHINE.with_parameters(
+    {"joint_offset.a": 3e-4, "axis_offset.b.radial": 4e-4, "axis_tilt.tangential.common": 3e-3}
+)
+HEAD = "kind,setup,direction,travel_a_mm,travel_b_mm,travel_c_mm,travel_a2_mm,travel_b2_mm,travel_c2_mm,reading_mm,reading_mrad\n"  # noqa: E501
+
+
+def places(count: int = 40, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    r, t = 0.12 * np.sqrt(rng.random(count)), rng.random(count) * 7
+    return np.stack([r * np.cos(t), r * np.sin(t), 0.02 + 0.1 * rng.random(count)], axis=1)
+
+
+def text(kinds: tuple[str, ...], machine: Machine = TRUE, noise: float = 0.0) -> str:
+    """Rows of kinds, all read at places on a plane, of a machine."""
+    rng, lines = np.random.default_rng(1), [HEAD]
+    commands = MACHINE.inverse(places())
+    pose = machine.pose(commands)
+    ball = np.array([0.01, -0.02, 0.3])
+    for kind in kinds:
+        for k, command in enumerate(commands):
+            p, R = pose.p[k], pose.R[k]
+            axis = k % 3
+            turn = 0.5 * (R[(axis + 2) % 3, (axis + 1) % 3] - R[(axis + 1) % 3, (axis + 2) % 3])
+            other = (k + 7) % len(commands)
+            value = {
+                "plate": p[2] - (0.001 + 2e-3 * p[0] - 1e-3 * p[1]),
+                "tcp": p[axis] + 0.01,
+                "distance": 1.001 * np.linalg.norm(p - pose.p[other]) + 1e-4,
+                "ballbar": np.linalg.norm(p - ball) - 0.02,
+                "incline": turn + 5e-4,
+            }[kind] + noise * rng.standard_normal()
+            told = "xyz"[axis] if kind in ("tcp", "incline") else ""
+            second = commands[other] if kind == "distance" else np.full(3, np.nan)
+            cells = [kind, f"{kind}-1", told, *(f"{v * 1e3:.9f}" for v in command)]
+            cells += ["" if np.isnan(v) else f"{v * 1e3:.9f}" for v in second]
+            shown = f"{value * 1e3:.9f}"
+            lines.append(",".join([*cells, *(["", shown] if kind == "incline" else [shown, ""])]))
+            lines.append("\n")
+    return "".join(lines)
+
+
+def read(tmp_path: Path, content: str, spec: MachineFile = SPEC) -> tuple[object, ...]:
+    file = tmp_path / "tool.csv"
+    file.write_text(content)
+    return read_readings(file, spec)
+
+
+ALL = ("plate", "tcp", "distance", "ballbar", "incline")
+
+
+def test_all_kinds_of_one_file_read_back_as_written(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(ALL))
+    assert isinstance(campaign, ToolCampaign)
+    assert [s.kind for s in campaign.setups] == list(ALL)
+    (again,) = read(tmp_path, csv_text(tool_rows(campaign, SPEC)))
+    assert isinstance(again, ToolCampaign)
+    for name in ("command", "second", "reading", "axis", "sign", "approach"):
+        assert np.array_equal(getattr(again, name), getattr(campaign, name), equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_the_true_machine_leaves_nothing_of_its_readings(kind: str, tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text((kind,)))
+    assert isinstance(campaign, ToolCampaign)
+    factor = ToolReadings.of(campaign, MACHINE)
+    value = factor.predict(TRUE.model, TRUE.values)
+    linear = factor.linearise(TRUE.model, TRUE.values, ["joint_offset.b"])
+    block, rest = factor.nuisances(linear.slopes), factor.measured - value
+    left = rest - block.columns @ np.linalg.lstsq(block.columns, rest, rcond=1e-12)[0]
+    # A ball's centre is fitted as a first-order shift: micrometres of it are left.
+    assert np.abs(left).max() < (2e-6 if kind == "ballbar" else 1e-9)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_derivatives_are_finite_differences(kind: str, tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text((kind,)))
+    assert isinstance(campaign, ToolCampaign)
+    factor = ToolReadings.of(campaign, MACHINE)
+    names = ["joint_offset.b", "axis_tilt.a.radial", "bar_mismatch.c"]
+    names += ["plate_trefoil.plate-1.cos"] if kind == "plate" else []
+    slopes = factor.linearise(MACHINE.model, {}, names).jacobian
+    for k, name in enumerate(names):
+        ends = [factor.predict(MACHINE.model, {name: s * 1e-6}) for s in (1, -1)]
+        assert np.abs((ends[0] - ends[1]) / 2e-6 - slopes[:, k]).max() < 1e-6, name
+
+
+def test_a_plate_and_a_level_find_what_is_wrong(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(("plate", "incline", "distance"), noise=2e-6))
+    free = [*MACHINE.catalogue.base, "axis_tilt.tangential.common"]
+    estimate = og.identify([campaign], MACHINE, free, noise=2e-6)
+    found = estimate.values["axis_tilt.tangential.common"]
+    assert abs(found - 3e-3) < 4 * estimate.sigmas["axis_tilt.tangential.common"]
+    assert estimate.sigmas["axis_tilt.tangential.common"] < 3e-4
+    assert estimate.scores.rms < 4e-6
+
+
+def test_the_shape_of_a_plate_is_its_own(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(("plate",), MACHINE, noise=1e-6))
+    assert isinstance(campaign, ToolCampaign)
+    factor = ToolReadings.of(campaign, MACHINE)
+    x, y = factor.place.T
+    lobes = 2e-4 * (x**3 - 3 * x * y**2)
+    bent = replace(campaign, reading=campaign.reading - lobes)  # a higher plate is nearer
+    estimate = og.identify([bent], MACHINE, [*MACHINE.catalogue.base, "plate_trefoil"])
+    assert estimate.values["plate_trefoil.plate-1.cos"] == pytest.approx(2e-4, abs=1e-5)
+
+
+def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(("plate",), MACHINE, noise=5e-5))
+    assert isinstance(campaign, ToolCampaign)
+    known = Machine(replace(SPEC, instruments={"plate": Instrument(repeatability=2e-4)}))
+    assert ToolReadings.of(campaign, known).sigma[0] == pytest.approx(2e-4)
+    assert ToolReadings.of(campaign, MACHINE).sigma[0] == pytest.approx(5e-5, rel=0.4)
+    assert ToolReadings.of(campaign, MACHINE, 1e-3).sigma[0] == pytest.approx(1e-3)
+    declared = replace(campaign, sigma=np.full(len(campaign), 3e-6))
+    assert ToolReadings.of(declared, MACHINE).sigma[0] == pytest.approx(3e-6)
+    assert roughness(np.zeros((5, 2)), np.zeros(5)) == 0.0
+
+
+BROKEN = {
+    "leg on a delta": ("plate,", "leg,", "on an Orthoglide only"),
+    "no such kind": ("plate,", "plank,", "which is none of"),
+    "no second command": ("travel_a2_mm", "elsewhere", "no column travel_a2_mm"),
+    "rho on a delta": ("travel_a_mm", "rho_a_mm", "no column"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_files_that_cannot_be_meant_are_refused(kind: str, tmp_path: Path) -> None:
+    old, new, phrase = BROKEN[kind]
+    content = text(("plate", "distance"))
+    with pytest.raises(FileError, match=phrase):
+        read(tmp_path, content.replace(old, new))
+
+
+def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) -> None:
+    machine = Machine.nominal()
+    truth = machine.with_parameters({"joint_offset.x": 5e-4, "joint_offset.z": -3e-4})
+    sheet = og.simulate(truth, "standard", noise=5e-6)
+    rho = sheet.command[::3]
+    p = truth.forward(rho)
+    lines = ["kind,setup,direction,rho_x_mm,rho_y_mm,rho_z_mm,reading_mm\n"]
+    for command, point in zip(rho, p, strict=True):
+        for axis, name in enumerate("xyz"):
+            cells = [f"{v * 1e3:.9f}" for v in (*command, point[axis])]
+            lines.append(",".join(["tcp", "tracker", name, *cells]) + "\n")
+    (tool,) = read(tmp_path, "".join(lines), machine.spec)
+    both = og.identify([sheet, tool], machine)
+    assert both.values["joint_offset.x"] == pytest.approx(5e-4, abs=3e-5)
+    assert both.sigmas["joint_offset.x"] < og.identify([sheet], machine).sigmas["joint_offset.x"]
+    assert isinstance(sheet, Campaign)
+    with pytest.raises(InputError, match="nested"):
+        og.identify([sheet, tool], machine, method="nlp")
