@@ -15,6 +15,7 @@ import numpy as np
 
 from orthoglide.accuracy import workspace
 from orthoglide.effects.places import Place
+from orthoglide.errors import InputError
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.geometry import Array
 from orthoglide.posterior.causes import (
@@ -101,7 +102,7 @@ class _Reader:
         """
         mixture = self.posterior.mixture
         table = mixture.over_sound_machine()
-        if self.posterior.share < _OFF or table.max() <= 0:
+        if self.posterior.share < _OFF or table.max(initial=0.0) <= 0:
             return ()
         named = [k for k, g in enumerate(self.groups) if not g.free]
         weight = np.exp(table[named] - table[named].max()).sum(axis=1)
@@ -130,26 +131,28 @@ class _Reader:
         """An explanation with those under other names that show the same, readings and tool."""
         catalogue, about = one.catalogue, self.posterior.about
         setups = tuple(s for f in about.problem.factors for s in f.setup_names)
-        parts = [dict(catalogue.elementary(n, setups)) for n in one.parameters]
-        whole = {p for part in parts for p in part}
-        twins = [dict(about.twins.get(p, ())) for p in whole]
-        others = [{catalogue.effect_of(n).name for n in twin} for twin in twins]
-        found = [one]
-        for effect in sorted(set.intersection(*others)) if others else []:
-            factor = {
-                f
-                for twin in twins
-                for n, f in twin.items()
-                if catalogue.effect_of(n).name == effect
-            }
-            if max(factor) - min(factor) > 1e-2 * abs(max(factor)):
+        parts = {n: tuple(catalogue.elementary(n, setups)) for n in one.parameters}
+        known = [dict(about.twins.get(p, ())) for own in parts.values() for p in own]
+        effects = [{catalogue.effect_of(n).name for n in twin} for twin in known]
+        found, own = [one], catalogue.effect_of(one.name).name
+        for effect in sorted(set.intersection(*effects)) if effects else []:
+            stands = [
+                next((t, f) for t, f in twin.items() if catalogue.effect_of(t).name == effect)
+                for twin in known
+            ]
+            size = stands[0][1]
+            if any(abs(f - size) > 1e-2 * abs(size) for _, f in stands):
                 continue
-            size, own = factor.pop(), catalogue.effect_of(one.name).name
-            named = {n: catalogue.parameter(n.replace(own, effect, 1)) for n in one.parameters}
+            if len(stands) == len(parts):  # single parameters: each has its twin
+                named = dict(zip(parts, (t for t, _ in stands), strict=True))
+            else:
+                named = {n: n.replace(own, effect, 1) for n in parts}
+            if not all(self._is_name(n, setups) for n in named.values()):
+                continue
             found.append(
                 replace(
                     one,
-                    name=one.name.replace(own, effect, 1),
+                    name=named[one.name] if one.name in named else one.name.replace(own, effect, 1),
                     parameters=tuple(named.values()),
                     values={named[n]: v * size for n, v in one.values.items()},
                     sigmas={named[n]: v * abs(size) for n, v in one.sigmas.items()},
@@ -191,6 +194,13 @@ class _Reader:
 
     def _shown(self, rows: Array) -> Array:
         return np.asarray(rows - self.nuisance.fitted(rows))
+
+    def _is_name(self, name: str, setups: Sequence[str]) -> bool:
+        try:
+            self.posterior.about.problem.machine.catalogue.parameter(name, setups)
+        except InputError:
+            return False
+        return True
 
     def _same_tool(self, one: Explanation, other: Explanation) -> bool:
         """Whether two causes put the tool in the same places, over the workspace.
