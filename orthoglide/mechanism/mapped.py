@@ -12,10 +12,10 @@ from orthoglide.geometry import Array
 _CHUNK = 256
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Rows in pieces that one mapped call takes and the cache holds."""
-    for start in range(0, count, _CHUNK):
-        yield slice(start, min(start + _CHUNK, count))
+def blocks(count: int, size: int = _CHUNK) -> Iterator[slice]:
+    """Rows in pieces, by default such that one mapped call takes and the cache holds."""
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
 
 
 class Mapped:

@@ -19,6 +19,7 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.posterior.compressed import MANY, compressed
 from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import is_twin, tool_slopes, translations, twins
 
@@ -199,7 +200,12 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     of_dials, dials = _of_dials(wide, here.value)
     rows, found = np.hstack([here.jacobian * sd, curves, of_dials]), (*found, *dials)
     value = here.value - here.jacobian @ x
-    columns, residual = project(rows), project(problem.measured - value)
+    many, beyond = len(value) > MANY, (0.0, 0.0, 1.0)
+    if many:
+        nuisance, rest = estimate.nuisance, problem.measured - value
+        columns, residual, stations, beyond = compressed(nuisance, rows, rest)
+    else:
+        columns, residual = project(rows), project(problem.measured - value)
     scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
     fixed, known = _fixed(problem, len(scale))
     slopes = tool_slopes(wide, x) * sd
@@ -217,11 +223,12 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         n: tuple((o, f * sd[wide.names.index(o)] / sd[wide.names.index(n)]) for o, f in others)
         for n, others in same.items()
     }
-    stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
-                       * problem.sigma[:, None])  # fmt: skip
+    if not many:
+        stations = project(np.eye(int(problem.station.max()) + 1)[problem.station]
+                           * problem.sigma[:, None])  # fmt: skip
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
-    linear = Linear(columns, residual, fixed, is_free, groups, stations)
+    linear = Linear(columns, residual, fixed, is_free, groups, stations, beyond=beyond)
     if one_surface(problem):
         quiet = tuple(s for s in SHARES if s <= _QUIET)
         linear = replace(linear, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))

@@ -65,6 +65,8 @@ class Linear:
         stations: an error of one sigma at each station ``(m, s)``.
         shares: scales that the effects' background may have, in tolerances.
         slabs: those of what stands out.
+        beyond: what stations show beside all columns: squared, in how many directions, and the
+            visits that each has; none where all directions are kept.
     """
 
     columns: Array
@@ -75,6 +77,7 @@ class Linear:
     stations: Array
     shares: tuple[float, ...] = SHARES
     slabs: tuple[float, ...] = SLABS
+    beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def spike(self, share: float, free_share: float) -> Array:
         """Prior variance of each coefficient without slabs ``(C,)``."""
@@ -98,8 +101,11 @@ class Scale:
         both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
         self.columns, self.residual = both[:, :-1], both[:, -1]
         unlikely = _RARE * ((share > 1) + (rough > 0))
+        square, count, visits = linear.beyond
+        wide = 1 + rough**2 * visits
         self.log_z = (
             unlikely
+            - 0.5 * (square / wide + count * float(np.log(wide)))
             - 0.5 * float(self.residual @ self.residual)
             - float(np.log(np.diag(factor)).sum())
         )

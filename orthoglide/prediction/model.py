@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.effects import CATALOGUE, Catalogue, LegConditions
 from orthoglide.errors import InputError
@@ -35,6 +36,19 @@ from orthoglide.prediction.displacement import (
     displacement_tangent,
     leg_conditions,
 )
+
+_POSTURES = 4096
+"""Whose derivatives by all parameters are held at once."""
+
+_ALL = slice(None)
+
+
+def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.intp]]]:
+    """Postures in pieces, with the rows ``(n,)`` that show them and their posture within it."""
+    order = np.argsort(place, kind="stable")
+    for part in blocks(int(place.max(initial=-1)) + 1, _POSTURES):
+        rows = order[slice(*np.searchsorted(place[order], [part.start, part.stop]))]
+        yield part, rows, place[rows] - part.start
 
 
 @dataclass(frozen=True)
@@ -270,14 +284,19 @@ class Model:
         return self._reading(*self._dial_arguments(values, campaign, lines[place]))[0][:, 0]
 
     def _dial_arguments(
-        self, values: Mapping[str, float], campaign: Campaign, lines: Array
+        self,
+        values: Mapping[str, float],
+        campaign: Campaign,
+        lines: Array,
+        rows: slice | NDArray[np.intp] = _ALL,
     ) -> tuple[Array, Array, Array]:
-        touched = lines[np.arange(len(campaign)), campaign.leg].reshape(len(campaign), 12)
+        leg = campaign.leg[rows]
+        touched = lines[np.arange(len(leg)), leg].reshape(len(leg), 12)
         dials = dial_values(campaign, values, self.catalogue.of_dials)
         kept = self._prepared.setdefault(campaign, {})
         if "mountings" not in kept:
             kept["mountings"] = mountings(campaign, self.geometry.r)
-        return touched, kept["mountings"], dials
+        return touched, kept["mountings"][rows], dials[rows]
 
     def by_joints(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Derivative of poses and bars by the virtual joints ``(n, 48, 30)``, loops closed."""
@@ -292,9 +311,12 @@ class Model:
         _, by_ends, _, _ = self._reading_tangent(
             *self._dial_arguments(values, campaign, lines[place])
         )
-        moved = self.by_joints(values, conditions)[:, LINES]
-        ends = moved.reshape(len(conditions), 3, 12, moved.shape[2])
-        return np.asarray((by_ends[:, None] @ ends[place, campaign.leg])[:, 0])
+        found = np.empty((len(campaign), self.displacement.size1_out(0)))
+        for part, rows, at in _parts(place):
+            moved = self.by_joints(values, conditions.part(part))[:, LINES]
+            ends = moved.reshape(len(moved), 3, 12, moved.shape[2])
+            found[rows] = (by_ends[rows, None] @ ends[at, campaign.leg[rows]])[:, 0]
+        return found
 
     def leg_conditions(
         self, values: Mapping[str, float], conditions: Conditions
@@ -326,17 +348,21 @@ class Model:
         }
         machine = [name for name in names if name in self._place]
         conditions, place = self._merged(campaign, [*values, *names])
-        outputs, by_name = self.sensitivities(values, conditions, machine)
-        shown, by_ends, by_mounting, by_dial = self._reading_tangent(
-            *self._dial_arguments(values, campaign, outputs.lines[place])
-        )
-        ends = by_name[:, LINES].reshape(len(conditions), 3, 12, len(machine))
-        jacobian = np.zeros((len(campaign), len(names)))
-        jacobian[:, [k for k, n in enumerate(names) if n in self._place]] = (
-            by_ends[:, None] @ ends[place, campaign.leg]
-        )[:, 0]
+        n = len(campaign)
+        shown, by_gauge = np.empty(n), np.empty(n)
+        by_dial = np.empty((n, len(self.catalogue.of_dials)))
+        of_machine, jacobian = np.empty((n, len(machine))), np.zeros((n, len(names)))
+        for part, rows, at in _parts(place):
+            outputs, by_name = self.sensitivities(values, conditions.part(part), machine)
+            value, by_ends, by_mounting, dial = self._reading_tangent(
+                *self._dial_arguments(values, campaign, outputs.lines[at], rows)
+            )
+            ends = by_name[:, LINES].reshape(len(outputs.values), 3, 12, len(machine))
+            of_machine[rows] = (by_ends[:, None] @ ends[at, campaign.leg[rows]])[:, 0]
+            shown[rows], by_gauge[rows], by_dial[rows] = value[:, 0], by_mounting[:, BY_GAUGE], dial
+        jacobian[:, [k for k, name in enumerate(names) if name in self._place]] = of_machine
         for column, name in zip(jacobian.T, names, strict=True):
             if name in dials:
                 row, k = dials[name]
                 column[:] = np.where(campaign.setup == row, by_dial[:, k], 0.0)
-        return Readings(shown[:, 0], jacobian, by_mounting[:, BY_GAUGE])
+        return Readings(shown, jacobian, by_gauge)
