@@ -160,9 +160,11 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
     if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
         found = replace(found, located=())
+    word = _word(found, left, known.share)
     verdict = Verdict(
-        request, _word(found, left, known.share), before, known.after, found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty, alone=found.alone,
+        request, word, before, known.after, found.causes, found.located,
+        found.weighed, left, known, blunders, faulty=faulty, 
+        alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
     changed = (*since, *(c.measured(verdict.after) for c in changes))
