@@ -163,7 +163,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     word = _word(found, left, known.share)
     verdict = Verdict(
         request, word, before, known.after, found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty, 
+        found.weighed, left, known, blunders, faulty=faulty,
         alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
