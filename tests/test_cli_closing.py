@@ -115,7 +115,8 @@ def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     assert tree(rig) == before
     assert "The path of the y carriage is out of square toward z" in shown
     assert "Verdict explained" in shown
-    place = [shown.index(f" {name} 1 ") for name in ("axis_tilt.y.z", "axis_offset.x.z")]
+    ranked = shown[shown.index("weighed evidence probability") :]
+    place = [ranked.index(f" {name} ") for name in ("axis_tilt.y.z", "rail.y.z/travel")]
     assert place == sorted(place)
     assert "Report:" not in shown
     result = json.loads(done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--json"))
