@@ -29,6 +29,7 @@ _OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres,
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
+_BUMP = 1e-3  # metres
 
 
 def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
@@ -87,10 +88,23 @@ def check_slips(estimate: Estimate) -> None:
     off = (problem.measured - again.predicted) / problem.sigma
     rest = off[(point >= 0) & ~np.isin(point, worst)]
     limit = _SLIPPED * max(1.0, float(np.sqrt(np.mean(rest**2))))
-    slipped = [p for p in sorted(worst) if np.linalg.norm(off[point == p]) > limit]
+    slipped = [
+        p
+        for p in sorted(worst)
+        if np.linalg.norm(off[point == p]) > limit
+        and np.linalg.norm((off * problem.sigma)[point == p]) > _least(problem, names[p])
+    ]
     if slipped:
         raise InputError("; ".join(_said(problem, names[p], off, point == p) for p in slipped)
                          + ": correct the row or remove it")  # fmt: skip
+
+
+def _least(problem: Problem, name: tuple[int, int]) -> float:
+    """Least distance that counts, metres: a bed has bumps, and a printed part its pillars."""
+    points = problem.points[name[0]].points
+    if not isinstance(points, ToolCampaign):
+        return 0.0
+    return _BUMP if points.setups[points.setup[name[1]]].kind in ("plate", "distance") else 0.0
 
 
 def _said(problem: Problem, name: tuple[int, int], off: Array, rows: NDArray[np.bool_]) -> str:

@@ -1,0 +1,128 @@
+"""What the tool says of real linear deltas, as a page: ``python -m benchmarks.deltas``.
+
+The files are those of ``tests/data/delta``; nothing is simulated.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from orthoglide.closing import Verdict, close_loop
+from orthoglide.klipper import Firmware, import_printer
+from orthoglide.machine import Machine
+from orthoglide.observations import ToolCampaign
+
+DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
+STEPS_A_MM = 106.667
+"""Of the 41 points, as their source says."""
+
+HEAD = """# Linear deltas
+
+Printed by `python -m benchmarks.deltas` from numbers that owners stored for their own machines
+(`tests/data/delta`, with their sources). Nothing is simulated.
+
+```
+orthoglide import klipper printer.cfg --out DIR
+orthoglide close-loop DIR/*.csv --machine DIR/machine.toml --out OUT
+```
+
+The importer reads what the firmware stores: its numbers, the heights and distances of
+`[delta_calibrate]` with their step positions, and meshes. A mesh is taken as probed with the
+numbers that are stored now. What the firmware does not store (the platform's radius, the distance
+of an arm's rods, how far the nozzle hangs below the joints) is taken as typical, 32, 50 and 40 mm:
+the sizes of causes that turn the platform depend on it.
+
+A probe sees one surface. The plate's height and slopes are fitted with every setup, and go into the
+endstops; what no polynomial of the fourth degree follows counts as noise of the touches. Many
+causes draw the same surface, the bed's own shape among them: they are told as a class, each with
+its size.
+"""
+
+TAIL = """
+## What is certain and what is not
+
+- That six numbers leave a pattern: its probability by noise alone stands in every result.
+- Not which member of a class it is. A level on the platform, distances around the rim with both
+  widths, or a mesh with the plate turned by 60 degrees decide; every result says which would, and
+  by how much.
+- Seven points cannot see a twist that is common to the towers: after their fit no height changes.
+- The arms that a firmware has fitted need not be the rods: where they differ by more than half a
+  millimetre the report begins with that.
+- New numbers for the firmware stand beside the old ones, to paste and to undo. Its model holds
+  three endstops, one radius, three angles and three arms, and none of the causes above.
+"""
+
+
+def forty_one_points() -> tuple[ToolCampaign, Machine]:
+    """The 41 touches, through the stored numbers of a machine of that make, widely tolerated."""
+    stock = import_printer(DATA / "t1-stock.cfg")
+    firmware = Firmware.of(stock.machine.provenance["klipper"])
+    rows = list(csv.DictReader((DATA / "t1-41.csv").read_text().splitlines()))
+    steps = np.array([[float(row[f"steps_{leg}"]) for leg in "abc"] for row in rows])
+    zero = float(np.sqrt(stock.machine.geometry.L**2 - firmware.delta_radius**2))
+    travel = np.round(firmware.at_endstop - steps * 1e-3 / STEPS_A_MM - zero, 12)
+    n, like = len(rows), stock.campaigns[0]
+    campaign = replace(
+        like, name="t1-41", setup=np.zeros(n, dtype=np.int64), axis=np.zeros(n, dtype=np.int64),
+        sign=np.ones(n), command=travel, second=np.full((n, 3), np.nan),
+        approach=np.full((n, 3), -1.0), time=np.full(n, np.nan), temperature=np.full(n, np.nan),
+        load=np.zeros(n), repeat=np.ones(n, dtype=np.int64), order=np.arange(1, n + 1),
+        posture=tuple(row["point"] for row in rows), sigma=np.full(n, np.nan),
+        reading=np.array([float(row["height_mm"]) * 1e-3 for row in rows]),
+        line=np.arange(2, n + 2),
+    )  # fmt: skip
+    geometry = replace(stock.machine.geometry, stroke=(-0.17, 0.5))
+    wide = {"joint_offset": 5e-3, "axis_offset": 4e-3, "leg_length": 1e-3}
+    tolerance = {**stock.machine.tolerance, **wide}
+    return campaign, Machine(
+        replace(stock.machine, geometry=geometry, tolerance=tolerance, provenance={})
+    )
+
+
+def cases() -> Iterator[tuple[str, Sequence[ToolCampaign], Machine]]:
+    """All of every file, and what is asked for by itself."""
+    for path in sorted(DATA.glob("*.cfg")):
+        found = import_printer(path)
+        machine = Machine(found.machine)
+        yield path.stem, found.campaigns, machine
+        meshes = [c for c in found.campaigns if c.name.startswith("mesh")]
+        if len(meshes) > 1:
+            for mesh in meshes:
+                yield f"{path.stem}, {mesh.name} alone", [mesh], machine
+    campaign, machine = forty_one_points()
+    yield "t1-41", [campaign], machine
+
+
+def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iterator[str]:
+    """A section on one machine."""
+    before, after = verdict.before.scores, verdict.after.scores
+    yield f"\n## {name}\n"
+    yield (
+        f"{sum(map(len, campaigns))} readings. Base: {before.rms * 1e3:.3f} mm rms. With what was "
+        f"found: {after.rms * 1e3:.3f} mm. Verdict: **{verdict.word}**.\n"
+    )
+    for cause in verdict.effects:
+        yield "One of:" if len(cause.explanations) > 1 else "Found:"
+        yield ""
+        for one in cause.explanations:
+            yield f"- {one.words} ({one.probability:.2f})"
+        yield ""
+    for suggestion in verdict.next_measurements:
+        yield f"- {suggestion.reason}."
+
+
+def page() -> str:
+    """The page."""
+    lines = [HEAD]
+    for name, campaigns, machine in cases():
+        lines += told(name, campaigns, close_loop(list(campaigns), machine))
+    return "\n".join([*lines, TAIL])
+
+
+if __name__ == "__main__":
+    print(page(), end="")
