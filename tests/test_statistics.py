@@ -133,9 +133,9 @@ def test_lack_of_fit_is_the_smaller_of_two_tests_doubled(seed: int, size: float)
 
 
 def test_noise_from_repeats_is_held_against_fisher() -> None:
-    """Stations that are off by as much as the noise, each by its own."""
+    """Stations that are off by twice the noise, each by its own."""
     plain = fitted(noise=None).problem
-    off = NOISE * np.random.default_rng(1).standard_normal(int(plain.station.max()) + 1)
+    off = 2 * NOISE * np.random.default_rng(1).standard_normal(int(plain.station.max()) + 1)
     spoilt = plain.campaigns[0].with_readings(plain.measured + off[plain.station])
     found = og.identify(spoilt, machine())
     problem, scores = found.problem, found.scores
