@@ -115,8 +115,11 @@ CHANGES: tuple[Callable[[Rows], list[Rows]], ...] = (
 )  # fmt: skip
 
 
-def the_same(one: Verdict, other: Verdict, name: Callable[[str], str] = str) -> None:
-    """Same words, same numbers."""
+def the_same(
+    one: Verdict, other: Verdict, name: Callable[[str], str] = str, share: float = 0.0
+) -> None:
+    """Same words, and same numbers but for a share of their sigmas."""
+    sigmas = one.machine.posterior.sigmas if one.machine.posterior is not None else {}
     assert other.word == one.word
     assert [e.name for e in other.effects] == [name(e.name) for e in one.effects]
     for before, after in zip(one.effects, other.effects, strict=True):
@@ -124,11 +127,12 @@ def the_same(one: Verdict, other: Verdict, name: Callable[[str], str] = str) -> 
         assert set(after.indistinguishable_from) == rivals
     assert set(other.values) == {name(n) for n in one.values}
     for parameter, value in one.values.items():
-        assert other.values[name(parameter)] == pytest.approx(value, rel=1e-5, abs=1e-9)
+        slack = max(1e-9, share * sigmas.get(parameter, 0.0))
+        assert other.values[name(parameter)] == pytest.approx(value, rel=1e-5, abs=slack)
     for stage in ("before", "after"):
         was, now = (getattr(v, stage).scores for v in (one, other))
-        assert now.rms == pytest.approx(was.rms, rel=1e-5)
-        assert now.chi2 == pytest.approx(was.chi2, rel=1e-4)
+        assert now.rms == pytest.approx(was.rms, rel=1e-5 + share)
+        assert now.chi2 == pytest.approx(was.chi2, rel=1e-4 + share)
     assert len(other.blunders) == len(one.blunders)
 
 
@@ -142,7 +146,9 @@ def test_what_says_nothing_of_the_machine_changes_nothing(
 ) -> None:
     files = change(recorded(case))
     assert files != [recorded(case)]
-    the_same(plain[case], og.close_loop(written(tmp_path, *files), machine()))
+    # What drifts with the recorded time begins with each file.
+    share = 0.01 if len(files) > 1 else 0.0
+    the_same(plain[case], og.close_loop(written(tmp_path, *files), machine()), share=share)
 
 
 @pytest.mark.parametrize("case", CASES)
