@@ -71,11 +71,12 @@ def test_degrees_of_freedom_of_successive_differences() -> None:
     sheet = protocol("sweep")
     rng = np.random.default_rng(1)
     found = [
-        repeat_variance([sheet.with_readings(rng.standard_normal(len(sheet)))]) for _ in range(400)
+        repeat_variance([sheet.with_readings(rng.standard_normal(len(sheet)))]) for _ in range(1000)
     ]
     values, dof = np.array([v for v, _ in found]), found[0][1]
     assert values.mean() == pytest.approx(1, rel=0.03)
-    assert 2 / values.var() == pytest.approx(dof, rel=0.25)
+    # Rather too few than too many: longer runs share more.
+    assert 0.75 < dof / (2 / values.var()) < 1.1
 
 
 @pytest.mark.parametrize("resolution", [0.0, 1e-5])
@@ -132,7 +133,11 @@ def test_lack_of_fit_is_the_smaller_of_two_tests_doubled(seed: int, size: float)
 
 
 def test_noise_from_repeats_is_held_against_fisher() -> None:
-    found = fitted(noise=None)
+    """Stations that are off by twice the noise, each by its own."""
+    plain = fitted(noise=None).problem
+    off = 2 * NOISE * np.random.default_rng(1).standard_normal(int(plain.station.max()) + 1)
+    spoilt = plain.campaigns[0].with_readings(plain.measured + off[plain.station])
+    found = og.identify(spoilt, machine())
     problem, scores = found.problem, found.scores
     assert problem.noise.source == "repeats"
     rest = problem.measured - found.at.value
@@ -140,7 +145,8 @@ def test_noise_from_repeats_is_held_against_fisher() -> None:
     between = scores.chi2 - problem.weighing.within(rest)
     dof = scores.dof - inside
     expected = stats.f.sf(between / dof, dof, problem.noise.dof)
-    assert scores.lack_of_fit_p == pytest.approx(expected, rel=0.02)
+    assert scores.lack_of_fit_p == pytest.approx(expected, rel=0.05)
+    assert stats.chi2.sf(between, dof) < 0.7 * expected
 
 
 def test_priors_are_no_question_to_the_readings() -> None:

@@ -28,6 +28,8 @@ from orthoglide.geometry import Array
 
 Method = Literal["auto", "nlp", "nested", "reduction"]
 
+_MANY, _SOME = 20_000, 2_000  # readings from which a fit starts from a fit of some
+
 NLP_POSTURES = 200
 """Up to this many distinct postures the programme carries the closures as constraints."""
 
@@ -76,7 +78,7 @@ def _widened(found: Estimate, method: Method) -> Estimate:
 def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     if method == "reduction" and not problem.representable:
         raise InputError("the reduction has joint offsets and leg lengths only: free nothing else")
-    begin = problem.start if start is None else start
+    begin = _begin(problem, method) if start is None else start
     first = linearise(problem, begin)
     # Slopes at a first Gauss-Newton step: nearer to the fitted machine than the nominal one.
     nuisance = nuisances(problem, first.slopes)
@@ -86,6 +88,24 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
     return assessed(problem, nuisance, at, used, iterations, optimality)
+
+
+def _begin(problem: Problem, method: Method) -> Array:
+    """Where to start: of very many readings, where some of every setup lead."""
+    if len(problem.measured) < _MANY or method == "reduction":
+        return problem.start
+    every = len(problem.measured) // _SOME
+    kept = []
+    for campaign in problem.campaigns:
+        some = [np.flatnonzero(campaign.setup == s)[::every] for s in range(len(campaign.setups))]
+        kept.append(np.isin(np.arange(len(campaign)), np.concatenate(some)))
+    campaigns = tuple(c.subset(k) for c, k in zip(problem.campaigns, kept, strict=True))
+    sigma = tuple(s[k] for s, k in zip(problem.noise.sigma, kept, strict=True))
+    thin = replace(problem, campaigns=campaigns, noise=replace(problem.noise, sigma=sigma))
+    try:
+        return solve(thin, method="nested", widen=False).x
+    except (NumericsError, InputError):
+        return problem.start
 
 
 def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array:

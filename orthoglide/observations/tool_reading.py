@@ -53,7 +53,8 @@ def read_readings(
     Raises:
         FileError: naming the line and what would be right.
     """
-    return _readings(read_table(path), Path(path).stem, machine_file)
+    table = read_table(path)
+    return _readings(table, Path(table.file).stem, machine_file)
 
 
 def readings_from_rows(

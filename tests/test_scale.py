@@ -1,0 +1,75 @@
+"""Many readings are gone through in blocks, from a start that some of them give: same answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.fit import solving
+from orthoglide.posterior import columns
+from orthoglide.prediction import model
+from orthoglide.simulation import simulate
+
+MACHINE = og.Machine.nominal()
+BENT = MACHINE.with_parameters({"rail_bow.x.z": 4e-5, "joint_offset.y": 1e-3})
+
+
+def measured() -> og.Campaign:
+    return simulate(BENT, "sweep", noise=5e-6, seed=3)
+
+
+def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    sheet, names = measured(), ("joint_offset.x", "backlash.y", "gauge_scale.xy-0.5")
+    whole = MACHINE.model.linearised(BENT.values, sheet, names)
+    joints = MACHINE.model.readings_by_joints(BENT.values, sheet)
+    monkeypatch.setattr(model, "_POSTURES", 7)
+    parts = MACHINE.model.linearised(BENT.values, sheet, names)
+    assert parts.value == pytest.approx(whole.value, abs=1e-15)
+    assert parts.jacobian == pytest.approx(whole.jacobian, abs=1e-12)
+    assert parts.by_gauge == pytest.approx(whole.by_gauge, abs=1e-12)
+    assert MACHINE.model.readings_by_joints(BENT.values, sheet) == pytest.approx(joints, abs=1e-12)
+
+
+def test_a_start_from_some_of_the_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = og.identify(measured(), MACHINE, method="nested")
+    monkeypatch.setattr(solving, "_MANY", 200)
+    monkeypatch.setattr(solving, "_SOME", 60)
+    some = og.identify(measured(), MACHINE, method="nested")
+    assert some.x == pytest.approx(whole.x, abs=1e-8)
+    assert some.scores.chi2 == pytest.approx(whole.scores.chi2, rel=1e-4)
+
+
+def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = og.close_loop(measured(), MACHINE)
+    monkeypatch.setattr(columns, "MANY", 10)
+    other = og.close_loop(measured(), MACHINE)
+    assert (one.word, [e.name for e in one.effects]) == (
+        other.word,
+        [e.name for e in other.effects],
+    )
+    assert other.after.scores.chi2 == pytest.approx(one.after.scores.chi2, rel=0.02)
+    for name, value in one.after.values.items():
+        half = 0.1 * one.after.sigmas[name]
+        assert other.after.values[name] == pytest.approx(value, abs=half + 1e-9), name
+
+
+def test_directions_of_blocks_against_all_at_once() -> None:
+    """Inner products of columns, residual and stations, beside what all columns leave."""
+    from orthoglide.posterior.compressed import compressed
+
+    found = og.identify(measured(), MACHINE)
+    nuisance, n = found.nuisance, len(found.problem.measured)
+    rng = np.random.default_rng(0)
+    rows, rest = 1e-5 * rng.standard_normal((n, 9)), 1e-5 * rng.standard_normal(n)
+    dense, left = nuisance.project(rows), nuisance.project(rest)
+    seen, residual, root, (square, count, visits) = compressed(nuisance, rows, rest)
+    assert seen.T @ seen == pytest.approx(dense.T @ dense)
+    assert seen.T @ residual == pytest.approx(dense.T @ left)
+    station = found.problem.station
+    errors = nuisance.project(np.eye(station.max() + 1)[station] * found.problem.sigma[:, None])
+    shown = errors.T @ dense
+    assert seen.T @ root @ root.T @ seen == pytest.approx(shown.T @ shown)
+    assert count == station.max() + 1 - nuisance.free - 9
+    assert visits == pytest.approx(n / (station.max() + 1))
+    assert 0 < square < float(left @ left)
