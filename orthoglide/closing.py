@@ -162,7 +162,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         found = replace(found, located=())
     word = _word(found, left, known.share)
     verdict = Verdict(
-        request, word, before, known.after, found.causes, found.located,
+        request, word, before, before if word == "unexplained" else known.after,
+        found.causes, found.located,
         found.weighed, left, known, blunders, faulty=faulty,
         alone=found.alone if word == "adequate" else (),
     )  # fmt: skip

@@ -71,9 +71,10 @@ def test_the_tcp_is_as_good_as_if_the_effect_had_been_told(
     errors = tcp_errors(machine, points, {}, told.problem.values(0, told.x))["translation"]
     assert verdict.tcp is not None
     after = verdict.tcp["translation"]
-    assert after.after[0] <= 1.3 * errors.after[0]
     sigma = tcp_map(verdict.machine, points.command).sigma
-    assert after.after[0] <= after.before[0] + np.linalg.norm(sigma, axis=1).mean()
+    sigma_of_mean = np.linalg.norm(sigma, axis=1).mean()
+    assert after.after[0] <= 1.3 * errors.after[0] + 0.1 * sigma_of_mean
+    assert after.after[0] <= after.before[0] + sigma_of_mean
     assert after.inside >= 0.93
 
 

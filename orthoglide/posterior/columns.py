@@ -20,8 +20,9 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.posterior.compressed import MANY, compressed
+from orthoglide.parameters import Parameter
 from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
-from orthoglide.posterior.twins import is_twin, tool_slopes, translations, twins
+from orthoglide.posterior.twins import tool_slopes, translations, twins
 
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
@@ -71,7 +72,7 @@ class Everything:
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
     linear: Linear
-    twins: Mapping[str, tuple[tuple[str, float], ...]]
+    twins: Mapping[Parameter, tuple[tuple[Parameter, float], ...]]
     translations: Array
     rows: Array
     value: Array
@@ -210,17 +211,18 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     fixed, known = _fixed(problem, len(scale))
     slopes = tool_slopes(wide, x) * sd
     same = twins(wide, free, columns[:, : len(sd)], slopes)
-    for name in (other for others in same.values() for other, _ in others):
-        k = wide.names.index(name)
-        rows[:, k] = columns[:, k] = 0.0
-        fixed[k] = _NOTHING
+    gone = {other.plain for others in same.values() for other, _ in others}
+    stood_for = np.flatnonzero([n.plain in gone for n in wide.names])
+    rows[:, stood_for] = columns[:, stood_for] = 0.0
+    fixed[stood_for] = _NOTHING
     if len(known[1]):
         matrix = np.pad(known[0], [(0, 0), (0, len(scale) - known[0].shape[1])]) * scale
         columns = np.vstack([columns, matrix])
         residual = np.concatenate([residual, known[1]])
     groups, causes, hidden = _groups(wide, free, columns, found)
+    tolerance = wide.machine.tolerance
     by_name = {
-        n: tuple((o, f * sd[wide.names.index(o)] / sd[wide.names.index(n)]) for o, f in others)
+        n: tuple((o, f * tolerance(o) / tolerance(n)) for o, f in others)
         for n, others in same.items()
     }
     if not many:
@@ -235,7 +237,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     return Everything(
         wide, x, scale, found, causes, _reduced(linear), by_name, translations(slopes), rows,
-        value, (padded, known[1]), tuple(n for n in hidden if not is_twin(n, same)),
+        value, (padded, known[1]), tuple(n for n in hidden if n.plain not in gone),
     )  # fmt: skip
 
 

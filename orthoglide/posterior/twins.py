@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from orthoglide.accuracy import workspace
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
+from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 
 _FEW = 3.0
 """Tolerances of a parameter that another may replace if no reading and no tool shows it."""
 
 _SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
-
-
-def is_twin(name: str, twins: Mapping[str, Sequence[tuple[str, float]]]) -> bool:
-    """Whether another parameter stands for one."""
-    return any(name == other for others in twins.values() for other, _ in others)
 
 
 def tool_slopes(problem: Problem, x: Array) -> Array:
@@ -47,36 +41,47 @@ def translations(slopes: Array) -> Array:
 
 def twins(
     wide: Problem, free: int, columns: Array, slopes: Array
-) -> dict[str, tuple[tuple[str, float], ...]]:
+) -> dict[Parameter, tuple[tuple[Parameter, float], ...]]:
     """Parameters of which a few tolerances show the same as those of an earlier one, readings and
     tool alike: they are one cause.
 
     Args:
-        wide: its unknowns ``P``; those of dials, or of other campaigns, are no twins.
+        wide: its unknowns ``P``; those of dials are no twins.
         free: the first so many are free already and stay.
         columns: readings ``(m, P)``, whitened, in tolerances.
         slopes: of the TCP ``(g, 3, P)``, in tolerances, metres.
     """
     names, noise = wide.names, wide.noise.typical
-    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in names]
-    tool = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
-    length = np.linalg.norm(columns, axis=0)
-    unit = columns / np.where(length > 0, length, 1.0)
+    of_dial = wide.machine.catalogue.effect_of
+    # What campaigns have for themselves is one parameter here, by the sum of its copies.
+    copies: dict[Parameter, list[int]] = {}
+    for k, name in enumerate(names):
+        if not of_dial(name).of_dial:
+            copies.setdefault(name.plain, []).append(k)
+    plain = list(copies)
+    shown = np.stack([columns[:, at].sum(axis=1) for at in copies.values()], axis=1)
+    tool = np.stack([slopes[:, :, at].sum(axis=2).ravel() for at in copies.values()], axis=1)
+    tool /= np.sqrt(len(slopes))
+    length = np.linalg.norm(shown, axis=0)
+    unit = shown / np.where(length > 0, length, 1.0)
     cosine = unit.T @ unit
-    found: dict[str, tuple[tuple[str, float], ...]] = {}
+    found: dict[Parameter, tuple[tuple[Parameter, float], ...]] = {}
     gone: set[int] = set()
-    for one in range(len(names)):
-        for other in range(max(one + 1, free), len(names)):
+    for one in range(len(plain)):
+        for other in range(one + 1, len(plain)):
             if {one, other} & gone or not length[one] or not length[other]:
                 continue
-            if of_dial[one] or of_dial[other] or names[one].campaign != names[other].campaign:
+            if min(copies[plain[other]]) < free:
                 continue
             factor = float(cosine[one, other]) * length[other] / length[one]
             if abs(cosine[one, other]) < 0.99 or abs(factor) < _SHAPELESS:
                 continue
-            apart = np.linalg.norm(columns[:, other] - factor * columns[:, one])
+            apart = np.linalg.norm(shown[:, other] - factor * shown[:, one])
             moved = np.linalg.norm(tool[:, other] - factor * tool[:, one])
             if _FEW * apart < 1.0 and _FEW * moved < noise / 2:
                 gone.add(other)
-                found[names[one]] = (*found.get(names[one], ()), (names[other], 1 / factor))
+                twin = plain[other]
+                for name in (plain[one], *(names[k] for k in copies[plain[one]])):
+                    stands = (twin.at(name.campaign), 1 / factor)
+                    found[name] = tuple(dict.fromkeys((*found.get(name, ()), stands)))
     return found

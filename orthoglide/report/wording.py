@@ -88,7 +88,8 @@ def _unexplained(result: Result) -> str:
         )
     return (
         f"Something is wrong that no effect of the catalogue and no free function of its parts "
-        f"explains: with all of them in the model, {_fall(result)}. {_why_significant(result)}"
+        f"explains: with the {effects_named(result.before)} set right, {_fall(result)}. "
+        f"{_why_significant(result)}"
     )
 
 
