@@ -175,7 +175,7 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
         commands = machine.with_only(settings).inverse(wanted)
         left = without_place(machine.forward(commands) - wanted)
         slopes = without_place(tcp_slopes(machine, zeros, Conditions.at(commands)))
-        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1), rcond=None)[0]
+        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1), rcond=1e-6)[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings
 

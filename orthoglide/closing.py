@@ -163,9 +163,11 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         left = max(left, left_over(before), key=lambda test: test.p_value)
     if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
         found = replace(found, located=())
+    word = _word(found, left, known.share)
     verdict = Verdict(
-        request, _word(found, left, known.share), before, known.after, found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty, alone=found.alone,
+        request, word, before, known.after, found.causes, found.located,
+        found.weighed, left, known, blunders, faulty=faulty,
+        alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
     changed = (*since, *(c.measured(verdict.after) for c in changes))

@@ -176,3 +176,18 @@ def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) ->
     assert isinstance(sheet, Campaign)
     with pytest.raises(InputError, match="nested"):
         og.identify([sheet, tool], machine, method="nlp")
+
+
+def test_a_delta_s_file_without_its_machine_is_told_what_it_lacks(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="--machine"):
+        read(tmp_path, text(("plate",)), Machine.nominal().spec)
+    file = tmp_path / "held.csv"
+    file.write_text(text(("plate",)))
+    with pytest.raises(FileError, match="in column kind"):
+        og.read_campaign(file, SPEC)
+
+
+def test_what_needs_dials_says_so() -> None:
+    for ask in (lambda: og.protocol("standard", SPEC.geometry), lambda: og.simulate(MACHINE)):
+        with pytest.raises(InputError, match="readings of its tool"):
+            ask()

@@ -13,7 +13,7 @@ from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.observations.protocols import Kind, protocol
+from orthoglide.observations.protocols import Kind, check_dials, protocol
 from orthoglide.prediction import Conditions
 from orthoglide.units import ONE
 
@@ -87,6 +87,7 @@ class Comparison:
         plain = (machine or Machine.nominal()).with_only({})
         pitch = plain.spec.screw_pitch or self.circumstances.pitch
         self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
+        check_dials(plain.geometry)
         self.geometry, self.model = plain.geometry, self.machine.model
         side = np.linspace(*cube(self.geometry), self.circumstances.points)
         grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)

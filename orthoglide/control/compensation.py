@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
@@ -47,6 +47,7 @@ class Compensation:
             the best translation over the workspace; from what is known of the parameters.
         place_sigma: the same of that translation ``(3,)``: where the machine as a whole sits.
         independent: whether the parameters were taken for independent.
+        legs: their names.
     """
 
     wanted: Array
@@ -58,6 +59,7 @@ class Compensation:
     shape_sigma: Array
     place_sigma: Array
     independent: bool
+    legs: tuple[str, str, str] = LEGS
 
     def __len__(self) -> int:
         return len(self.wanted)
@@ -165,6 +167,7 @@ def compensate(
         machine.forward(nominal, **{**arriving, "approach": _approach(nominal, before)}),
         *_shape_and_place(machine, Conditions.at(rho, **arriving)),
         machine.spec.posterior is None,
+        machine.geometry.leg_names,
     )
 
 

@@ -13,7 +13,7 @@ from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
-from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.columns import MM, POINT, approach_of, names_of
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.text import csv_text
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text
@@ -50,7 +50,9 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 
 def commands_text(found: Compensation) -> str:
     """Commands as CSV: the points, both ways to count the commands, and what to expect."""
-    sigmas = tuple(f"sigma_{leg}_mm" for leg in LEGS)
+    sigmas = tuple(f"sigma_{axis}_mm" for axis in LEGS)
+    rho = tuple(f"rho_{leg}_mm" for leg in found.legs)
+    travel, approach = names_of(found.legs)[0], approach_of(found.legs)
     ends = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm")
     rows = []
     for k in range(len(found)):
@@ -59,7 +61,7 @@ def commands_text(found: Compensation) -> str:
         last = (found.residual[k], *expected, found.error_before[k])
         ways = (f"{way:+.0f}" for way in found.approach[k])
         rows.append([*map(_mm, lengths), *ways, *map(_mm, (*found.shape_sigma[k], *last))])
-    return csv_text((*POINT, *RHO, *TRAVEL, *APPROACH, *sigmas, *ends), rows)
+    return csv_text((*POINT, *rho, *travel, *approach, *sigmas, *ends), rows)
 
 
 def export_files(

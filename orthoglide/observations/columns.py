@@ -81,6 +81,10 @@ def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str
     """The three columns that hold the commands: joint coordinates or the controller's values."""
     if machine is not None and machine.geometry.leg_names != LEGS:
         return names_of(machine.geometry.leg_names)[0]
+    if "travel_a_mm" in table.names:
+        table.fail(
+            "has the columns of a linear delta: give its machine file, with [layout], by --machine"
+        )
     if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
         table.fail("has both rho_ and travel_ columns: keep the three of one kind")
     return TRAVEL if set(TRAVEL) & set(table.names) else RHO

@@ -42,6 +42,20 @@ Posture = tuple[str, float]
 """A label and the travel from mechanical zero, metres."""
 
 
+def check_dials(geometry: Geometry) -> None:
+    """Refuse a machine against whose legs no dial is set.
+
+    Raises:
+        InputError: saying what is read of it instead.
+    """
+    if geometry.layout.hanging:
+        raise InputError(
+            f"dials are set against an Orthoglide's legs, and this machine is a "
+            f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
+            f"tcp or ballbar)"
+        )
+
+
 def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     """A campaign without readings, to be measured in its order.
 
@@ -62,6 +76,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     if kind not in get_args(Kind):
         raise InputError(f"there is no protocol {kind!r}: it is one of {', '.join(get_args(Kind))}")
     geometry = geometry or Geometry()
+    check_dials(geometry)
     postures = _named(geometry) if kind == "standard" else _swept(geometry)
     visits = [
         (leg, gauge, repeat, posture)

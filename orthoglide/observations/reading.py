@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
 from orthoglide.observations.approach import Ints, Moves, derive_approach
@@ -146,6 +146,12 @@ def campaign_of_table(
         FileError: naming the line and what would be right.
     """
     machine = machine_file or nominal_machine_file()
+    if machine.geometry.leg_names != LEGS:
+        table.fail(
+            f"holds dials on the legs, or is read as if it did, and this machine is a "
+            f"{machine.geometry.layout.kind}: name the kind of each reading in column kind "
+            f"(plate, distance, incline, tcp, ballbar)"
+        )
     names = command_names(table)
     known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH)
     needed = ("setup", "leg", "direction", *names, "gauge_mm")

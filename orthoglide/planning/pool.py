@@ -12,7 +12,7 @@ from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
 from orthoglide.observations.approach import OVERSHOOT
-from orthoglide.observations.protocols import unread
+from orthoglide.observations.protocols import check_dials, unread
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
 """Where the dials may stand, as fractions of the leg."""
@@ -112,6 +112,7 @@ def reading_pool(
         A campaign with a setup for every leg, direction, place and bar, one row a station.
     """
     geometry = geometry or Geometry()
+    check_dials(geometry)
     setups: list[Setup] = []
     rows: list[tuple[int, Station]] = []
     for leg in range(3):
