@@ -158,11 +158,16 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     known = full_posterior(before, [c.parameter for c in causes])
     progress(Step("allowing"))
     found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
+    if not (found.causes or found.located):
+        # A mean over explanations may fit few readings worse than one that leaves nothing of them.
+        left = max(left, left_over(before), key=lambda test: test.p_value)
     if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
         found = replace(found, located=())
+    word = _word(found, left, known.share)
     verdict = Verdict(
-        request, _word(found, left, known.share), before, known.after, found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty, alone=found.alone,
+        request, word, before, known.after, found.causes, found.located,
+        found.weighed, left, known, blunders, faulty=faulty,
+        alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
     since = tuple(c.now(verdict.after) for c in before.changes)
     changed = (*since, *(c.measured(verdict.after) for c in changes))
