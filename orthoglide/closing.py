@@ -158,6 +158,9 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     known = full_posterior(before, [c.parameter for c in causes])
     progress(Step("allowing"))
     found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
+    if not (found.causes or found.located):
+        # A mean over explanations may fit few readings worse than one that leaves nothing of them.
+        left = max(left, left_over(before), key=lambda test: test.p_value)
     if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
         found = replace(found, located=())
     word = _word(found, left, known.share)

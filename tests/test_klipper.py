@@ -223,3 +223,11 @@ def test_mutated_files_give_a_sentence_or_a_campaign(tmp_path: Path) -> None:
     assert fine
     assert len(told) + fine == 60
     assert all(text.strip() for text in told)
+
+
+def test_the_step_of_older_firmware_is_understood(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    text = V400.read_text().replace("rotation_distance: 40", "step_distance: 0.0125")
+    file.write_text(text)
+    one, other = (import_printer(p).campaigns[0].command for p in (V400, file))
+    assert np.abs(one - other).max() < 1e-12

@@ -229,6 +229,8 @@ def _probe(config: Config) -> tuple[float, Array]:
 def _step(config: Config, tower: str) -> float:
     """Travel of one microstep of a tower, metres."""
     section = config.section(f"stepper_{tower}")
+    if "rotation_distance" not in section and "step_distance" in section:  # of older firmware
+        return section.number("step_distance", low=1e-5, high=10) * 1e-3
     around = section.number("rotation_distance", low=0.1, high=1000)
     count = section.whole("full_steps_per_rotation", _FULL_STEPS, 4, 1000)
     if count % 4:

@@ -59,11 +59,12 @@ def controller(result: Result) -> Data:
     }
 
 
-def firmware(advice: FirmwareAdvice) -> Data:
+def firmware(advice: FirmwareAdvice, stands: bool) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
     found = advice.corrections
     return {
         "first": advice.first,
+        "stands": stands,
         "rows": found.rows,
         "height": [f"{v * 1e3:.3f}" for v in found.height],
         "sideways": [f"{v * 1e3:.3f}" for v in found.sideways],

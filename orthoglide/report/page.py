@@ -75,7 +75,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
     if result.firmware is not None:
-        data = follows.firmware(result.firmware)
+        data = follows.firmware(result.firmware, result.stands)
         yield Section("firmware", "Numbers for the firmware", data)
     controller = {"rows": ()} if result.firmware else follows.controller(result)
     if controller["rows"]:

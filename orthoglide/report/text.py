@@ -54,6 +54,8 @@ def summary(result: Result, ranked: bool = False) -> str:
     parts += [Text(f"- {line}") for line in remarks]
     if result.firmware is not None:
         parts.append(_firmware(result.firmware))
+        if not result.stands:
+            parts.append(Text("Do not enter these numbers yet: something is left.", style="bold"))
         parts += [Text(f"- {sentence(text)}") for text in result.firmware.unseen]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
