@@ -19,8 +19,8 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.posterior.compressed import MANY, compressed
 from orthoglide.parameters import Parameter
+from orthoglide.posterior.compressed import MANY, compressed
 from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
@@ -72,7 +72,7 @@ class Everything:
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
     linear: Linear
-    twins: Mapping[Parameter, tuple[tuple[Parameter, float], ...]]
+    twins: Mapping[str, tuple[tuple[str, float], ...]]
     translations: Array
     rows: Array
     value: Array
@@ -221,7 +221,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         residual = np.concatenate([residual, known[1]])
     groups, causes, hidden = _groups(wide, free, columns, found)
     tolerance = wide.machine.tolerance
-    by_name = {
+    by_name: dict[str, tuple[tuple[str, float], ...]] = {
         n: tuple((o, f * tolerance(o) / tolerance(n)) for o, f in others)
         for n, others in same.items()
     }
@@ -296,7 +296,7 @@ def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Arr
 
 def _groups(
     wide: Problem, free: int, columns: Array, found: Sequence[Place]
-) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[str, ...]]:
+) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[Parameter, ...]]:
     """Causes and places that the readings could show, and the parameters that they could not."""
     names, catalogue = [u.name for u in wide.unknowns], wide.machine.catalogue
     excited = {e.name for e in excited_effects(wide)}

@@ -81,11 +81,16 @@ class Mixture:
 
     # --- Search -----------------------------------------------------------------------------
 
+    @cached_property
+    def _known(self) -> frozenset[int]:
+        """Groups that stand out whatever the readings say."""
+        names = [g.name for g in self.linear.groups]
+        return frozenset(names.index(n) for n in self._given_names if n in names)
+
     def _search(self) -> State:
         state: State = ()
-        names = [g.name for g in self.linear.groups]
-        for name in sorted(self._given_names & set(names)):
-            state = self.child(state, names.index(name))
+        for group in sorted(self._known):
+            state = self.child(state, group)
         while len(state) < _MOST:
             child = self._best_child(state)
             if child is None or self._total(child) < self._total(state):
@@ -96,7 +101,7 @@ class Mixture:
     def _exchanged(self, state: State) -> State:
         """Each group exchanged against the best of all others, as long as that is better."""
         for _ in range(4):
-            own = [s for s in state if self.linear.groups[s[0]].name not in self._given_names]
+            own = [s for s in state if s[0] not in self._known]
             if not own:
                 break
             rivals = [self._best_child(tuple(s for s in state if s is not out)) for out in own]
@@ -225,6 +230,7 @@ class Mixture:
             for group, tau in zip(*np.nonzero(pooled > self._total(self.best) - 12), strict=True):
                 child = tuple(sorted((*state, (int(group), self.linear.slabs[tau]))))
                 logs.setdefault(child, table[:, group, tau])
+        logs = {s: v for s, v in logs.items() if self._known <= {g for g, _ in s}}
         top = max(float(v.max()) for v in logs.values())
         raw = {s: np.exp(v - top) for s, v in logs.items()}
         total = sum(float(v.sum()) for v in raw.values())
