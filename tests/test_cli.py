@@ -434,7 +434,7 @@ def test_commands_write_at_one_place() -> None:
     writers = re.compile(r"write_whole|write_folder|write_campaign|\.save\(")
     found = {p.name for p in (ROOT / "orthoglide" / "cli").glob("*.py")
              if writers.search(p.read_text())}  # fmt: skip
-    assert found == {"writing.py"}
+    assert found == {"writing.py", "completion.py"}  # which writes to the shell's own folders
 
 
 def test_an_interrupt_lost_in_a_callback_is_told_without_a_traceback(

@@ -25,7 +25,7 @@ from orthoglide.progress import Step
 from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"
-FIGURES = ("causes", "signatures-1", "residuals", "readings", "workspace")
+FIGURES = ("residuals", "readings", "workspace")
 FILES = {
     "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
     *(f"figures/{name}.svg" for name in FIGURES),
@@ -106,7 +106,7 @@ def test_json_is_the_file(rig: Path) -> None:
     assert result["effects"][0]["name"] == "axis_tilt.y.z"
     assert result["effects"][0]["indistinguishable_from"] == ["rail_tilt.y.z"]
     assert result["parameters"]["axis_tilt.y.z"]["value"] == pytest.approx(2.4e-3, abs=2e-4)
-    assert set(tree(rig / "a")) >= FILES
+    assert set(tree(rig / "a")) >= FILES | {"figures/causes.svg", "figures/signatures-1.svg"}
 
 
 def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:

@@ -14,6 +14,10 @@ from orthoglide.geometry import Array
 SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 """Scales of the effects of the catalogue that no slab lets out, in tolerances."""
 
+STRANGE = 0.1
+"""Probability of a place to be wrong in its own way, over that of a cause of the catalogue: what is
+known to go wrong with such machines goes wrong more often."""
+
 _RARE = -3.0
 """Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
 errors that have no structure: one in twenty each."""

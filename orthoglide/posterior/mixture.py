@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.posterior.linear import FREE_AND_ROUGH, SOUND, Linear, Scale
+from orthoglide.posterior.linear import FREE_AND_ROUGH, SOUND, STRANGE, Linear, Scale
 
 _MOST = 6  # groups that stand out together
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
@@ -73,8 +73,10 @@ class Mixture:
         self._by_size: dict[int, list[int]] = {}
         for k, group in enumerate(linear.groups):
             self._by_size.setdefault(group.size, []).append(k)
-        # Each slab is one of so many, at one of so many scales.
-        self.cost = float(np.log(max(len(linear.groups), 1)) + np.log(len(linear.slabs)))
+        # Each slab is one of so many, at one of so many scales; strangers are rarer than what a
+        # catalogue has.
+        chance = np.array([STRANGE if g.free else 1.0 for g in linear.groups])
+        self.cost = np.log(len(linear.slabs) * max(chance.sum(), 1.0) / chance)
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self.best = self._search()
@@ -171,7 +173,7 @@ class Mixture:
         """Log weights ``(scales, groups, taus)`` of the state with one more group out."""
         if state not in self.visited:
             self.visited[state] = np.array(
-                [self._log_z(s, state) - len(state) * self.cost for s in self.scales]
+                [self._log_z(s, state) - sum(self.cost[g] for g, _ in state) for s in self.scales]
             )
         taken = {k for k, _ in state}
         groups = self.linear.groups
@@ -189,7 +191,7 @@ class Mixture:
                     grown = 1 + tau**2 * values
                     gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
                     table[k, members, t] = gain
-            table[k] += self.visited[state][k] - self.cost
+            table[k] += self.visited[state][k] - self.cost[:, None]
         table[:, sorted(taken)] = -np.inf
         return table
 

@@ -256,7 +256,7 @@ class _Reader:
             odds = mixture.alternatives(member)
             for k, p in enumerate(odds[:-1]):
                 if p > 0:
-                    score = float(np.log(p) - np.log(max(odds[-1], 1e-300)) + mixture.cost)
+                    score = float(np.log(p) - np.log(max(odds[-1], 1e-300)) + mixture.cost[k])
                     found[k] = max(found.get(k, -np.inf), score)
         odds = mixture.next_odds()
         for k, p in enumerate(odds):
