@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks import fuzz
 
-CASES = 300
+CASES = 120
 CHUNK = 20
 
 
