@@ -383,6 +383,7 @@ def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """This process takes signals as the command line does, for a while."""
     before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     try:
         stop_cleanly()
         yield
