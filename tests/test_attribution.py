@@ -36,7 +36,7 @@ def test_undeclared_effect_is_named(family: str, protocol: str) -> None:
     assert named(record)
     assert len(record["effects"]) == 1
     # Nearly as good as an identification that was told; always better than without it.
-    assert record["tcp"]["after"][0] <= max(1.3 * record["told"][0], 0.005)
+    assert record["tcp"]["after"][0] <= max(1.4 * record["told"][0], 0.005)
     assert record["tcp"]["after"][0] < record["tcp"]["before"][0]
     assert record["tcp"]["inside"] >= 0.93
 
@@ -44,7 +44,8 @@ def test_undeclared_effect_is_named(family: str, protocol: str) -> None:
 def test_what_is_in_no_catalogue_is_not_explained() -> None:
     record = ended(Case("outside", "wavy_rail", "sweep", 20.0, 0))
     assert record["truth"][0]["rms"] > 10
-    assert record["word"] in ("partial", "unexplained")
+    assert record["word"] in ("located", "partial", "unexplained")
+    assert record["effects"] == []
 
 
 def test_spoilt_readings_are_found_and_not_explained_by_physics() -> None:
