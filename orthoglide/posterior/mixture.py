@@ -53,14 +53,6 @@ class Averaged:
     prior: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _Visited:
-    """A state with its log weights: ``(scales,)``, the prior counted."""
-
-    state: State
-    log_weights: Array
-
-
 class Mixture:
     """The states that explain the readings, with their weights."""
 
@@ -198,7 +190,7 @@ class Mixture:
     def _out(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
 
-        With these, ``rows - (left * shrink) @ left.T @ rows`` whitens what is out as well.
+        :func:`_whitened` whitens what is out as well.
         """
         if not state:
             return np.zeros((len(scale.residual), 0)), np.zeros(0)
@@ -211,8 +203,8 @@ class Mixture:
         if not state:
             return scale.by_group, scale.along
         left, shrink = self._out(scale, state)
-        columns = scale.by_group - (left * shrink) @ (left.T @ scale.by_group)
-        residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
+        columns = _whitened(scale.by_group, left, shrink)
+        residual = _whitened(scale.residual, left, shrink)
         return columns, np.asarray(columns.T @ residual)
 
     def _log_z(self, scale: Scale, state: State) -> float:
@@ -287,8 +279,8 @@ class Mixture:
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
         left, shrink = self._out(scale, state)
-        residual = scale.residual - (left * shrink) @ (left.T @ scale.residual)
-        columns = scale.columns - (left * shrink) @ (left.T @ scale.columns)
+        residual = _whitened(scale.residual, left, shrink)
+        columns = _whitened(scale.columns, left, shrink)
         spread = self._spread(state)
         # Prior covariance: the spike's diagonal and what is out.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
@@ -325,3 +317,8 @@ class Mixture:
             prior[block] += weight / total * (np.diag(scale.spike[at]) + spread @ spread.T)
         second[block] -= np.outer(mean[at], mean[at])
         return Averaged(mean, second, prior)
+
+
+def _whitened(rows: Array, left: Array, shrink: Array) -> Array:
+    """Rows ``(m, ...)`` shrunk along orthonormal directions ``(m, q)``."""
+    return np.asarray(rows - (left * shrink) @ (left.T @ rows))

@@ -97,25 +97,21 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
 
 
 def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:
-    return campaign_from_rows(
-        found["rows"],
-        machine.spec,
-        name=Path(found["file"]).stem,
-        lines=found.get("lines", ()),
-        file=found["file"],
-        sha256=found["sha256"],
-    )
+    return campaign_from_rows(found["rows"], machine.spec, **_source(found))
 
 
 def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Campaign | ToolCampaign, ...]:
-    return readings_from_rows(
-        found["rows"],
-        machine.spec,
-        name=Path(found["file"]).stem,
-        lines=found.get("lines", ()),
-        file=found["file"],
-        sha256=found["sha256"],
-    )
+    return readings_from_rows(found["rows"], machine.spec, **_source(found))
+
+
+def _source(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Where rows come from, as the readers of rows take it."""
+    return {
+        "name": Path(found["file"]).stem,
+        "lines": found.get("lines", ()),
+        "file": found["file"],
+        "sha256": found["sha256"],
+    }
 
 
 def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:
