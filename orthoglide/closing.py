@@ -15,6 +15,7 @@ from orthoglide.fit import (
     account_for_changes,
     assemble,
     identify,
+    readings_of,
     solve,
     sorted_out,
 )
@@ -23,7 +24,7 @@ from orthoglide.frames import html_table
 from orthoglide.judging import fitted_already, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import Given, TcpPoints, as_campaigns
+from orthoglide.observations import Readings, TcpPoints
 from orthoglide.posterior import Cause, Outstanding, full_posterior, outstanding
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
@@ -78,7 +79,7 @@ def close_loop(
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Given | None = None,
+    holdout: Source | Sequence[Source] | None = None,
     tcp: TcpPoints | None = None,
     effects: Sequence[Effect] = (),
     seed: int = 0,
@@ -93,7 +94,7 @@ def close_loop(
         machine: dimensions, tolerances, dial; nominal where absent.
         own: effects or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
-        holdout: a campaign that only judges the finished result.
+        holdout: readings that only judge the finished result.
         tcp: measured points that only judge the finished result.
         effects: of one's own, weighed beside those of the machine's catalogue.
         seed: of every random draw; the same seed gives the same answer.
@@ -106,7 +107,7 @@ def close_loop(
     """
     machine = (machine or Machine.nominal()).with_effects(effects)
     several, points = sorted_out(campaigns, machine)
-    held = None if holdout is None else as_campaigns(holdout, machine.spec)[0]
+    held = () if holdout is None else readings_of(holdout, machine)
     request = Request(
         "close-loop", several, machine, tuple(own), noise, seed, held, tcp, points=points,
         frame=frame,
@@ -202,9 +203,10 @@ def judge(verdict: Verdict) -> Verdict:
     request, machine = verdict.request, verdict.machine
     before, after = verdict.values_before, verdict.values
     scored = errors = None
-    if request.holdout is not None:
+    if request.holdout:
         scored = hold_out(before, after, machine, request.holdout, request.own)
-        if any(fitted_already(request.holdout, c) for c in request.campaigns):
+        fitted: tuple[Readings, ...] = (*request.campaigns, *request.tool)
+        if any(fitted_already(one, c) for one in request.holdout for c in fitted):
             text = "the readings held out are readings that were fitted: they judge nothing"
             warnings = (*verdict.after.warnings, Note(text, "holdout"))
             verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))
