@@ -96,7 +96,7 @@ def _causes(case: Case, setups: list[str], rng: np.random.Generator) -> list[Cau
     if case.kind in ("nothing", "fault"):
         return []
     if case.kind == "outside":
-        return [ac.outside(case.what, rng)]
+        return [ac.outside(case.what, setups, rng)]
     shaped = case.kind == "structured"
     return [
         ac.effect(family, machine().tolerance(family), setups, rng, shaped)
@@ -158,6 +158,7 @@ def _metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Reco
         "nearest": nearest,
         "distance": rest.get(nearest, float(np.linalg.norm(left))),
         "visible": cause.name in {c.name for c in seen.candidates},
+        "place": cause.place,
     }
 
 
@@ -274,7 +275,8 @@ def _told(drawn: Drawn, verdict: Verdict, names: Sequence[str]) -> list[float]:
 def _tcp(verdict: Verdict) -> Record:
     errors = (verdict.tcp or {})["translation"]
     figures = {k: [1e3 * x for x in getattr(errors, k)] for k in ("nominal", "before", "after")}
-    return {**figures, "inside": errors.inside}
+    stated = 1e3 * verdict.numbers.expected["compensated"].shape
+    return {**figures, "inside": errors.inside, "stated": stated}
 
 
 def _covered(rig: Rig, verdict: Verdict) -> list[list[Any]]:

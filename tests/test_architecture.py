@@ -31,7 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"result"}),
     frozenset({"report"}),
     frozenset({"closing"}),
-    frozenset({"checking"}),
+    frozenset({"checking", "measuring"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),
 )
