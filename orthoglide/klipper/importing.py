@@ -27,6 +27,10 @@ PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
 
 
+FEW = 30
+"""Touches: three endstops, six coordinates of towers, three arms and a plane leave half of them."""
+
+
 @dataclass(frozen=True)
 class Imported:
     """What a printer stored.
@@ -140,11 +144,11 @@ def _machine(
 def _notes(firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
     if told := rods_words(firmware):
         yield Note(told, "rods")
-    names = {s.kind for c in stored for s in c.setups}
-    if "plate" in names and not any(c.name.startswith("mesh") for c in stored):
+    most = max(int(c.of_kind("plate").sum()) for c in stored)
+    if most < FEW:
         yield Note(
-            "there is no mesh: seven heights leave hardly anything to look for a cause with; probe "
-            "one of 9 by 9 or more with a round bed's full radius",
+            f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "
+            f"mesh of 9 by 9 or more over a round bed's full radius",
             "mesh",
         )
     if any(c.name.startswith("mesh") for c in stored):

@@ -28,6 +28,7 @@ _PROBES = (
     "cartographer", "scanner", "dockable_probe",
 )  # fmt: skip
 _ROUND = 12
+_MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbours read alike
 
 
 class Stored:
@@ -164,6 +165,14 @@ class Stored:
         if "mesh_radius" in general and not radius > 0:
             general.fail("mesh_radius", "must be above 0: correct it")
         kept = np.ones(len(place), dtype=bool)
+        stride = int(np.ceil(np.sqrt(len(place) / _MOST_TOUCHES)))
+        if stride > 1:
+            kept &= _thinned(len(y), stride)[:, None].repeat(len(x), 1).reshape(-1)
+            kept &= np.tile(_thinned(len(x), stride), len(y))
+            self.notes.append(Note(
+                f"a mesh of {len(y)} by {len(x)} is finer than any cause needs: of its rows and "
+                f"columns one in {stride} is taken", "mesh",
+            ))  # fmt: skip
         if radius:
             kept &= np.hypot(*(place - middle * 1e-3).T) <= radius * (1 + 1e-9) + 1e-5
         if min(table.shape) > 2 and (table[[0, 0, -1, -1], [0, -1, 0, -1]]
@@ -179,6 +188,11 @@ class Stored:
             for at in (place, place - offset):
                 kept &= ~((at >= ends[0]) & (at <= ends[1])).all(axis=1)
         return kept
+
+
+def _thinned(count: int, stride: int) -> NDArray[np.bool_]:
+    """Every so-many-th of ``count``, the middle among them ``(count,)``."""
+    return np.asarray((np.arange(count) - count // 2) % stride == 0)
 
 
 def _probe(config: Config) -> tuple[float, Array]:
