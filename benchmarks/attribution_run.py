@@ -69,7 +69,7 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
     causes: list[tuple[Cause, float]] = []
     rig = bare
-    chosen = _causes(case, setups, rng)
+    chosen = _causes(case, rows, setups, rng)
     if chosen:
         seen = signatures(identify(campaign(rc.simulate(bare, rows, rng)), machine()))
         for cause in chosen:
@@ -92,11 +92,13 @@ def points_of(rig: Rig, rng: np.random.Generator) -> TcpPoints:
     return TcpPoints(command, p, unknown, np.zeros((POINTS, 3)), np.arange(POINTS) + 2)
 
 
-def _causes(case: Case, setups: list[str], rng: np.random.Generator) -> list[Cause]:
+def _causes(
+    case: Case, rows: list[rc.Row], setups: list[str], rng: np.random.Generator
+) -> list[Cause]:
     if case.kind in ("nothing", "fault"):
         return []
     if case.kind == "outside":
-        return [ac.outside(case.what, setups, rng)]
+        return [ac.outside(case.what, rows, rng)]
     shaped = case.kind == "structured"
     return [
         ac.effect(family, machine().tolerance(family), setups, rng, shaped)

@@ -10,9 +10,11 @@ from orthoglide.posterior.causes import (
     Outstanding,
 )
 from orthoglide.posterior.everything import FullPosterior, full_posterior
-from orthoglide.posterior.outstanding import outstanding
+from orthoglide.posterior.outstanding import NAMED, outstanding
+from orthoglide.posterior.remains import remains
 
 __all__ = [
+    "NAMED",
     "BudgetItem",
     "CandidateScore",
     "Cause",
@@ -24,4 +26,5 @@ __all__ = [
     "budget",
     "full_posterior",
     "outstanding",
+    "remains",
 ]
