@@ -11,6 +11,7 @@ from orthoglide.planning.suggestions import (
     next_measurements,
     next_sheet,
 )
+from orthoglide.planning.tracing import tracing
 
 __all__ = [
     "Design",
@@ -27,4 +28,5 @@ __all__ = [
     "reading_pool",
     "repeats_needed",
     "smallest_effects",
+    "tracing",
 ]
