@@ -9,6 +9,7 @@ from orthoglide.posterior.causes import (
     Located,
     Outstanding,
 )
+from orthoglide.posterior.columns import places_of, with_everything
 from orthoglide.posterior.everything import FullPosterior, full_posterior
 from orthoglide.posterior.outstanding import outstanding
 
@@ -24,4 +25,6 @@ __all__ = [
     "budget",
     "full_posterior",
     "outstanding",
+    "places_of",
+    "with_everything",
 ]
