@@ -70,7 +70,7 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
     causes: list[tuple[Cause, float]] = []
     rig = bare
-    chosen = _causes(case, setups, rng)
+    chosen = _causes(case, rows, setups, rng)
     if chosen:
         seen = signatures(identify(campaign(rc.simulate(bare, rows, rng)), machine()))
         for cause in chosen:
@@ -93,11 +93,13 @@ def points_of(rig: Rig, rng: np.random.Generator) -> TcpPoints:
     return TcpPoints(command, p, unknown, np.zeros((POINTS, 3)), np.arange(POINTS) + 2)
 
 
-def _causes(case: Case, setups: list[str], rng: np.random.Generator) -> list[Cause]:
+def _causes(
+    case: Case, rows: list[rc.Row], setups: list[str], rng: np.random.Generator
+) -> list[Cause]:
     if case.kind in ("nothing", "fault"):
         return []
     if case.kind == "outside":
-        return [ac.outside(case.what, rng)]
+        return [ac.outside(case.what, rows, rng)]
     shaped = case.kind == "structured"
     return [
         ac.effect(family, machine().tolerance(family), setups, rng, shaped)
@@ -159,6 +161,7 @@ def _metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Reco
         "nearest": nearest,
         "distance": rest.get(nearest, float(np.linalg.norm(left))),
         "visible": cause.name in {c.name for c in seen.candidates},
+        "place": cause.place,
     }
 
 
@@ -253,7 +256,8 @@ def _told(drawn: Drawn, verdict: Verdict, names: Sequence[str]) -> list[float]:
 def _tcp(verdict: Verdict) -> Record:
     errors = (verdict.tcp or {})["translation"]
     figures = {k: [1e3 * x for x in getattr(errors, k)] for k in ("nominal", "before", "after")}
-    return {**figures, "inside": errors.inside}
+    stated = 1e3 * verdict.numbers.expected["compensated"].shape
+    return {**figures, "inside": errors.inside, "stated": stated}
 
 
 def _covered(rig: Rig, verdict: Verdict) -> list[list[Any]]:

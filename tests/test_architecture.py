@@ -31,7 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"result"}),
     frozenset({"report"}),
     frozenset({"closing"}),
-    frozenset({"checking", "rehearsal"}),
+    frozenset({"checking", "measuring", "rehearsal"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),
 )

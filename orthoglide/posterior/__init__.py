@@ -11,9 +11,11 @@ from orthoglide.posterior.causes import (
 )
 from orthoglide.posterior.columns import places_of, with_everything
 from orthoglide.posterior.everything import FullPosterior, full_posterior
-from orthoglide.posterior.outstanding import outstanding
+from orthoglide.posterior.outstanding import NAMED, outstanding
+from orthoglide.posterior.remains import remains
 
 __all__ = [
+    "NAMED",
     "BudgetItem",
     "CandidateScore",
     "Cause",
@@ -26,5 +28,6 @@ __all__ = [
     "full_posterior",
     "outstanding",
     "places_of",
+    "remains",
     "with_everything",
 ]
