@@ -7,7 +7,8 @@ and its own key alone, so that any one of them can be made again.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -34,10 +35,12 @@ LARGEST = 3.0
 """No effect is made larger than this, in tolerances of the machine file."""
 
 FAMILIES = tuple(f for f in CATALOGUE if f not in ("joint_offset", "leg_length"))
-OUTSIDE = ("s_curve", "wavy_rail", "stick_slip", "hysteresis", "cross_coupling", "warming_drive",
-           "platform_play")  # fmt: skip
+OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "stick_slip",
+           "hysteresis", "growing_lash", "cross_coupling", "warming_drive", "carriage_roll",
+           "carriage_yaw", "loosening_bar", "platform_play", "dial_curve")  # fmt: skip
+SWEEPS = ("sweep", "fine-sweep", "two-gauges")
 FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_unit", "stuck_dial")
-SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 63, "fault": 60}
+SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60}
 """Campaigns of each kind in a full table."""
 
 FIRST_SIZE = 1e-4
@@ -102,7 +105,7 @@ def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
         shaped = [f for f in FAMILIES if CATALOGUE[f].group != "dial" and CATALOGUE.structured(f)]
         return [(f, p, rms) for f in shaped for p in PROTOCOLS for rms in (5.0, 15.0)]
     if kind == "outside":
-        return [(f, p, rms) for f in OUTSIDE for p in PROTOCOLS for rms in (3.0, 8.0, 20.0)]
+        return [(f, p, rms) for f in OUTSIDE for p in SWEEPS for rms in (6.0, 12.0)]
     if kind == "fault":
         return [(f, p, 0.0) for f in FAULTS for p in PROTOCOLS]
     rng = np.random.default_rng([crc32(b"pair"), number])
@@ -161,15 +164,17 @@ class Cause:
         name: as a candidate is called; the kind for what lies outside.
         family: the same of its family.
         errors: parameters at one tolerance, SI; empty outside.
-        extra: from size to a displacement, outside the catalogue only.
-        on_platform: whether ``extra`` moves the platform's attachments.
+        extra: from size to what `tests.rig.Rig` adds, outside the catalogue only.
+        into: the rig's field that takes it.
+        place: where it is, as the tool calls places; outside the catalogue only.
     """
 
     name: str
     family: str
     errors: Mapping[str, float]
-    extra: Callable[[float], rc.Extra] | None = None
-    on_platform: bool = False
+    extra: Callable[[float], Any] | None = None
+    into: str = "extra"
+    place: str = ""
 
     @property
     def largest(self) -> float:
@@ -178,15 +183,14 @@ class Cause:
 
     def added_to(self, rig: Rig, size: float) -> Rig:
         """The machine with this cause at a size (tolerances, or metres outside)."""
-        from dataclasses import replace
-
         if self.extra is None:
             return rig.with_errors(
                 {n: rig.error(n) + size * value for n, value in self.errors.items()}
             )
-        if self.on_platform:
-            return replace(rig, extra_platform=(*rig.extra_platform, self.extra(size)))
-        return replace(rig, extra=(*rig.extra, self.extra(size)))
+        made = self.extra(size)
+        if isinstance(made, dict):
+            return replace(rig, **{self.into: {**getattr(rig, self.into), **made}})
+        return replace(rig, **{self.into: (*getattr(rig, self.into), made)})
 
 
 def effect(
@@ -208,21 +212,42 @@ def effect(
     return Cause(name, family, {name: sign})
 
 
-def outside(kind: str, rng: np.random.Generator) -> Cause:
+def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
     """Something that no catalogue lists."""
     leg = int(rng.integers(3))
     across = int(rng.choice([j for j in range(3) if j != leg]))
-    period = float(rng.uniform(0.035, 0.07))
-    made: dict[str, Callable[[float], rc.Extra]] = {
-        "s_curve": lambda v: rc.s_curve(leg, across, v),
-        "wavy_rail": lambda v: rc.wavy_rail(leg, across, v, period),
-        "stick_slip": lambda v: rc.stick_slip(leg, v),
-        "hysteresis": lambda v: rc.hysteresis(leg, v),
-        "cross_coupling": lambda v: rc.cross_coupling(leg, across, v * 10),
-        "warming_drive": lambda v: rc.warming_drive(leg, v),
-        "platform_play": lambda v: rc.platform_play(leg, across, v),
-    }
-    return Cause(kind, kind, {}, made[kind], kind == "platform_play")
+    period, at = float(rng.uniform(0.035, 0.07)), float(rng.uniform(-0.07, 0.03))
+    bar, own, other = int(rng.integers(2)), LEGS[leg], LEGS[across]
+    setup = str(rng.choice(sorted({row["setup"] for row in rows if row["leg"] == own})))
+    times = [row["time_s"] for row in rows if row["leg"] == own]
+    began = float(rng.uniform(times[0], (times[0] + times[-1]) / 2))
+    ended = (began + times[-1]) / 2
+    rail, drive = f"rail.{own}.{other}/travel", f"drive.{own}"
+    made: dict[str, tuple[str, Callable[[float], Any], str]] = {
+        "s_curve": (rail, lambda v: rc.s_curve(leg, across, v), "extra"),
+        "wavy_rail": (rail, lambda v: rc.wavy_rail(leg, across, v, period), "extra"),
+        "kinked_rail": (rail, lambda v: rc.kinked_rail(leg, across, v, at), "extra"),
+        "drive_cubic": (f"{drive}/travel", lambda v: rc.s_curve(leg, leg, v), "extra"),
+        "drive_step": (f"{drive}/travel", lambda v: rc.drive_step(leg, v, at), "extra"),
+        "stick_slip": (f"{drive}/approach", lambda v: rc.stick_slip(leg, v), "extra"),
+        "hysteresis": (f"{drive}/approach", lambda v: rc.hysteresis(leg, v), "extra"),
+        "growing_lash": (f"{drive}/approach", lambda v: rc.growing_lash(leg, v), "extra"),
+        "cross_coupling": (f"{drive}/command.{other}",
+                           lambda v: rc.cross_coupling(leg, across, v * 10), "extra"),
+        "warming_drive": (f"{drive}/time", lambda v: rc.warming_drive(leg, v), "extra"),
+        "carriage_roll": (f"carriage.{own}.{own}/travel",
+                          lambda v: rc.turning_carriage(leg, leg, v), "extra_turn"),
+        "carriage_yaw": (f"carriage.{own}.{other}/travel",
+                         lambda v: rc.turning_carriage(leg, across, v), "extra_turn"),
+        "loosening_bar": (f"bar.{own}.{bar + 1}/time",
+                          lambda v: rc.loosening_bar(leg, bar, v, began, ended),
+                          "extra_length"),
+        "platform_play": (f"rail.{own}.{other}/approach",
+                          lambda v: rc.platform_play(leg, across, v), "extra_platform"),
+        "dial_curve": (f"dial.{setup}/reading", lambda v: {setup: rc.dial_curve(v)}, "extra_dial"),
+    }  # fmt: skip
+    place, extra, into = made[kind]
+    return Cause(kind, kind, {}, extra, into, place)
 
 
 def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:

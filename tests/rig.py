@@ -91,6 +91,9 @@ class Rig:
         bar_stiffness: of one bar, N/m; 0 for rigid bars.
         extra: displacements of the carriages that have no parameter.
         extra_platform: the same of the legs' attachments, in the platform's axes.
+        extra_turn: turns of the carriages about their centres, rotation vectors ``(N, 3, 3)``.
+        extra_length: what the bars are longer by ``(N, 3, 2)``.
+        extra_dial: by setup, what its dial shows too much at a reading since its first.
     """
 
     L: float = 0.31025
@@ -102,6 +105,9 @@ class Rig:
     bar_stiffness: float = 0.0
     extra: tuple[Extra, ...] = ()
     extra_platform: tuple[Extra, ...] = ()
+    extra_turn: tuple[Extra, ...] = ()
+    extra_length: tuple[Extra, ...] = ()
+    extra_dial: Mapping[str, Callable[[Array], Array]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         known = set(parameter_names())
@@ -213,13 +219,19 @@ class Rig:
             for x in (time, temperature_rise, load)
         )
         free_travel, free_length = self._unloaded_travel(rho, near), self._lengths(clock, heat)
-        half_link, half_width = self._short_links()
+        free_length = sum((e(free_travel, near, clock) for e in self.extra_length), free_length)
+        carriage, half_width = self._short_links()
         travel, length = free_travel, free_length
         for _ in range(30):
             centre, path = self._path(travel)
             attach = np.broadcast_to(BASE * self.r, (n, 3, 3))
             centre = sum((e(travel, near, clock) for e in self.extra), centre)
             attach = sum((e(travel, near, clock) for e in self.extra_platform), attach)
+            half_link = np.broadcast_to(carriage, (n, 3, 3))
+            for turn in self.extra_turn:
+                half_link = np.einsum(
+                    "nlij,nlj->nli", rotation(turn(travel, near, clock)), half_link
+                )
             A = np.stack([centre + half_link, centre - half_link], axis=2)
             b = np.stack([attach + half_width, attach - half_width], axis=2)
             p, R = _solve(A.reshape(n, 6, 3), b.reshape(n, 6, 3), length.reshape(n, 6), travel)
@@ -282,7 +294,12 @@ class Rig:
             for family in ON_DIAL
         )
         stem = np.cos(angle)[:, None] * e + np.sin(angle)[:, None] * np.cross(BASE[own], e)
-        return sign * (1 + scale) * np.einsum("ni,ni->n", stem, X) + drift * np.asarray(time)
+        shown = sign * (1 + scale) * np.einsum("ni,ni->n", stem, X) + drift * np.asarray(time)
+        for name, curve in self.extra_dial.items():
+            of = np.array([s == name for s in setup])
+            if of.any():
+                shown[of] += curve(shown[of] - shown[of][0])
+        return shown
 
 
 def rotation(vector: Array) -> Array:

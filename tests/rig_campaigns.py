@@ -22,9 +22,12 @@ APPROACH = ("approach_x", "approach_y", "approach_z")
 ZERO_MAX_MIN = (("zero", 0.0), ("max", 60.0), ("min", -100.0))
 THERE_AND_BACK = (0, 20, 40, 60, 40, 20, 0, -25, -50, -75, -100, -75, -50, -25)
 SWEEP = tuple((f"{mm:+d}", float(mm)) for mm in THERE_AND_BACK)
+FINE = (*range(0, 61, 10), *range(50, -101, -10), *range(-90, 0, 10))
+FINE_SWEEP = tuple((f"{mm:+d}", float(mm)) for mm in FINE)
 PROTOCOLS: dict[str, tuple[Sequence[tuple[str, float]], Sequence[float]]] = {
     "standard": (ZERO_MAX_MIN, (0.5,)),
     "sweep": (SWEEP, (0.5,)),
+    "fine-sweep": (FINE_SWEEP, (0.5,)),
     "two-gauges": (SWEEP, (0.35, 0.65)),
 }
 """Name to (postures: label and TCP travel along the leg in mm; dial places as parts of L)."""
@@ -228,6 +231,59 @@ def wavy_rail(leg: int, axis: int, value: float, period: float = 0.05) -> Extra:
         return _along(leg, axis, value * np.sin(2 * np.pi * travel[:, leg] / period))
 
     return effect
+
+
+def kinked_rail(leg: int, axis: int, value: float, at: float = -0.02) -> Extra:
+    """A rail of two straight pieces that meet at a travel, value the deviation 50 mm from there."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, axis, value * np.abs(travel[:, leg] - at) / 0.05)
+
+    return effect
+
+
+def drive_step(leg: int, value: float, at: float = 0.0) -> Extra:
+    """A drive that jumps by value along its axis where its travel passes a place."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, leg, value * (travel[:, leg] > at))
+
+    return effect
+
+
+def growing_lash(leg: int, value: float, stroke: tuple[float, float] = (-0.1, 0.06)) -> Extra:
+    """Lost motion that grows along the travel, from nothing to value."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        share = (travel[:, leg] - stroke[0]) / (stroke[1] - stroke[0])
+        return _along(leg, leg, -value / 2 * approach[:, leg] * share)
+
+    return effect
+
+
+def turning_carriage(leg: int, axis: int, value: float, period: float = 0.12) -> Extra:
+    """For ``extra_turn``: the carriage turns by value / 0.04 m x sin(2 pi travel / period)."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        return _along(leg, axis, value / 0.04 * np.sin(2 * np.pi * travel[:, leg] / period))
+
+    return effect
+
+
+def loosening_bar(leg: int, bar: int, value: float, begin: float, end: float) -> Extra:
+    """For ``extra_length``: a bar grows by value between two times, faster and faster."""
+
+    def effect(travel: Array, approach: Array, time: Array) -> Array:
+        out = np.zeros((len(travel), 3, 2))
+        out[:, leg, bar] = value * np.clip((time - begin) / (end - begin), 0, 1) ** 2
+        return out
+
+    return effect
+
+
+def dial_curve(value: float, period: float = 1.0e-3) -> Callable[[Array], Array]:
+    """For ``extra_dial``: value x sin(2 pi reading / period)."""
+    return lambda reading: value * np.sin(2 * np.pi * reading / period)
 
 
 def stick_slip(leg: int, value: float, step: float = 0.013) -> Extra:

@@ -448,6 +448,9 @@ EXTRAS: dict[str, Extra] = {
     "hysteresis": campaigns.hysteresis(0, 5e-5),
     "cross_coupling": campaigns.cross_coupling(1, 2, 5e-4),
     "warming_drive": campaigns.warming_drive(2, 5e-5),
+    "kinked_rail": campaigns.kinked_rail(0, 2, 3e-5),
+    "drive_step": campaigns.drive_step(1, 5e-5),
+    "growing_lash": campaigns.growing_lash(0, 1e-4),
 }
 
 
@@ -485,6 +488,42 @@ def test_platform_play() -> None:
     np.testing.assert_allclose(up.lines[:, 0, :, 0], down.lines[:, 0, :, 0], rtol=0, atol=1e-15)
     assert np.abs(up.p - down.p).max() > 1e-5
     np.testing.assert_allclose(play.pose(rho).p, Rig().pose(rho).p, rtol=0, atol=1e-15)
+
+
+def test_a_turning_carriage_moves_the_ends_of_its_bars_apart() -> None:
+    rho = np.array([[0.31, 0.31, 0.31], [0.34, 0.31, 0.31]])
+    turn = campaigns.turning_carriage(0, 2, 4e-5)
+    plain, turned = Rig().pose(rho), Rig(extra_turn=(turn,)).pose(rho)
+    travel = rho[:, 0] - Rig().L
+    angle = 1e-3 * np.sin(2 * np.pi * travel / 0.12)
+    ends = (turned.lines - plain.lines)[:, 0, :, 0]
+    # Their common place stays, and their connection turns about the z axis.
+    np.testing.assert_allclose(ends.sum(axis=1), 0, rtol=0, atol=1e-12)
+    link = turned.lines[:, 0, 0, 0] - turned.lines[:, 0, 1, 0]
+    straight = plain.lines[:, 0, 0, 0] - plain.lines[:, 0, 1, 0]
+    np.testing.assert_allclose(
+        link - straight, np.cross([0, 0, 1], straight) * angle[:, None], rtol=0, atol=1e-7
+    )
+
+
+def test_a_loosening_bar_is_longer_afterwards() -> None:
+    loose = Rig(extra_length=(campaigns.loosening_bar(1, 0, 5e-5, 100.0, 200.0),))
+    pose = loose.pose(np.full((3, 3), 0.31), 0.0, np.array([50.0, 150.0, 300.0]))
+    run = np.linalg.norm(pose.lines[:, 1, :, 1] - pose.lines[:, 1, :, 0], axis=-1)
+    np.testing.assert_allclose(run[:, 0] - Rig().L, [0, 1.25e-5, 5e-5], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(run[:, 1], Rig().L, rtol=0, atol=1e-12)
+
+
+def test_a_dial_curve_is_by_the_reading_since_the_first() -> None:
+    rows = campaigns.protocol_rows("standard")
+    curved = Rig(extra_dial={rows[0]["setup"]: campaigns.dial_curve(2e-5)})
+    plain = campaigns.predict(Rig(errors={"joint_offset.y": 1e-3}), rows)
+    shown = campaigns.predict(replace(curved, errors={"joint_offset.y": 1e-3}), rows)
+    of = np.array([row["setup"] == rows[0]["setup"] for row in rows])
+    np.testing.assert_array_equal(shown[~of], plain[~of])
+    wave = 2e-5 * np.sin(2 * np.pi * (plain[of] - plain[of][0]) / 1e-3)
+    np.testing.assert_allclose(shown[of] - plain[of], wave, rtol=0, atol=1e-12)
+    assert np.ptp(wave) > 1e-5
 
 
 def test_faults_touch_what_they_say() -> None:

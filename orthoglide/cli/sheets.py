@@ -31,7 +31,7 @@ def _kind_option(command: Any) -> Any:
 @_kind_option
 @machine_option
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
-    """Write a measuring sheet: every row but the reading."""
+    """Write a measuring sheet: every row but the reading, and the same rows as a page to print."""
     from orthoglide.observations import protocol as make
 
     machine = load_machine(machine_path)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from orthoglide.cli.run import committing, stop_if_asked
+from orthoglide.text import shown
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
@@ -24,15 +25,28 @@ def write_texts(texts: Mapping[Path, str]) -> None:
 
 
 def write_sheet(path: Path, sheet: Campaign, machine: Machine) -> str:
-    """A new measuring sheet, in the coordinates of the machine's controller; and what it holds."""
+    """A new measuring sheet in the coordinates of the machine's controller, and the page to print
+    beside it; what they hold.
+    """
+    from orthoglide.measuring import sheet_page
     from orthoglide.observations import campaign_text
 
+    page = page_beside(path)
     told = (
         f"{click.format_filename(path)}: {len(sheet)} readings in {len(sheet.setups)} setups, to "
-        f"be filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing"
+        f"be filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing\n"
+        f"{click.format_filename(page)}: the same rows to print and carry to the machine"
     )
-    write_texts({path: campaign_text(sheet, machine.spec)})
+    shown_as = shown(path.name)
+    texts = {path: campaign_text(sheet, machine.spec), page: sheet_page(sheet, machine, shown_as)}
+    write_texts(texts)
     return told
+
+
+def page_beside(path: Path) -> Path:
+    """Where the page to print of a sheet goes."""
+    page = path.with_suffix(".html")
+    return page if page != path else path.with_name(path.name + ".html")
 
 
 def write_results(out: Path, files: Mapping[str, str | bytes]) -> None:

@@ -67,8 +67,9 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
         geometry: whose stroke and length count; the nominal one if None.
 
     Returns:
-        The campaign, readings nan; times are those planned. Every mounting begins with a move, so
-        that its first posture is reached from a known side.
+        The campaign, readings nan; times are those planned, which no file is given before
+        something was read. Every mounting begins with a move, so that its first posture is
+        reached from a known side.
 
     Raises:
         InputError: for an unknown kind.

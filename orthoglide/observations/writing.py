@@ -77,6 +77,7 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
         "sigma_mm": bool(np.isfinite(campaign.sigma).any()),
     }
     setups = [campaign.setups[k] for k in campaign.setup]
+    taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
     columns: dict[str, Sequence[Any]] = {
         "kind": ["leg"] * len(campaign),
         "setup": [s.name for s in setups],
@@ -89,7 +90,7 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
         **{name: signs(campaign.approach[:, axis]) for axis, name in enumerate(APPROACH)},
-        "time_s": numbers(campaign.time),
+        "time_s": numbers(np.where(taken, campaign.time, np.nan)),
         "temperature_C": numbers(campaign.temperature),
         "load_N": numbers(campaign.load),
         "reading_mm": numbers(campaign.reading, MM),

@@ -87,6 +87,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "left": {
             "lack_of_fit_p": number(result.left.p_value, _SHORT),
             "background": number(result.share, _SHORT),
+            "rare_probability": number(result.left.rare, _SHORT),
             "stopped": result.stopped,
             "pattern": list(result.pattern),
             "by_setup": [_rest(rest) for rest in result.rest],

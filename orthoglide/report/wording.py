@@ -130,9 +130,9 @@ def _too_few(result: Result) -> bool:
 def _nothing_explains(result: Result) -> str:
     if _too_few(result):
         return (
-            f"Something is wrong, and nothing stands out: only if everything were off by "
-            f"{compact(result.share, 1)} times its tolerance would these readings be explained. "
-            f"They are too few, or the tolerances are not this machine's."
+            "Something is wrong, and nothing stands out: these readings would be explained only by "
+            "errors of everything beyond its tolerance, or by errors that have no structure. They "
+            "are too few to tell more, or the tolerances are not this machine's."
         )
     return (
         "Something is wrong that no effect of the catalogue and no free function of its parts "

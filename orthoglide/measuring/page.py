@@ -1,0 +1,163 @@
+"""A measuring sheet to carry: one printable page a mounting, the rows of the CSV in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+from orthoglide.machine import Machine
+from orthoglide.machine_file import Controller
+from orthoglide.observations import Campaign, Setup
+from orthoglide.observations.writing import Row, campaign_rows
+
+
+@dataclass(frozen=True)
+class Step:
+    """One place to go to.
+
+    Attributes:
+        lines: of the CSV, its header being line 1.
+        move: whether nothing is read there.
+        posture: label for people.
+        repeat: number of the visit.
+        commands: of the three axes, as the CSV has them.
+        boxes: for each dial of the page whether it is read here.
+    """
+
+    lines: tuple[int, ...]
+    move: bool
+    posture: str
+    repeat: str
+    commands: tuple[str, ...]
+    boxes: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class Page:
+    """One mounting: the dials that are read together, and where to go.
+
+    Attributes:
+        title: names of its setups.
+        dials: sentences on each dial.
+        steps: in order.
+        drawing: where the dials stand, SVG; empty where none is drawn.
+    """
+
+    title: str
+    dials: tuple[tuple[str, tuple[str, ...]], ...]
+    steps: tuple[Step, ...]
+    drawing: str = ""
+
+
+def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
+    """A measuring sheet as HTML, to be printed and filled in with a pencil.
+
+    Args:
+        sheet: whose moves are planned; its readings do not count.
+        machine: its controller and dimensions.
+        file: name of the CSV with the same rows.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("orthoglide.measuring"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("sheet.html.j2").render(
+        file=file,
+        machine=machine.spec.name,
+        axes=machine.geometry.leg_names,
+        counted=counted(machine),
+        readings=len(sheet),
+        pages=list(_pages(sheet, machine)),
+    )
+
+
+def counted(machine: Machine) -> str:
+    """What the commands of a sheet count, a sentence."""
+    if machine.spec.controller != Controller():
+        return "Positions are millimetres as the controller shows them."
+    zero = f"{machine.geometry.L * 1e3:g}"
+    return (
+        f"Positions are joint coordinates in millimetres: {zero}, {zero}, {zero} is mechanical "
+        "zero. With [controller] in the machine file they are what your controller shows."
+    )
+
+
+def dial_words(setup: Setup, machine: Machine) -> tuple[str, ...]:
+    """Where a dial stands, what it touches and which way it counts; a sentence each."""
+    names, L = machine.geometry.leg_names, machine.geometry.L
+    leg, axis = names[setup.leg], names[setup.axis]
+    short_link = names[(setup.leg + 2) % 3]
+    touched = {
+        0: "the leg's median line, halfway between its two bars",
+        1: f"bar 1, the one on the +{short_link} side",
+        2: f"bar 2, the one on the −{short_link} side",
+    }[setup.bar]
+    counts = ("+", "−") if setup.sign > 0 else ("−", "+")
+    return (
+        f"On leg {leg}, against {touched}.",
+        f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, machine at mechanical "
+        f"zero ({setup.gauge / L:.0%} of the way to the carriage); to a millimetre.",
+        f"It reads along {axis}: its number must grow when the leg moves toward {counts[0]}{axis}; "
+        f"if it falls, write {'-' if setup.sign > 0 else ''}{axis} in column direction.",
+    )
+
+
+def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
+    rows = campaign_rows(sheet, machine.spec)
+    commands = [name for name in rows[0] if name.startswith(("rho_", "travel_"))]
+    together = _mounted_together(rows, commands)
+    by_name = {s.name: s for s in sheet.setups}
+    numbered = enumerate(rows, start=2)
+    for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
+        told = tuple((n, dial_words(by_name[n], machine)) for n in names)
+        yield Page(" and ".join(names), told, tuple(_steps(list(lines), names, commands)))
+
+
+def _mounted_together(rows: list[Row], commands: list[str]) -> dict[str, tuple[str, ...]]:
+    """Setups that are read at one visit, by each of them, in the order they are read."""
+    found: dict[str, tuple[str, ...]] = {}
+    for visit in _visits(rows, commands):
+        names = tuple(dict.fromkeys(row["setup"] for row in visit))
+        for name in names:
+            found[name] = max(names, found.get(name, ()), key=len)
+    return found
+
+
+def _visits(rows: list[Row], commands: list[str]) -> Iterator[list[Row]]:
+    """Consecutive rows of one command, no setup twice."""
+    visit: list[Row] = []
+    for row in rows:
+        same = visit and [row[c] for c in commands] == [visit[0][c] for c in commands]
+        fresh = row["setup"] not in {r["setup"] for r in visit}
+        if visit and not (same and fresh and _is_move(row) == _is_move(visit[0])):
+            yield visit
+            visit = []
+        visit.append(row)
+    yield visit
+
+
+def _is_move(row: Row) -> bool:
+    return row.get("kind") == "move"
+
+
+def _steps(
+    lines: list[tuple[int, Row]], names: tuple[str, ...], commands: list[str]
+) -> Iterator[Step]:
+    numbers = iter(number for number, _ in lines)
+    for visit in _visits([row for _, row in lines], commands):
+        first = visit[0]
+        read = {row["setup"] for row in visit}
+        yield Step(
+            tuple(next(numbers) for _ in visit),
+            _is_move(first),
+            first["posture"],
+            first["repeat"],
+            tuple(f"{float(first[c]):.3f}".rstrip("0").rstrip(".") for c in commands),
+            tuple(name in read and not _is_move(first) for name in names),
+        )

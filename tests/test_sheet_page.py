@@ -1,0 +1,138 @@
+"""The sheet that is carried to the machine: the page to print, and the CSV beside it."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from tests.rig import Rig
+from tests.rig_campaigns import APPROACH, Row, approaches, read_csv, simulate
+
+CELL = re.compile(r"<td[^>]*class=\"([^\"]*)\"[^>]*>(.*?)</td>|<td>(.*?)</td>", re.S)
+
+
+def written(folder: Path, *words: str) -> Path:
+    path = folder / "sheet.csv"
+    result = CliRunner().invoke(cli, [*words, "--out", str(path)])
+    assert result.exit_code == 0, result.output
+    assert "sheet.html: the same rows to print" in result.output or "--quiet" in words
+    return path
+
+
+def steps(page: str) -> list[tuple[list[int], bool, list[float], list[bool]]]:
+    """Rows of the page: lines of the CSV, is it a move, commands, which boxes are to be filled."""
+    found = []
+    for kind, row in re.findall(r"<tr( class=\"move\")?>(<td.*?)</tr>", page, re.S):
+        cells = CELL.findall(row)
+        lines = [int(n) for n in cells[0][1].split(",")]
+        commands = [float(plain) for name, _, plain in cells if not name]
+        boxes = [name == "box" for name, _, _ in cells if name in ("box", "none")]
+        found.append((lines, bool(kind), commands, boxes))
+    return found
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("protocol", "--kind", "sweep"), ("design", "--count", "12", "--quiet"), ("protocol",)],
+    ids=lambda words: " ".join(words),
+)
+def test_page_and_file_have_the_same_rows_in_the_same_order(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = written(tmp_path, *words)
+    rows = read_csv(path)
+    shown = steps(path.with_suffix(".html").read_text(encoding="utf-8"))
+    assert [line for lines, *_ in shown for line in lines] == list(range(2, len(rows) + 2))
+    for lines, move, commands, boxes in shown:
+        assert sum(boxes) == (0 if move else len(lines))
+        for line in lines:
+            row = rows[line - 2]
+            assert (row["kind"] == "move") is move
+            filed = [row[f"rho_{axis}_mm"] for axis in "xyz"]
+            np.testing.assert_allclose(commands, filed, atol=0.5e-3)
+
+
+def test_a_sheet_has_no_times_that_nobody_took(tmp_path: Path) -> None:
+    path = written(tmp_path, "protocol", "--kind", "sweep")
+    assert {row["time_s"] for row in read_csv(path)} == {""}
+    assert not re.search(r"\d\d:\d\d", path.with_suffix(".html").read_text())
+    planned = og.protocol("sweep")
+    taken = planned.with_readings(np.where(np.arange(len(planned)) < 2, 1e-3, np.nan))
+    og.write_campaign(taken, tmp_path / "half.csv")
+    times = [row["time_s"] for row in read_csv(tmp_path / "half.csv") if row["kind"] == "leg"]
+    assert "" not in times[:2]
+    assert set(times[2:]) == {""}
+
+
+def test_the_page_speaks_the_controllers_own_coordinates(tmp_path: Path) -> None:
+    (tmp_path / "m.toml").write_text(
+        'schema = 1\nname = "mill <3>"\n[geometry_mm]\nL = 310.25\nd = 80\nr = 31\n'
+        "stroke = [-100.0, 60.0]\n[controller]\nzero_mm = [100, 100, 100]\n"
+        "sign = [1, -1, 1]\n"
+    )
+    path = written(tmp_path, "protocol", "--machine", str(tmp_path / "m.toml"))
+    page = path.with_suffix(".html").read_text(encoding="utf-8")
+    assert "mill &lt;3&gt;" in page
+    assert "as the controller shows them" in page
+    assert "joint coordinates" not in page
+    row = read_csv(path)[1]
+    assert [row[f"travel_{axis}_mm"] for axis in "xyz"] == [100.0] * 3 == steps(page)[1][2]
+
+
+def test_the_page_says_where_each_dial_stands_and_which_way_it_counts() -> None:
+    from orthoglide.measuring.page import dial_words
+    from orthoglide.observations import Setup
+
+    machine = og.Machine.nominal()
+    told = " ".join(dial_words(Setup("a", 1, 0, -1, 0.0775625, 2), machine))
+    assert "leg y" in told
+    assert "bar 2, the one on the −x side" in told
+    assert "77.56 mm" in told
+    assert "25%" in told
+    assert "grow when the leg moves toward −x; if it falls, write x in column" in told
+
+
+def test_nothing_is_written_where_one_of_both_stands(tmp_path: Path) -> None:
+    (tmp_path / "sheet.html").write_text("mine")
+    result = CliRunner().invoke(cli, ["protocol", "--out", str(tmp_path / "sheet.csv")])
+    assert result.exit_code == 2
+    assert "sheet.html" in result.output
+    assert [p.name for p in tmp_path.iterdir()] == ["sheet.html"]
+
+
+def test_a_sheet_driven_by_its_page_names_what_is_wrong(tmp_path: Path) -> None:
+    """Driven row by row off the page, on the independent machine; filled in by line."""
+    path = written(tmp_path, "protocol", "--kind", "sweep")
+    rows = read_csv(path)
+    driven: list[Row] = []
+    for lines, _, commands, _ in steps(path.with_suffix(".html").read_text(encoding="utf-8")):
+        for line in lines:
+            there = {f"rho_{axis}_mm": c for axis, c in zip("xyz", commands, strict=True)}
+            driven.append(rows[line - 2] | there | {"line": line})
+    near = approaches(driven)
+    read = [
+        row | dict(zip(APPROACH, map(float, side), strict=True))
+        for row, side in zip(driven, near, strict=True)
+        if row["kind"] != "move"
+    ]
+    rig = Rig(errors={"backlash.y": 0.12e-3, "joint_offset.x": 0.4e-3})
+    taken = simulate(rig, read, np.random.default_rng(3))
+    by_line = {row["line"]: row["reading_mm"] for row in taken}
+    with open(path, newline="", encoding="utf-8") as file:
+        cells = list(csv.reader(file))
+    at = cells[0].index("reading_mm")
+    for line, reading in by_line.items():
+        cells[line - 1][at] = str(reading)
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(cells)
+    verdict = og.close_loop(path)
+    assert [e.name for e in verdict.effects] == ["backlash.y"]
+    assert verdict.values["backlash.y"] == pytest.approx(0.12e-3, rel=0.1)
+    assert verdict.values["joint_offset.x"] == pytest.approx(0.4e-3, abs=0.05e-3)
