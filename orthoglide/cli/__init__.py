@@ -6,6 +6,7 @@ needs, it imports when it runs.
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 
@@ -21,6 +22,7 @@ from orthoglide.cli import (
     identification,
     importing,
     kinematics,
+    rehearse,
     rerun,
     sheets,
 )
@@ -39,7 +41,7 @@ def cli() -> None:
     """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
 
     Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted. Nothing is
-    written unless the run succeeds.
+    written unless the run succeeds, but for the finished campaigns that `rehearse` keeps.
     """
 
 
@@ -50,6 +52,7 @@ _MODULES = (
     rerun,
     sheets,
     design,
+    rehearse,
     compensate,
     compare,
     kinematics,
@@ -67,4 +70,5 @@ def main() -> None:
     speak_plainly()
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # what libraries tell programmers
+        os.environ.setdefault("PYTHONWARNINGS", "ignore")  # in the processes started here too
     cli(prog_name="orthoglide")

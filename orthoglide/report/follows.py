@@ -78,6 +78,7 @@ def firmware(advice: FirmwareAdvice, stands: bool) -> Data:
 _AIMS = {
     "separate": "To tell the causes apart",
     "narrow": "To narrow what is hardly seen",
+    "trace": "To follow what nothing explains",
 }
 _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 
