@@ -21,6 +21,7 @@ from orthoglide.cli import (
     identification,
     importing,
     kinematics,
+    measure,
     rerun,
     sheets,
 )
@@ -39,7 +40,7 @@ def cli() -> None:
     """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
 
     Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted. Nothing is
-    written unless the run succeeds.
+    written unless the run succeeds, but by measure, which keeps every reading.
     """
 
 
@@ -49,6 +50,7 @@ _MODULES = (
     check,
     rerun,
     sheets,
+    measure,
     design,
     compensate,
     compare,
