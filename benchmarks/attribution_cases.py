@@ -212,14 +212,16 @@ def effect(
     return Cause(name, family, {name: sign})
 
 
-def outside(kind: str, setups: list[str], rng: np.random.Generator) -> Cause:
+def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
     """Something that no catalogue lists."""
     leg = int(rng.integers(3))
     across = int(rng.choice([j for j in range(3) if j != leg]))
     period, at = float(rng.uniform(0.035, 0.07)), float(rng.uniform(-0.07, 0.03))
     bar, own, other = int(rng.integers(2)), LEGS[leg], LEGS[across]
-    setup = str(rng.choice([s for s in setups if s[0] == own]))
-    began = 900.0 * leg  # a session is at least that long
+    setup = str(rng.choice(sorted({row["setup"] for row in rows if row["leg"] == own})))
+    times = [row["time_s"] for row in rows if row["leg"] == own]
+    began = float(rng.uniform(times[0], (times[0] + times[-1]) / 2))
+    ended = (began + times[-1]) / 2
     rail, drive = f"rail.{own}.{other}/travel", f"drive.{own}"
     made: dict[str, tuple[str, Callable[[float], Any], str]] = {
         "s_curve": (rail, lambda v: rc.s_curve(leg, across, v), "extra"),
@@ -238,7 +240,7 @@ def outside(kind: str, setups: list[str], rng: np.random.Generator) -> Cause:
         "carriage_yaw": (f"carriage.{own}.{other}/travel",
                          lambda v: rc.turning_carriage(leg, across, v), "extra_turn"),
         "loosening_bar": (f"bar.{own}.{bar + 1}/time",
-                          lambda v: rc.loosening_bar(leg, bar, v, began, began + 1200),
+                          lambda v: rc.loosening_bar(leg, bar, v, began, ended),
                           "extra_length"),
         "platform_play": (f"rail.{own}.{other}/approach",
                           lambda v: rc.platform_play(leg, across, v), "extra_platform"),

@@ -23,6 +23,7 @@ from orthoglide.fit import identify, solve, with_free
 from orthoglide.judging import tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.rehearsal.scoring import is_cause, said
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -69,7 +70,7 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
     causes: list[tuple[Cause, float]] = []
     rig = bare
-    chosen = _causes(case, setups, rng)
+    chosen = _causes(case, rows, setups, rng)
     if chosen:
         seen = signatures(identify(campaign(rc.simulate(bare, rows, rng)), machine()))
         for cause in chosen:
@@ -92,11 +93,13 @@ def points_of(rig: Rig, rng: np.random.Generator) -> TcpPoints:
     return TcpPoints(command, p, unknown, np.zeros((POINTS, 3)), np.arange(POINTS) + 2)
 
 
-def _causes(case: Case, setups: list[str], rng: np.random.Generator) -> list[Cause]:
+def _causes(
+    case: Case, rows: list[rc.Row], setups: list[str], rng: np.random.Generator
+) -> list[Cause]:
     if case.kind in ("nothing", "fault"):
         return []
     if case.kind == "outside":
-        return [ac.outside(case.what, setups, rng)]
+        return [ac.outside(case.what, rows, rng)]
     shaped = case.kind == "structured"
     return [
         ac.effect(family, machine().tolerance(family), setups, rng, shaped)
@@ -177,14 +180,8 @@ def _truth(drawn: Drawn, seen: Signatures) -> list[Record]:
 
 
 def accepted(truth: Record, name: str, parameters: Sequence[str]) -> bool:
-    """Whether a named cause is the true one.
-
-    That is itself, a block of its family that holds it, or a member that shows the same.
-    """
-    own = f"{truth['family']}.", truth["family"]
-    of_family = name == own[1] or name.startswith(own[0])
-    block = of_family and len(parameters) > 1 and (name == own[1] or truth["name"] in parameters)
-    return name == truth["name"] or block or (of_family and name in truth["same_family"])
+    """Whether a named cause is the true one."""
+    return is_cause(name, parameters, truth["name"], truth["family"], truth["same_family"])
 
 
 # -- what the tool says --------------------------------------------------------------------------
@@ -209,25 +206,9 @@ def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
 
 
 def _said(verdict: Verdict) -> Record:
-    effects = [
-        {
-            "name": e.name,
-            "family": verdict.catalogue.effect_of(e.name).name,
-            "members": [
-                [one.name, list(one.parameters), one.probability] for one in e.explanations
-            ],
-        }
-        for e in verdict.effects
-    ]
-    located = [
-        {"places": [c.place.name for c in f.members], "resembling": list(f.resembling),
-         "probability": f.probability}
-        for f in verdict.located
-    ]  # fmt: skip
     return {
         "word": verdict.word,
-        "effects": effects,
-        "located": located,
+        **said(verdict),
         "stopped": verdict.stopped,
         "left": [verdict.left.p_value, verdict.share],
         "chi2": [verdict.before.scores.chi2, verdict.after.scores.chi2, verdict.after.scores.dof],

@@ -63,6 +63,7 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         repeats_needed as repeats_needed,
         smallest_effects as smallest_effects,
     )
+    from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
     from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
 
 __version__ = "0.1.0"
@@ -86,6 +87,7 @@ _WHERE = {
     "mechanism": "Mechanism",
     "observations": "Campaign Setup TcpPoints protocol read_campaign read_tcp write_campaign",
     "planning": "Design Suggestion design next_measurements repeats_needed smallest_effects",
+    "rehearsal": "Rehearsal rehearse",
     "simulation": "simulate simulate_tcp",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}

@@ -153,6 +153,10 @@ def _wanted(machine: Machine) -> Array:
     return machine.with_only({}).forward(workspace(machine.geometry))
 
 
+_NO_SHAPE = 1e-3
+"""Share of the largest below which zeros change no shape: all of parallel rails moved alike."""
+
+
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     """Settings of a controller that takes little: the zeros that leave the least shape error.
 
@@ -175,7 +179,8 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
         commands = machine.with_only(settings).inverse(wanted)
         left = without_place(machine.forward(commands) - wanted)
         slopes = without_place(tcp_slopes(machine, zeros, Conditions.at(commands)))
-        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1), rcond=1e-6)[0]
+        matrix, right = slopes.reshape(-1, len(zeros)), left.reshape(-1)
+        step = np.linalg.lstsq(matrix, right, rcond=_NO_SHAPE)[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings
 

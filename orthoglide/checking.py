@@ -14,7 +14,7 @@ from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, identify
 from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
@@ -97,8 +97,8 @@ class Check:
 
 
 def check(
-    old: Sequence[Campaign],
-    new: Sequence[Campaign],
+    old: Sequence[Readings],
+    new: Sequence[Readings],
     machine: Machine | None = None,
     *,
     noise: float | None = None,
@@ -126,14 +126,24 @@ def check(
         raise InputError("there is nothing to compare: give readings of both states")
     machine, progress = machine or Machine.nominal(), progress or silent
     before, after = _told_apart(old, new)
-    request = Request("close-loop", (*before, *after), machine, (), noise, seed)
+    every = (*before, *after)
+    dials = tuple(r for r in every if isinstance(r, Campaign))
+    tool = tuple(r for r in every if isinstance(r, ToolCampaign))
+    if sorted((*dials, *tool), key=every.index) != [*dials, *tool]:
+        raise InputError(
+            "one of the states has dial readings and the other readings of the tool as well: "
+            "compare readings of one kind at a time"
+        )
+    request = Request("close-loop", dials, machine, (), noise, seed, points=tool)
     verdict = run(request, progress)
     progress(Step("comparing"))
     names = _compared(verdict)
-    kept = verdict.before.problem.campaigns
-    since = next(c.name for c in kept if c.name in {a.name for a in after})
+    problem, later = verdict.before.problem, {a.name for a in after}
+    # Rows taken for faulty have lost their weight there.
+    kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
+    since = next(c.name for c in kept if c.name in later)
     own = [f"{name}@{since}" for name in names]
-    apart = identify(kept, machine, names, own=own, noise=noise)
+    apart = identify(kept, machine, names, own=own, noise=noise if dials else None)
     return Check(
         tuple(c.name for c in before),
         tuple(c.name for c in after),
@@ -143,8 +153,8 @@ def check(
 
 
 def _told_apart(
-    old: Sequence[Campaign], new: Sequence[Campaign]
-) -> tuple[list[Campaign], list[Campaign]]:
+    old: Sequence[Readings], new: Sequence[Readings]
+) -> tuple[list[Readings], list[Readings]]:
     """The campaigns of both sides, no two of one name."""
     names = [c.name for c in (*old, *new)]
     if len(set(names)) == len(names):

@@ -15,6 +15,7 @@ from orthoglide.fit import (
     account_for_changes,
     assemble,
     identify,
+    readings_of,
     solve,
     sorted_out,
 )
@@ -23,8 +24,15 @@ from orthoglide.frames import html_table
 from orthoglide.judging import fitted_already, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import Given, TcpPoints, as_campaigns
-from orthoglide.posterior import Cause, Outstanding, full_posterior, outstanding
+from orthoglide.observations import Readings, TcpPoints
+from orthoglide.posterior import (
+    NAMED,
+    Cause,
+    Outstanding,
+    full_posterior,
+    outstanding,
+    remains,
+)
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word
@@ -33,10 +41,6 @@ __all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
 
 SIGNIFICANT = 0.003
 """Probability of calling what is left significant where nothing is: one false alarm in 300."""
-
-
-FAR = 2.0
-"""Tolerances: a machine of which everything is off by more is none that the file describes."""
 
 
 class Verdict(Result):
@@ -78,7 +82,7 @@ def close_loop(
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
-    holdout: Given | None = None,
+    holdout: Source | Sequence[Source] | None = None,
     tcp: TcpPoints | None = None,
     effects: Sequence[Effect] = (),
     seed: int = 0,
@@ -93,7 +97,7 @@ def close_loop(
         machine: dimensions, tolerances, dial; nominal where absent.
         own: effects or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
-        holdout: a campaign that only judges the finished result.
+        holdout: readings that only judge the finished result.
         tcp: measured points that only judge the finished result.
         effects: of one's own, weighed beside those of the machine's catalogue.
         seed: of every random draw; the same seed gives the same answer.
@@ -106,7 +110,7 @@ def close_loop(
     """
     machine = (machine or Machine.nominal()).with_effects(effects)
     several, points = sorted_out(campaigns, machine)
-    held = None if holdout is None else as_campaigns(holdout, machine.spec)[0]
+    held = () if holdout is None else readings_of(holdout, machine)
     request = Request(
         "close-loop", several, machine, tuple(own), noise, seed, held, tcp, points=points,
         frame=frame,
@@ -157,13 +161,10 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("testing"))
     known = full_posterior(before, [c.parameter for c in causes])
     progress(Step("allowing"))
-    found, left = outstanding(known, [c.parameter for c in causes]), left_over(known.after)
-    if not (found.causes or found.located):
-        # A mean over explanations may fit few readings worse than one that leaves nothing of them.
-        left = max(left, left_over(before), key=lambda test: test.p_value)
-    if left.p_value < SIGNIFICANT:  # a place is missing, and others may stand in for it
+    found, left = outstanding(known, [c.parameter for c in causes]), remains(known)
+    if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
-    word = _word(found, left, known.share)
+    word = _word(found, left)
     verdict = Verdict(
         request, word, before, before if word == "unexplained" else known.after,
         found.causes, found.located,
@@ -192,7 +193,7 @@ def _identified(request: Request, progress: Progress) -> Verdict:
     )
     left = left_over(estimate)
     return Verdict(
-        request, _word(Outstanding((), (), ()), left, 0.0), estimate, estimate, (), (), (), left,
+        request, _word(Outstanding((), (), ()), left), estimate, estimate, (), (), (), left,
         changed=estimate.changes,
     )  # fmt: skip
 
@@ -202,9 +203,10 @@ def judge(verdict: Verdict) -> Verdict:
     request, machine = verdict.request, verdict.machine
     before, after = verdict.values_before, verdict.values
     scored = errors = None
-    if request.holdout is not None:
+    if request.holdout:
         scored = hold_out(before, after, machine, request.holdout, request.own)
-        if any(fitted_already(request.holdout, c) for c in request.campaigns):
+        fitted: tuple[Readings, ...] = (*request.campaigns, *request.tool)
+        if any(fitted_already(one, c) for one in request.holdout for c in fitted):
             text = "the readings held out are readings that were fitted: they judge nothing"
             warnings = (*verdict.after.warnings, Note(text, "holdout"))
             verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))
@@ -214,12 +216,17 @@ def judge(verdict: Verdict) -> Verdict:
     return replace(verdict, hold_out=scored, tcp=errors)
 
 
-def _word(found: Outstanding, left: Left, share: float) -> Word:
-    """The verdict: what was found, and whether anything significant is left.
-
-    A background beyond the tolerances of everything explains what it likes, and so nothing.
+def _missing(left: Left) -> bool:
+    """Whether a cause or place is missing from the list: something significant is left, or only a
+    background beyond all tolerances, or errors without structure, which explain what they like and
+    so nothing, leave nothing.
     """
-    significant = left.p_value < SIGNIFICANT or share > FAR
+    return left.p_value < SIGNIFICANT or left.rare > NAMED
+
+
+def _word(found: Outstanding, left: Left) -> Word:
+    """The verdict: what was found, and whether anything significant is left."""
+    significant = _missing(left)
     if not found.causes and not found.located:
         return "unexplained" if significant else "adequate"
     if significant:

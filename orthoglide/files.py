@@ -103,15 +103,21 @@ _BINARY = {
 }
 
 
-def decode(content: bytes, path: str | os.PathLike[str]) -> str:
-    """UTF-8 text with or without byte order mark; anything else is a `FileError`."""
+def decode(content: bytes, path: str | os.PathLike[str], errors: str = "strict") -> str:
+    """UTF-8 text with or without byte order mark; anything else is a `FileError`.
+
+    Args:
+        content: of the file.
+        path: its name, for errors.
+        errors: ``"replace"`` where letters that are none do not matter.
+    """
     for start, message in _BINARY.items():
         if content.startswith(start):
             raise FileError(message, file=shown(path))
     if b"\0" in content:
         raise FileError("is not text: give a UTF-8 text file", file=shown(path))
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         raise FileError(

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.fit import build_problem, solve
+from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
-from orthoglide.fit.noise import noise_of
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.observations import Readings, TcpPoints, ToolCampaign
 from orthoglide.prediction import Conditions
 
 
@@ -24,14 +23,21 @@ class HoldOut:
     after_rms: float
 
 
-def fitted_already(held: Campaign, fitted: Campaign) -> bool:
-    """Whether most readings held out were fitted: the same value of the same dial and command."""
+def fitted_already(held: Readings, fitted: Readings) -> bool:
+    """Whether most readings held out were fitted: the same value, instrument and command."""
 
-    def rows(campaign: Campaign) -> set[tuple[object, ...]]:
-        setups = [(s.leg, s.direction, s.gauge, s.bar) for s in campaign.setups]
-        places = zip(campaign.setup, campaign.command.tolist(), campaign.repeat.tolist(),
+    def rows(campaign: Readings) -> set[tuple[object, ...]]:
+        if isinstance(campaign, ToolCampaign):
+            seen = zip(campaign.kind, campaign.axis.tolist(), strict=True)
+            read = [
+                (*kind, *np.nan_to_num(s)) for kind, s in zip(seen, campaign.second, strict=True)
+            ]
+        else:
+            setups = [(s.leg, s.direction, s.gauge, s.bar) for s in campaign.setups]
+            read = [setups[k] for k in campaign.setup]
+        places = zip(read, campaign.command.tolist(), campaign.repeat.tolist(),
                      campaign.reading.tolist(), strict=True)  # fmt: skip
-        return {(*setups[k], *command, n, value) for k, command, n, value in places}
+        return {(*of, *command, n, value) for of, command, n, value in places}
 
     own = rows(held)
     return len(own & rows(fitted)) > len(own) / 2
@@ -41,37 +47,35 @@ def hold_out(
     before: Mapping[str, float],
     after: Mapping[str, float],
     machine: Machine,
-    campaign: Campaign,
+    held: Sequence[Readings],
     own: Sequence[str] = (),
 ) -> HoldOut:
-    """Score two machines on a campaign that neither has seen.
+    """Score two machines on readings that neither has seen.
 
-    What is own to a campaign, its datums and its placements are fitted to the campaign itself; the
-    reading scored is left out each time.
+    What is own to a campaign, its datums and its placements (of the tool's instruments all that a
+    setup brings) are fitted to the campaign itself; the reading scored is left out each time.
 
     Args:
         before: parameters of the base model, SI.
         after: parameters of the extended model, SI.
         machine: tolerances and dimensions.
-        campaign: held out.
+        held: out, of any kinds.
         own: families or parameters that each campaign has for itself.
     """
-    scores = [_left_out(values, machine, campaign, own) for values in (before, after)]
+    scores = [_left_out(values, machine, held, own) for values in (before, after)]
     return HoldOut(*scores)
 
 
 def _left_out(
-    values: Mapping[str, float], machine: Machine, campaign: Campaign, own: Sequence[str]
+    values: Mapping[str, float], machine: Machine, held: Sequence[Readings], own: Sequence[str]
 ) -> float:
-    held = _of_the_machine(machine, values)
-    noise = noise_of([campaign], machine.spec.dial)
-    fixed = machine.with_only(held)
-    problem = build_problem(fixed, [campaign], own or machine.catalogue.base, noise)
+    kept = _of_the_machine(machine, values)
+    problem = assemble(held, machine.with_only(kept), own or machine.catalogue.base)
     if own:
         estimate = solve(problem, method="nested")
         at, nuisance = estimate.at, estimate.nuisance
     else:
-        problem = replace(problem, unknowns=(), held=(held,))
+        problem = replace(problem, unknowns=(), held=(kept,) * len(problem.factors))
         at = linearise(problem, np.zeros(0))
         nuisance = nuisances(problem, at.slopes)
     rest = problem.measured - at.value

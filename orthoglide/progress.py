@@ -34,10 +34,12 @@ class Step:
     Attributes:
         stage: of the whole; stages may come again.
         detail: which of many, such as the name of a candidate.
+        done: per cent of the whole that is done, where it is counted.
     """
 
     stage: Stage
     detail: str = ""
+    done: float | None = None
 
     def __str__(self) -> str:
         return f"{_STAGES[self.stage][0]} {self.detail}".strip()

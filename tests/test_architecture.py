@@ -31,7 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"result"}),
     frozenset({"report"}),
     frozenset({"closing"}),
-    frozenset({"checking", "measuring"}),
+    frozenset({"checking", "measuring", "rehearsal"}),
     frozenset({"cli"}),
     frozenset({"__main__"}),
 )
@@ -41,7 +41,7 @@ NEVER = {
     ("observations", "mechanism"), ("prediction", "reduction"), ("machine", "reduction"),
     ("diagnosis", "reduction"), ("control", "reduction"),
 }  # fmt: skip
-HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "yourdfpy")
+HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "yourdfpy", "joblib", "dask")
 
 
 def modules() -> list[Path]:

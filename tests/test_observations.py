@@ -24,13 +24,13 @@ from orthoglide.notes import Note
 from orthoglide.observations import (
     Campaign,
     Moves,
-    campaign_from_rows,
     campaign_rows,
     campaign_text,
     derive_approach,
     protocol,
     read_campaign,
     read_tcp,
+    readings_from_rows,
     tcp_from_rows,
     tcp_rows,
     write_campaign,
@@ -568,13 +568,14 @@ def test_sheets_show_what_the_controller_shows(
 @pytest.mark.parametrize("campaign", [measured(moves=True), measured("sweep")], ids=["moves", ""])
 def test_rows_of_a_result_are_read_without_a_file(campaign: Campaign) -> None:
     rows = campaign_rows(campaign)
-    again = campaign_from_rows(rows, name=campaign.name, file="c.csv", sha256="abc")
+    (again,) = readings_from_rows(rows, name=campaign.name, file="c.csv", sha256="abc")
+    assert isinstance(again, Campaign)
     assert again.same_as(campaign)
     assert (again.file, again.sha256) == ("c.csv", "abc")
     rows[7] = rows[7] | {"reading_mm": "far"}
     lines = [10 * k for k in range(len(rows))]
     with pytest.raises(FileError, match=r"c\.csv, line 70: reading_mm is 'far'"):
-        campaign_from_rows(rows, name="c", file="c.csv", lines=lines)
+        readings_from_rows(rows, name="c", file="c.csv", lines=lines)
 
 
 def test_tcp_points_survive_their_rows(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Estimate
 from orthoglide.fit.least_squares import fitted_basis, normal
 from orthoglide.fit.noise import repeat_variance
-from orthoglide.fit.scores import _tail, deviation_rms
+from orthoglide.fit.scores import deviation_rms, tail
 from orthoglide.fit.unknowns import build_unknowns
 from orthoglide.machine_file import Dial
 from orthoglide.observations import protocol
@@ -100,13 +100,13 @@ def test_the_tail_of_squares_that_priors_hold_back() -> None:
             continue
         drawn = np.sum(weights * rng.standard_normal((200_000, len(weights))) ** 2, axis=1)
         for p in (0.5, 0.1, 0.01):
-            assert _tail(float(np.quantile(drawn, 1 - p)), count, shares) == pytest.approx(
+            assert tail(float(np.quantile(drawn, 1 - p)), count, shares) == pytest.approx(
                 p, rel=0.1
             )
         noise = rng.chisquare(10, len(drawn)) / 10
         limit = float(np.quantile(drawn / noise, 0.95))
-        assert _tail(limit, count, shares, 10.0) == pytest.approx(0.05, rel=0.15)
-    assert np.isnan(_tail(1.0, 3, np.ones(3)))
+        assert tail(limit, count, shares, 10.0) == pytest.approx(0.05, rel=0.15)
+    assert np.isnan(tail(1.0, 3, np.ones(3)))
 
 
 @pytest.mark.parametrize("seed", range(4))

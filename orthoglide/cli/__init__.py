@@ -6,6 +6,7 @@ needs, it imports when it runs.
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 
@@ -22,6 +23,7 @@ from orthoglide.cli import (
     importing,
     kinematics,
     measure,
+    rehearse,
     rerun,
     sheets,
 )
@@ -40,7 +42,7 @@ def cli() -> None:
     """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
 
     Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted. Nothing is
-    written unless the run succeeds, but by measure, which keeps every reading.
+    written unless the run succeeds, but for what `measure` was told and `rehearse` has finished.
     """
 
 
@@ -52,6 +54,7 @@ _MODULES = (
     sheets,
     measure,
     design,
+    rehearse,
     compensate,
     compare,
     kinematics,
@@ -69,4 +72,5 @@ def main() -> None:
     speak_plainly()
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # what libraries tell programmers
+        os.environ.setdefault("PYTHONWARNINGS", "ignore")  # in the processes started here too
     cli(prog_name="orthoglide")

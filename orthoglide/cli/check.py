@@ -19,7 +19,7 @@ from orthoglide.progress import Step
 if TYPE_CHECKING:
     from orthoglide.checking import Check
     from orthoglide.machine import Machine
-    from orthoglide.observations import Campaign
+    from orthoglide.observations import Readings
 
 _STYLE = "body{font:1rem/1.5 sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}" \
          "table{border-collapse:collapse}td,th{padding:.2rem .8rem;text-align:left}"  # fmt: skip
@@ -82,19 +82,19 @@ def check(
 COMMANDS = (check,)
 
 
-def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Campaign, ...]]:
+def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Readings, ...]]:
     """The campaigns of a file of readings, or of a result; and the machine that they were read by:
     the one given, else the result's.
     """
+    from orthoglide.fit import readings_of
     from orthoglide.machine import Machine
-    from orthoglide.observations import read_campaign
     from orthoglide.request import request_of
 
     if path.suffix == ".json":
         request = request_of(read_result(path), str(path))
-        return machine or request.machine, request.campaigns
+        return machine or request.machine, (*request.campaigns, *request.tool)
     machine = machine or Machine.nominal()
-    return machine, (read_campaign(path, machine.spec),)
+    return machine, readings_of([path], machine)
 
 
 def _told(found: Check) -> str:

@@ -30,6 +30,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "design --machine machine.toml --count 24 --out sheet.csv",
         "design sheet.csv --want TCP=0.02 --detect",
     ),
+    "rehearse": (
+        "rehearse --machine machine.toml --sheet sheet.csv --out rehearsal",
+        "rehearse --machine machine.toml --campaigns 900 --dask tcp://cluster:8786 --out rehearsal",
+    ),
     "compensate": ("compensate path.csv --machine april/calibrated.toml --out commands.csv",),
     "export": ("export --machine april/calibrated.toml --out controller",),
     "compare": ("compare --machine april/calibrated.toml --out comparison",),

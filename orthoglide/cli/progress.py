@@ -73,6 +73,8 @@ def share(step: Step, now: float) -> float:
         step: that begins.
         now: how far it was, per cent.
     """
+    if step.done is not None:
+        return max(step.done, now)
     if now < step.begins:
         return step.begins
     return now + max(step.ends - now, 0) * _CREEP

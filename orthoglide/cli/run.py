@@ -16,7 +16,7 @@ from orthoglide.errors import InputError, OrthoglideError
 from orthoglide.text import brief
 
 _STOP = "orthoglide.stop"
-_INTERRUPTED = "interrupted: nothing was written"
+_KEPT = "orthoglide.kept"
 _LONGEST = 1000  # characters of a sentence
 _ASKS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 
@@ -52,29 +52,40 @@ class Commands(click.Group):
         try:
             return super().make_context(*arguments, **options)
         except KeyboardInterrupt as error:
-            raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+            raise _interrupted() from error
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; what it raises becomes an exit code."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as error:
-            raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+            raise _interrupted() from error
         except OrthoglideError as error:
             if _asked_to_stop():  # a solver that was interrupted says that it failed
-                raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+                raise _interrupted() from error
             bad = isinstance(error, InputError)
             raise Refusal(str(error), BAD_INPUT if bad else NUMERICS_FAILED) from error
         except Refusal:
             raise
         except Exception as error:
             if _asked_to_stop():  # a compiled import that was interrupted says that it failed
-                raise Refusal(_INTERRUPTED, INTERRUPTED) from error
+                raise _interrupted() from error
             if isinstance(error, click.ClickException | click.exceptions.Exit | click.Abort):
                 raise
             if os.environ.get("ORTHOGLIDE_TRACEBACK"):
                 raise
             raise Refusal(_unexpected(error), NUMERICS_FAILED) from error
+
+
+def keep_on_interrupt(what: str) -> None:
+    """Say what stays of the command that runs now, if it is interrupted."""
+    click.get_current_context().meta[_KEPT] = what
+
+
+def _interrupted() -> Refusal:
+    context = click.get_current_context(silent=True)
+    kept = context.meta.get(_KEPT) if context is not None else None
+    return Refusal(f"interrupted: {kept or 'nothing was written'}", INTERRUPTED)
 
 
 def _unexpected(error: Exception) -> str:

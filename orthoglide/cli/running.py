@@ -40,8 +40,8 @@ def read_request(
     Raises:
         InputError: where a file or an option cannot be used.
     """
-    from orthoglide.fit import sorted_out
-    from orthoglide.observations import read_campaign, read_tcp
+    from orthoglide.fit import readings_of, sorted_out
+    from orthoglide.observations import read_tcp
     from orthoglide.request import Request
 
     noise = noise_metres(noise_mm)
@@ -52,7 +52,7 @@ def read_request(
     machine = load_machine(machine_path, effects_file)
     fitted = tuple(read_tcp(path, machine.spec) for path in fit_tcp)
     several, tool = sorted_out((*campaigns, *fitted), machine)
-    held = None if holdout is None else read_campaign(holdout, machine.spec)
+    held = () if holdout is None else readings_of([holdout], machine)
     points = None if tcp is None else read_tcp(tcp, machine.spec)
     return Request(
         command, several, machine, own, noise, seed, held, points, points=tool, frame=frame,

@@ -27,9 +27,12 @@ class Left:
 
     Attributes:
         p_value: of as much being left by noise alone.
+        rare: probability that the machine is beyond its tolerances altogether, or that stations
+            have errors without structure.
     """
 
     p_value: float
+    rare: float = 0.0
 
 
 def left_over(estimate: Estimate) -> Left:

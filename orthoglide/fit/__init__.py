@@ -5,7 +5,13 @@ from orthoglide.fit.crosscheck import CrossCheck
 from orthoglide.fit.earlier import account_for_changes
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Frame
-from orthoglide.fit.identifying import Source, assemble, identify, sorted_out
+from orthoglide.fit.identifying import (
+    Source,
+    assemble,
+    identify,
+    readings_of,
+    sorted_out,
+)
 from orthoglide.fit.noise import Noise, noise_of
 from orthoglide.fit.problem import Problem, Unknown
 from orthoglide.fit.scores import Scores
@@ -32,6 +38,7 @@ __all__ = [
     "elementary_beyond",
     "identify",
     "noise_of",
+    "readings_of",
     "solve",
     "sorted_out",
     "with_free",

@@ -20,7 +20,14 @@ from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.unknowns import build_problem
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, Given, TcpPoints, ToolCampaign, read_readings
+from orthoglide.observations import (
+    Campaign,
+    Given,
+    Readings,
+    TcpPoints,
+    ToolCampaign,
+    read_readings,
+)
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
@@ -117,6 +124,25 @@ def sorted_out(
     Raises:
         InputError: where there is neither, or a file cannot be read.
     """
+    read = _read(given, machine)
+    campaigns = tuple(r for r in read if isinstance(r, Campaign))
+    return campaigns, tuple(r for r in read if not isinstance(r, Campaign))
+
+
+def readings_of(given: Source | Sequence[Source], machine: Machine) -> tuple[Readings, ...]:
+    """Readings of dials and of the tool's instruments; paths are read.
+
+    Raises:
+        InputError: as :func:`sorted_out`, and for TCP points.
+    """
+    read = _read(given, machine)
+    found = tuple(r for r in read if not isinstance(r, TcpPoints))
+    if len(found) < len(read):
+        raise InputError("TCP points are no campaign of readings: give them as tcp")
+    return found
+
+
+def _read(given: Source | Sequence[Source], machine: Machine) -> list[Readings | TcpPoints]:
     alone = isinstance(given, Campaign | TcpPoints | ToolCampaign | str | PathLike)
     several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
     read = [
@@ -126,8 +152,7 @@ def sorted_out(
     ]
     if not read:
         raise InputError("there is no campaign: give at least one file of readings")
-    campaigns = tuple(r for r in read if isinstance(r, Campaign))
-    return campaigns, tuple(r for r in read if not isinstance(r, Campaign))
+    return read
 
 
 def _beside(

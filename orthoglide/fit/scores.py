@@ -84,14 +84,14 @@ def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: fl
     law.
     """
     noise, rows, stations = problem.noise, len(problem.measured), len(problem.weighing.first)
-    means = _tail(max(here.chi2 - within, 0.0), stations - nuisance.free, here.shares, noise.dof)
+    means = tail(max(here.chi2 - within, 0.0), stations - nuisance.free, here.shares, noise.dof)
     if rows == stations or noise.source == "repeats" or noise.common > 0:
         return means
-    whole = _tail(here.chi2, rows - nuisance.free, here.shares)
+    whole = tail(here.chi2, rows - nuisance.free, here.shares)
     return min(1.0, 2 * min(means, whole)) if np.isfinite(means) else whole
 
 
-def _tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:
+def tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:
     """Probability of a chi2 this large of ``count`` rows, of which unknowns took their shares.
 
     What a prior holds back is left in part: with the eigenvalues h of the hat matrix chi2 is a sum

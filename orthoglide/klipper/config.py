@@ -1,11 +1,13 @@
-"""A ``printer.cfg`` as sections of text with their lines, what the firmware saved included."""
+"""A ``printer.cfg`` as sections of text with their lines: its own, included and saved ones."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NoReturn
 
 from orthoglide import files
@@ -13,35 +15,36 @@ from orthoglide.errors import FileError
 from orthoglide.text import shown
 
 _SAVED = "#*#"
-_SECTION = re.compile(r"\[([^\]]*)\]\s*(?:[#;].*)?$")
+_SECTION = re.compile(r"\[([^\]]+)\]")
 _ENTRY = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
-_COMMENT = re.compile(r"(?:^|\s)[#;].*$")
+_COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
+_ROW = re.compile(r"[-+.,\d\seE]+$")
 _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
+_DEEPEST = 8  # files that include one another
 _MOST = 1e6  # of anything that a printer's file counts
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A value with the line on which its key stands."""
+    """A value with the line and file in which its key stands."""
 
     text: str
     line: int
+    file: str
 
 
 @dataclass
 class Section:
-    """One section of the file.
+    """One section.
 
     Attributes:
         name: between the brackets.
-        line: of its header.
-        file: name for errors.
+        header: where it stands.
         entries: values by key, lower case.
     """
 
     name: str
-    line: int
-    file: str
+    header: Entry
     entries: dict[str, Entry] = field(default_factory=dict)
 
     def __contains__(self, key: str) -> bool:
@@ -49,8 +52,8 @@ class Section:
 
     def fail(self, key: str, message: str) -> NoReturn:
         """Refuse the value of a key, or its absence."""
-        line = self.entries[key].line if key in self.entries else self.line
-        raise FileError(f"[{self.name}] {key} {message}", file=self.file, line=line)
+        at = self.entries.get(key, self.header)
+        raise FileError(f"[{self.name}] {key} {message}", file=at.file, line=at.line)
 
     def number(
         self, key: str, default: float | None = None, low: float = -_MOST, high: float = _MOST
@@ -102,19 +105,19 @@ class Section:
 
 @dataclass(frozen=True)
 class Config:
-    """The file.
+    """The file, with those that it includes.
 
     Attributes:
         file: its name.
         sha256: its digest.
         sections: by name, in the order of the file.
-        includes: other files that it names, which are not read.
+        missing: files that it includes and that are not beside it.
     """
 
     file: str
     sha256: str
     sections: dict[str, Section]
-    includes: tuple[str, ...]
+    missing: tuple[str, ...]
 
     def section(self, name: str) -> Section:
         """A section that must be there.
@@ -123,72 +126,111 @@ class Config:
             FileError: where it is not.
         """
         if name not in self.sections:
-            more = f" (it may stand in {self.includes[0]!r}: paste it in)" if self.includes else ""
+            absent = "".join(self.missing[:1])
+            more = f" (it may stand in {absent!r}: put that file beside this one)" if absent else ""
             raise FileError(f"has no section [{name}]: add it{more}", file=self.file)
         return self.sections[name]
 
     def optional(self, name: str) -> Section:
         """A section, empty where it is not there."""
-        return self.sections.get(name) or Section(name, 1, self.file)
+        return self.sections.get(name) or Section(name, Entry("", 1, self.file))
+
+    def named(self, *kinds: str) -> Iterator[Section]:
+        """Sections whose first word is one of these, in the order of the file."""
+        return (s for name, s in self.sections.items() if name.split(" ")[0] in kinds)
 
 
 def read_config(path: str | os.PathLike[str]) -> Config:
-    """Read a ``printer.cfg``; what the firmware saved at its end goes before what stands above.
+    """Read a ``printer.cfg`` and the files that it includes, where they stand beside it.
+
+    What the firmware saved at its end goes before what stands above.
 
     Raises:
         FileError: where it is missing, no text, or a line is neither section nor entry.
     """
     content = files.read_bytes(path, files.TEXT)
-    text = files.decode(content, path)
-    lines = text.split("\n")
-    own, saved = [], []
-    for number, line in enumerate(lines, start=1):
-        line = line.rstrip("\r")
-        if line.startswith(_SAVED):
-            body = line[len(_SAVED) :]
-            saved.append((number, body[1:] if body.startswith(" ") else body))
-        else:
-            own.append((number, line))
-    sections: dict[str, Section] = {}
-    includes: list[str] = []
-    _parse(own, shown(path), sections, includes)
-    _parse(saved, shown(path), sections, includes)
-    return Config(shown(path), files.sha256(content), sections, tuple(includes))
+    reader = _Reader()
+    reader.read(content, Path(path), ())
+    return Config(
+        shown(path), files.sha256(content), reader.sections, tuple(dict.fromkeys(reader.missing))
+    )
 
 
-def _parse(
-    lines: list[tuple[int, str]],
-    file: str,
-    sections: dict[str, Section],
-    includes: list[str],
-) -> None:
-    here: Section | None = None
-    key = ""
-    for number, line in lines:
-        bare = _COMMENT.sub("", line).rstrip()
-        if not bare.strip():
-            continue
-        if here is not None and key and bare[0] in " \t":  # goes on with the value above
-            before = here.entries[key]
-            here.entries[key] = Entry(f"{before.text}\n{bare.strip()}", before.line)
-        elif found := _SECTION.match(bare.strip()):
-            name, key = " ".join(found[1].split()), ""
-            if name.startswith("include "):
-                includes.append(name.removeprefix("include "))
-                here = Section(name, number, file)
+class _Reader:
+    """Sections as they fill, file by file, line by line."""
+
+    def __init__(self) -> None:
+        self.sections: dict[str, Section] = {}
+        self.missing: list[str] = []
+
+    def read(self, content: bytes, path: Path, within: tuple[Path, ...]) -> None:
+        """One file's text; ``within``: the files that led here."""
+        # A vendor's comments may be in any alphabet: only numbers are read.
+        text = files.decode(content, path, errors="replace")
+        own, saved = [], []
+        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+            bare = line.lstrip()
+            if bare.startswith(_SAVED):
+                saved.append((number, bare[len(_SAVED) :].removeprefix(" ")))
             else:
-                here = sections.setdefault(name, Section(name, number, file))
-        elif found := _ENTRY.match(bare.strip()):
-            if here is None:
+                own.append((number, line))
+        self._parse(own, path, (*within, path))
+        if not within:
+            self._parse(saved, path, (path,), saved=True)
+
+    def _parse(
+        self,
+        lines: list[tuple[int, str]],
+        path: Path,
+        within: tuple[Path, ...],
+        saved: bool = False,
+    ) -> None:
+        here: Section | None = None
+        key, level = "", 0
+        for number, line in lines:
+            bare = _COMMENT.sub("", line).rstrip()
+            told = bare.strip()
+            if not told:
+                continue
+            indent = len(bare) - len(bare.lstrip())
+            row = key == "points" and _ROW.match(told)  # pasted without its indentation
+            if here is not None and key and (indent > level or row):
+                before = here.entries[key]
+                here.entries[key] = replace(before, text=f"{before.text}\n{told}")
+                continue
+            level = indent
+            if found := _SECTION.match(told):
+                name, key = " ".join(found[1].split()), ""
+                if name.startswith("include "):
+                    self._include(name.removeprefix("include "), path, within)
+                    here = Section(name, Entry("", number, shown(path)))
+                else:
+                    new = Section(name, Entry("", number, shown(path)))
+                    here = self.sections.setdefault(name, new)
+            elif (found := _ENTRY.match(told)) and here is not None:
+                key = found[1].strip().lower()
+                here.entries[key] = Entry(found[2].strip(), number, shown(path))
+            elif here is None and not saved and found:
                 raise FileError(
                     "a value stands before the first section: put a section such as [printer] "
-                    "above it", file=file, line=number,
+                    "above it", file=shown(path), line=number,
                 )  # fmt: skip
-            key = found[1].strip().lower()
-            here.entries[key] = Entry(found[2].strip(), number)
-        elif here is not None and here.name.partition(" ")[0] in _READ:
-            raise FileError(
-                f"{bare.strip()[:40]!r} is neither a section nor 'key: value': correct the line",
-                file=file,
-                line=number,
-            )
+            elif here is not None and here.name.partition(" ")[0] in _READ:
+                raise FileError(
+                    f"{told[:40]!r} is neither a section nor 'key: value': correct the line",
+                    file=shown(path),
+                    line=number,
+                )
+
+    def _include(self, pattern: str, path: Path, within: tuple[Path, ...]) -> None:
+        """Files beside the one that names them; no others of this computer are read."""
+        inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
+        try:
+            found = sorted(path.parent.glob(pattern)) if inside else []
+        except (ValueError, OSError, NotImplementedError):  # no pattern that a folder has
+            found = []
+        if not found:
+            self.missing.append(pattern)
+        for other in found:
+            if other.is_file() and other not in within and len(within) < _DEEPEST:
+                self.read(files.read_bytes(other, files.TEXT), other, within)

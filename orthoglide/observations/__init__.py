@@ -3,15 +3,10 @@
 from orthoglide.observations.approach import Moves, derive_approach
 from orthoglide.observations.campaign import Campaign, Setup
 from orthoglide.observations.protocols import protocol
-from orthoglide.observations.reading import (
-    Given,
-    as_campaigns,
-    campaign_from_rows,
-    read_campaign,
-)
+from orthoglide.observations.reading import Given, read_campaign
 from orthoglide.observations.tcp import TcpPoints, read_tcp, tcp_from_rows
 from orthoglide.observations.tool import ToolCampaign, ToolSetup
-from orthoglide.observations.tool_reading import read_readings, readings_from_rows
+from orthoglide.observations.tool_reading import Readings, read_readings, readings_from_rows
 from orthoglide.observations.tool_writing import tool_rows
 from orthoglide.observations.writing import (
     campaign_rows,
@@ -25,12 +20,11 @@ __all__ = [
     "Campaign",
     "Given",
     "Moves",
+    "Readings",
     "Setup",
     "TcpPoints",
     "ToolCampaign",
     "ToolSetup",
-    "as_campaigns",
-    "campaign_from_rows",
     "campaign_rows",
     "campaign_text",
     "csv_text",

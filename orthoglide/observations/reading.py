@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
@@ -28,7 +26,7 @@ from orthoglide.observations.columns import (
     command_names,
     commands,
 )
-from orthoglide.observations.table import Column, Table, frame_table, read_table, rows_table
+from orthoglide.observations.table import Column, Table, frame_table, read_table
 
 
 def read_campaign(
@@ -53,55 +51,8 @@ def read_campaign(
     return campaign_of_table(table, Path(table.file).stem, machine_file, require_readings)
 
 
-def campaign_from_rows(
-    rows: Sequence[Mapping[str, str]],
-    machine_file: MachineFile | None = None,
-    require_readings: bool = True,
-    *,
-    name: str,
-    lines: Sequence[int] = (),
-    file: str = "",
-    sha256: str = "",
-) -> Campaign:
-    """A campaign from rows of text, as a result keeps those of its files.
-
-    Args:
-        rows: from column to text; the first row names all columns.
-        machine_file: as for `read_campaign`.
-        require_readings: as for `read_campaign`.
-        name: the campaign's name.
-        lines: line of each row in the file; from 2 on where empty.
-        file: the file's name.
-        sha256: digest of the file.
-
-    Raises:
-        FileError: as `read_campaign`.
-    """
-    table = rows_table(rows, file or name, lines, sha256)
-    campaign = campaign_of_table(table, name, machine_file, require_readings)
-    return replace(campaign, file=file)
-
-
 Given = Campaign | str | os.PathLike[str]
 """A campaign, or the path of its file."""
-
-
-def as_campaigns(
-    given: Given | Iterable[Given], machine_file: MachineFile | None = None
-) -> tuple[Campaign, ...]:
-    """One or several campaigns; paths are read by :func:`read_campaign`.
-
-    Raises:
-        FileError: as :func:`read_campaign`.
-        InputError: where there is none.
-    """
-    several = (given,) if isinstance(given, Campaign | str | os.PathLike) else tuple(given)
-    if not several:
-        raise InputError("there is no campaign: give at least one file of readings")
-    return tuple(
-        read_campaign(one, machine_file) if isinstance(one, str | os.PathLike) else one
-        for one in several
-    )
 
 
 def campaign_from_frame(

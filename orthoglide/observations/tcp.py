@@ -91,7 +91,7 @@ def tcp_from_rows(
     lines: Sequence[int] = (),
     sha256: str = "",
 ) -> TcpPoints:
-    """TCP points from rows of text; arguments as for `campaign_from_rows`.
+    """TCP points from rows of text; arguments as for `readings_from_rows`.
 
     Raises:
         FileError: as `read_tcp`.

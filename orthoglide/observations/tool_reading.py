@@ -34,6 +34,7 @@ from orthoglide.observations.table import Column, Table, choice, read_table, row
 from orthoglide.observations.tool import DIRECTED, KINDS, ToolCampaign, ToolSetup
 
 Readings = Campaign | ToolCampaign
+"""What one file holds of dials on legs, or of the tool's instruments."""
 
 _KIND = Column(choice({kind: kind for kind in ("leg", "move", *KINDS)}), "leg")
 
@@ -66,7 +67,15 @@ def readings_from_rows(
     file: str = "",
     sha256: str = "",
 ) -> tuple[Readings, ...]:
-    """Readings from rows of text; arguments as for `campaign_from_rows`.
+    """Readings from rows of text, as a result keeps those of its files.
+
+    Args:
+        rows: from column to text; the first row names all columns.
+        machine_file: as for `read_readings`.
+        name: of the readings.
+        lines: line of each row in the file; from 2 on where empty.
+        file: the file's name.
+        sha256: digest of the file.
 
     Raises:
         FileError: as `read_readings`.

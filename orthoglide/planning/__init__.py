@@ -2,6 +2,7 @@
 
 from orthoglide.planning.designs import Design, design
 from orthoglide.planning.detectable import Detectability, SmallestEffect, smallest_effects
+from orthoglide.planning.linear import expected_noise
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.repeats import Repeats, repeats_needed
@@ -11,6 +12,7 @@ from orthoglide.planning.suggestions import (
     next_measurements,
     next_sheet,
 )
+from orthoglide.planning.tracing import tracing
 
 __all__ = [
     "Design",
@@ -21,10 +23,12 @@ __all__ = [
     "Suggestion",
     "deciding_instruments",
     "design",
+    "expected_noise",
     "next_measurements",
     "next_sheet",
     "observability",
     "reading_pool",
     "repeats_needed",
     "smallest_effects",
+    "tracing",
 ]

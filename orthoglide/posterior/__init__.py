@@ -9,10 +9,13 @@ from orthoglide.posterior.causes import (
     Located,
     Outstanding,
 )
+from orthoglide.posterior.columns import places_of, with_everything
 from orthoglide.posterior.everything import FullPosterior, full_posterior
-from orthoglide.posterior.outstanding import outstanding
+from orthoglide.posterior.outstanding import NAMED, outstanding
+from orthoglide.posterior.remains import remains
 
 __all__ = [
+    "NAMED",
     "BudgetItem",
     "CandidateScore",
     "Cause",
@@ -24,4 +27,7 @@ __all__ = [
     "budget",
     "full_posterior",
     "outstanding",
+    "places_of",
+    "remains",
+    "with_everything",
 ]

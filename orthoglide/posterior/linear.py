@@ -104,11 +104,11 @@ class Scale:
         factor = np.linalg.cholesky(cov)
         both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
         self.columns, self.residual = both[:, :-1], both[:, -1]
-        unlikely = _RARE * ((share > 1) + (rough > 0))
+        self.rare = (share > 1) + (rough > 0)
         square, count, visits = linear.beyond
         wide = 1 + rough**2 * visits
         self.log_z = (
-            unlikely
+            _RARE * self.rare
             - 0.5 * (square / wide + count * float(np.log(wide)))
             - 0.5 * float(self.residual @ self.residual)
             - float(np.log(np.diag(factor)).sum())

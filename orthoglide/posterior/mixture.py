@@ -261,6 +261,31 @@ class Mixture:
         named, free, rough = (by_scale @ each).tolist()
         return named, free, rough
 
+    @cached_property
+    def named(self) -> tuple[State, Scale]:
+        """The likeliest explanation without small errors that have no name: without those of
+        single stations, and without free functions but those that stand out.
+        """
+        least = min(s.free_share for s in self.scales)
+        plain = np.array([s.rough == 0 and s.free_share == least for s in self.scales])
+        state = max(self.weights, key=lambda s: self.weights[s][plain].sum())
+        return state, self.scales[int(np.argmax(np.where(plain, self.weights[state], -1.0)))]
+
+    @cached_property
+    def rare(self) -> float:
+        """Probability of a machine beyond its tolerances altogether, or of errors of single
+        stations that have no structure.
+        """
+        rare = np.array([s.rare > 0 for s in self.scales])
+        return float(sum(weight[rare].sum() for weight in self.weights.values()))
+
+    def precision(self, state: State, scale: Scale) -> Array:
+        """Inverse covariance of the readings in a state ``(m, m)``."""
+        columns = self.linear.columns
+        out = columns @ self._spread(state)
+        cov = (columns * scale.spike) @ columns.T + out @ out.T
+        return np.asarray(np.linalg.inv(cov + np.eye(len(cov))), dtype=np.float64)
+
     def _spread(self, state: State) -> Array:
         """What is out by coefficient ``(C, q)``, each times its tau."""
         count = len(self.linear.fixed)

@@ -15,9 +15,9 @@ from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import (
     Campaign,
+    Readings,
     TcpPoints,
     ToolCampaign,
-    campaign_from_rows,
     readings_from_rows,
     tcp_from_rows,
 )
@@ -72,7 +72,7 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
         own=tuple(given["own"]),
         noise=None if noise is None else noise * 1e-3,
         seed=seed,
-        holdout=next((_campaign(i, machine) for i in by_role["holdout"]), None),
+        holdout=tuple(r for i in by_role["holdout"] for r in _readings(i, machine)),
         tcp=next((_points(i, machine) for i in by_role["tcp"]), None),
         points=(*tool, *(_points(i, machine) for i in by_role["fit_tcp"])),
         frame=given.get("frame", "rigid"),
@@ -96,22 +96,15 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
     return Machine(replace(spec, file=name, sha256=digest, posterior=known))
 
 
-def _campaign(found: Mapping[str, Any], machine: Machine) -> Campaign:
-    return campaign_from_rows(found["rows"], machine.spec, **_source(found))
-
-
-def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Campaign | ToolCampaign, ...]:
-    return readings_from_rows(found["rows"], machine.spec, **_source(found))
-
-
-def _source(found: Mapping[str, Any]) -> dict[str, Any]:
-    """Where rows come from, as the readers of rows take it."""
-    return {
-        "name": Path(found["file"]).stem,
-        "lines": found.get("lines", ()),
-        "file": found["file"],
-        "sha256": found["sha256"],
-    }
+def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Readings, ...]:
+    return readings_from_rows(
+        found["rows"],
+        machine.spec,
+        name=Path(found["file"]).stem,
+        file=found["file"],
+        lines=found.get("lines", ()),
+        sha256=found["sha256"],
+    )
 
 
 def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:

@@ -14,6 +14,7 @@ from orthoglide.fit.factors import Frame
 from orthoglide.machine import Machine
 from orthoglide.observations import (
     Campaign,
+    Readings,
     TcpPoints,
     ToolCampaign,
     campaign_rows,
@@ -40,7 +41,7 @@ class Request:
         own: effects or parameters that each campaign has for itself.
         noise: standard deviation of one reading, metres; ``None`` where files or repeats say it.
         seed: of every random draw.
-        holdout: a campaign that judges the finished result.
+        holdout: readings that judge the finished result.
         tcp: points that judge the finished result.
         free: effects or parameters that ``identify`` frees.
         priors: whether tolerances act as priors in ``identify``.
@@ -56,7 +57,7 @@ class Request:
     own: tuple[str, ...] = ()
     noise: float | None = None
     seed: int = 0
-    holdout: Campaign | None = None
+    holdout: tuple[Readings, ...] = ()
     tcp: TcpPoints | None = None
     free: tuple[str, ...] = CATALOGUE.base
     priors: bool = True
@@ -85,7 +86,7 @@ class Request:
             found |= {"fit_tcp": [name_of(p) for p in self._fitted], "frame": self.frame}
         if self.searches:
             held, points = self.holdout, self.tcp
-            judges = {"holdout": name_of(held) if held else None}
+            judges = {"holdout": name_of(held[0]) if held else None}
             return found | judges | {"tcp": name_of(points) if points else None}
         options = {"free": list(self.free), "priors": self.priors, "reduced": self.reduced}
         return found | options
@@ -95,8 +96,13 @@ class Request:
         return tuple(p for p in self.points if isinstance(p, TcpPoints))
 
     @property
-    def _files(self) -> tuple[Campaign | ToolCampaign, ...]:
-        return (*self.campaigns, *(p for p in self.points if isinstance(p, ToolCampaign)))
+    def tool(self) -> tuple[ToolCampaign, ...]:
+        """Files of other kinds than dials on legs and TCP points."""
+        return tuple(p for p in self.points if isinstance(p, ToolCampaign))
+
+    @property
+    def _files(self) -> tuple[Readings, ...]:
+        return (*self.campaigns, *self.tool)
 
     @property
     def inputs(self) -> list[dict[str, Any]]:
@@ -104,24 +110,26 @@ class Request:
         return list(self._inputs())
 
     def _inputs(self) -> Iterator[dict[str, Any]]:
-        for campaign in self.campaigns:
-            yield _input(campaign, "campaign", campaign_rows(campaign))
-        for points in self.points:
-            if isinstance(points, ToolCampaign):
-                yield _input(points, "campaign", tool_rows(points, self.machine.spec))
-            else:
-                yield _input(points, "fit_tcp", tcp_rows(points))
-        if self.holdout is not None:
-            yield _input(self.holdout, "holdout", campaign_rows(self.holdout))
+        for given in (*self.campaigns, *self.points):
+            yield self._input(given, "fit_tcp" if isinstance(given, TcpPoints) else "campaign")
+        for given in self.holdout:
+            yield self._input(given, "holdout")
         if self.tcp is not None:
-            yield _input(self.tcp, "tcp", tcp_rows(self.tcp))
+            yield self._input(self.tcp, "tcp")
+
+    def _input(self, given: Readings | TcpPoints, role: str) -> dict[str, Any]:
+        if isinstance(given, TcpPoints):
+            return _input(given, role, tcp_rows(given))
+        if isinstance(given, ToolCampaign):
+            return _input(given, role, tool_rows(given, self.machine.spec))
+        return _input(given, role, campaign_rows(given))
 
     @property
     def command_line(self) -> str:
         """How to run it again beside the files, or from the result where there are none."""
         if self.command == "demo":
             return "orthoglide demo --out DIR" + (f" --seed {self.seed}" if self.seed else "")
-        judges = [given for given in (self.holdout, self.tcp) if given is not None]
+        judges = [*self.holdout, *(() if self.tcp is None else (self.tcp,))]
         if not all(given.file for given in (*self.campaigns, *self.points, *judges)):
             return _AGAIN
         given = self.arguments
@@ -145,16 +153,14 @@ class Request:
         return shlex.join([*words, *(flag for flag, given in flags.items() if given)])
 
 
-def name_of(given: Campaign | TcpPoints | ToolCampaign) -> str:
+def name_of(given: Readings | TcpPoints) -> str:
     """The name of a file of readings without its folder; one is made up where there is no file."""
     if given.file:
         return Path(given.file).name
     return "points.tcp.csv" if isinstance(given, TcpPoints) else f"{given.name}.csv"
 
 
-def _input(
-    given: Campaign | TcpPoints | ToolCampaign, role: str, rows: list[dict[str, str]]
-) -> dict[str, Any]:
+def _input(given: Readings | TcpPoints, role: str, rows: list[dict[str, str]]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "file": name_of(given),
         "sha256": given.sha256 or sha256(csv_text(rows).encode()),

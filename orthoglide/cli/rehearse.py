@@ -1,0 +1,89 @@
+"""``rehearse``: how often a sheet would find what is wrong, before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from orthoglide.cli.options import PATH, load_machine, machine_option, out_option
+from orthoglide.cli.progress import progress
+from orthoglide.cli.run import keep_on_interrupt
+from orthoglide.cli.terminal import say
+from orthoglide.errors import InputError
+
+TABLE = "rehearsal.txt"
+
+
+@click.command()
+@machine_option
+@click.option("--sheet", type=PATH, metavar="SHEET.csv",
+              help="Measuring sheet; the protocol sweep where absent.")  # fmt: skip
+@click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+@click.option("--jobs", type=int, metavar="N",
+              help="Processes side by side.  [default: one for every processor]")  # fmt: skip
+@click.option("--dask", metavar="ADDRESS",
+              help="Scheduler of a Dask cluster that does the work instead.")  # fmt: skip
+@out_option(required=False, help="Folder for finished campaigns and the table; a run that was "
+                                 "stopped goes on from there.")  # fmt: skip
+@click.option("--quiet", is_flag=True, help="No progress and no table.")
+def rehearse(
+    machine_path: Path | None,
+    sheet: Path | None,
+    campaigns: int,
+    seed: int,
+    jobs: int | None,
+    dask: str | None,
+    out: Path | None,
+    quiet: bool,
+) -> None:
+    """Simulate campaigns on machines like yours, and count what your sheet would find.
+
+    Machines are drawn by the dimensions and tolerances of the machine file: with nothing wrong but
+    zeros and lengths, with one effect at 3 to 10 tolerances, with something that no catalogue
+    knows, and with everything off by a share f of its tolerance.
+    """
+    from orthoglide.files import write_whole
+    from orthoglide.rehearsal import rehearse as run
+
+    if jobs is not None and dask is not None:
+        raise InputError("--jobs and --dask exclude each other: the cluster has its own workers")
+    machine = load_machine(machine_path)
+    if out is not None:
+        name = click.format_filename(out)
+        keep_on_interrupt(f"{name} keeps what was finished, and the same command goes on")
+    with progress(quiet) as step, _workers(dask):
+        found = run(
+            machine, sheet or "sweep", campaigns, seed=seed, out=out, progress=step,
+            jobs=-1 if jobs is None and dask is None else jobs,
+        )  # fmt: skip
+    if out is not None:
+        write_whole(out / TABLE, f"{found}\n", overwrite=True)
+    if not quiet:
+        say(str(found), needed=out is None)
+
+
+@contextmanager
+def _workers(address: str | None) -> Iterator[None]:
+    """Have joblib send its work to a Dask cluster, if there is one."""
+    if address is None:
+        yield
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise InputError("--dask needs Dask: pip install orthoglide[dask]") from None
+    from joblib import parallel_config
+
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at {address}: {error}") from None
+    with client, parallel_config(backend="dask"):
+        yield
+
+
+COMMANDS = (rehearse,)

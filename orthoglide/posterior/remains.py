@@ -1,0 +1,42 @@
+"""What the posterior leaves of the readings: whether anything is missing from its list."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orthoglide.diagnosis.significance import Left
+from orthoglide.fit.scores import tail
+from orthoglide.geometry import Array
+from orthoglide.posterior.everything import FullPosterior
+
+_VISIBLE = 1e-6  # of the largest: directions that stations span
+
+
+def remains(posterior: FullPosterior) -> Left:
+    """Test what the likeliest explanation by name or place leaves against the noise.
+
+    With ``S = 1 + A D A^T`` the rest ``S^-1 r`` has the covariance ``S^-1`` where the explanation
+    is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
+    means, which see best what repeats at every visit; and of everything, doubled, where the noise
+    is declared.
+
+    Args:
+        posterior: of everything.
+    """
+    mixture, noise = posterior.mixture, posterior.before.problem.noise
+    linear = mixture.linear
+    inverse = mixture.precision(*mixture.named)
+    rest = inverse @ linear.residual
+    vectors, size, _ = np.linalg.svd(linear.stations, full_matrices=False)
+    means = vectors[:, size > _VISIBLE * size.max(initial=1.0)]
+    square, count, _ = linear.beyond
+    p = _tail(means.T @ rest, means.T @ inverse @ means, square, count, noise.dof)
+    if count == 0 and noise.source != "repeats" and noise.common == 0:
+        p = float(np.nanmin([1.0, 2 * p, 2 * _tail(rest, inverse, 0.0, 0.0, np.inf)]))
+    return Left(p if np.isfinite(p) else 1.0, mixture.rare)
+
+
+def _tail(rest: Array, spread: Array, square: float, count: float, known: float) -> float:
+    """Probability of a rest this large ``(k,)`` of covariance ``(k, k)``, and of more squares."""
+    shares = np.asarray(1 - np.linalg.eigvalsh(spread), dtype=np.float64)
+    return tail(float(rest @ rest) + square, round(len(rest) + count), shares, known)

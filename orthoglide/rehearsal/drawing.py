@@ -1,0 +1,172 @@
+"""Machines of a user's own dimensions and tolerances, each with something wrong or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.effects.places import Place
+from orthoglide.effects.wording import cause_short
+from orthoglide.fit import build_problem
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
+from orthoglide.planning import expected_noise
+from orthoglide.posterior import places_of, with_everything
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is wrong with some of the machines.
+
+    Attributes:
+        name: for tables.
+        share: of their tolerances by which all effects are off.
+        extra: what stands out besides: an effect, something outside the catalogue, or nothing.
+    """
+
+    name: str
+    share: float = 0.0
+    extra: str = ""
+
+
+NOTHING, EFFECT = Kind("nothing"), Kind("one effect", extra="effect")
+OUTSIDE = Kind("outside the catalogue", extra="outside")
+WHOLE = tuple(Kind(f"everything, f = {share:g}", share) for share in (0.1, 0.3, 1.0))
+KINDS = (NOTHING, EFFECT, OUTSIDE, *WHOLE)
+"""In the order of tables."""
+
+TURNS = (EFFECT, WHOLE[0], OUTSIDE, EFFECT, WHOLE[1], NOTHING, EFFECT, OUTSIDE, WHOLE[2])
+"""Kinds of one campaign after the other: a small rehearsal is a fair part of a larger one."""
+
+STANDS_OUT = (3.0, 10.0)
+"""Sizes of a single effect, in tolerances."""
+
+STRAYS = (0.5, 2.0)
+"""Root mean squares of what no catalogue knows, in the deviation to expect of such a place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scope:
+    """What may be wrong with a machine as far as a sheet is concerned.
+
+    Attributes:
+        machine: dimensions, tolerances and dial; without errors.
+        sheet: rows to be read.
+        parameters: of effects beyond zeros and lengths, those of the dials among them, whose
+            conditions the sheet varies.
+        places: that the sheet may show.
+    """
+
+    machine: Machine
+    sheet: Campaign
+    parameters: tuple[Parameter, ...]
+    places: tuple[Place, ...]
+
+    @classmethod
+    def of(cls, machine: Machine, sheet: Campaign) -> Scope:
+        """What the posterior would weigh.
+
+        Args:
+            machine: its own parameters do not count: dimensions and tolerances do.
+            sheet: readings do not count.
+        """
+        bare = machine.with_only({})
+        exact = sheet.with_readings(bare.readings(sheet))
+        noise = expected_noise(bare, exact)
+        wide = with_everything(build_problem(bare, [exact], bare.catalogue.base, noise))
+        beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
+        kept = tuple(bare.catalogue.parameter(n, [s.name for s in sheet.setups]) for n in beyond)
+        return cls(bare, sheet, kept, places_of(wide))
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """One machine as it is.
+
+    Attributes:
+        kind: what is wrong.
+        machine: with all its errors.
+        sizes: of its errors beyond zeros and lengths, in tolerances, by parameter.
+        cause: name of what stands out, as verdicts call it; empty where nothing does.
+        size: of that in tolerances, or in the deviation to expect of a place.
+        words: what that is, as a clause.
+    """
+
+    kind: Kind
+    machine: Machine
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    cause: str = ""
+    size: float = 0.0
+    words: str = ""
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Of the machine."""
+        return self.machine.catalogue
+
+
+def draw(scope: Scope, kind: Kind, rng: np.random.Generator) -> Drawn:
+    """A machine: zeros and lengths at their tolerances, and what its kind says.
+
+    Args:
+        scope: what may be wrong.
+        kind: what is.
+        rng: to draw from.
+    """
+    bare = scope.machine
+    values = {
+        str(n): bare.tolerance(n) * float(rng.standard_normal())
+        for n in bare.catalogue.expand(bare.catalogue.base)
+    }
+    if kind.extra == "outside":
+        return _with_place(scope, kind, values, rng)
+    sizes, cause, size, words = dict[str, float](), "", 0.0, ""
+    if kind.share:
+        sizes = {str(n): kind.share * float(rng.standard_normal()) for n in scope.parameters}
+    if kind.extra == "effect":
+        cause, size, sizes = _standing_out(scope, rng)
+        words = cause_short(bare.catalogue, cause)
+    values |= {n: v * bare.tolerance(n) for n, v in sizes.items()}
+    return Drawn(kind, bare.with_only(values), sizes, cause, size, words)
+
+
+def _standing_out(scope: Scope, rng: np.random.Generator) -> tuple[str, float, dict[str, float]]:
+    """One effect, all as likely, at one of its parameters: name, size, and sizes by parameter."""
+    effects = list(dict.fromkeys(n.effect for n in scope.parameters))
+    effect = scope.machine.catalogue[effects[int(rng.integers(len(effects)))]]
+    mine = [n for n in scope.parameters if n.effect == effect.name]
+    one, size = mine[int(rng.integers(len(mine)))], float(rng.uniform(*STANDS_OUT))
+    if not effect.paired:
+        return str(one), size, {str(one): size * float(rng.choice([-1.0, 1.0]))}
+    parts = [n for n in mine if n.leg == one.leg]
+    way = rng.standard_normal(len(parts))
+    way *= size / np.linalg.norm(way)
+    return f"{effect.name}.{one.leg}", size, dict(zip(map(str, parts), way.tolist(), strict=True))
+
+
+def _with_place(
+    scope: Scope, kind: Kind, values: dict[str, float], rng: np.random.Generator
+) -> Drawn:
+    """A free function of one place, without what the catalogue's own shapes would take of it."""
+    place = scope.places[int(rng.integers(len(scope.places)))]
+    u = np.linspace(-1, 1, 201)
+    functions = np.stack(place.kernel.functions(u), axis=1)
+    weights = _shapeless(u, functions, rng.standard_normal((functions.shape[1],)))
+    size = float(rng.uniform(*STRAYS))
+    weights *= size * place.unit / np.sqrt(np.mean((functions @ weights) ** 2))
+    effect = place.effect
+    made = scope.machine.with_effects([effect]).with_only(
+        values | dict(zip(effect.motions, weights.tolist(), strict=True))
+    )
+    return Drawn(kind, made, {}, place.name, size, place.words)
+
+
+def _shapeless(u: Array, functions: Array, weights: Array) -> Array:
+    """Coefficients of a function that has no level, slope and curvature left."""
+    known = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
+    return np.asarray(weights - np.linalg.pinv(known) @ (known @ weights))

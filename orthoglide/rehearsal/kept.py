@@ -1,0 +1,87 @@
+"""Finished campaigns of a rehearsal, kept as they come: a stopped run goes on from here."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from orthoglide import __version__
+from orthoglide.errors import FileError
+from orthoglide.files import read_bytes, sha256, writing
+from orthoglide.machine_file.writing import machine_text
+from orthoglide.observations import campaign_text
+from orthoglide.rehearsal.drawing import Scope
+from orthoglide.rehearsal.trying import Tried
+from orthoglide.text import shown
+
+FILE = "campaigns.jsonl"
+"""Within the folder: the request in its first line, then a campaign a line."""
+
+
+def asked(scope: Scope, seed: int) -> dict[str, str]:
+    """What decides about every campaign, digests of files in place of them."""
+    machine = machine_text(scope.machine.spec) + " ".join(scope.machine.catalogue)
+    return {
+        "the version of orthoglide": __version__,
+        "the machine file": sha256(machine.encode()),
+        "the sheet": sha256(campaign_text(scope.sheet).encode()),
+        "the seed": str(seed),
+    }
+
+
+class Kept:
+    """The file of finished campaigns.
+
+    Args:
+        folder: that holds it; new, empty, or of an earlier run.
+        request: see :func:`asked`.
+
+    Raises:
+        FileError: where the folder holds something else, or campaigns of another request.
+    """
+
+    def __init__(self, folder: Path, request: Mapping[str, str]) -> None:
+        self.path = folder / FILE
+        self.finished: dict[int, Tried] = {}
+        if self.path.exists():
+            self._read(request)
+            return
+        with writing(folder):
+            folder.mkdir(exist_ok=True)
+            if any(folder.iterdir()):
+                raise FileError(
+                    "is not empty and holds no earlier rehearsal: name a new or empty folder",
+                    file=shown(folder),
+                )
+        with writing(self.path), self.path.open("x", encoding="utf-8") as file:
+            file.write(json.dumps(dict(request)) + "\n")
+
+    def _read(self, request: Mapping[str, str]) -> None:
+        content = read_bytes(self.path)
+        whole = content[: content.rfind(b"\n") + 1]
+        try:
+            first, *rest = map(json.loads, whole.decode().splitlines())
+            differs = [k for k, v in request.items() if first[k] != v]
+            self.finished = {r["number"]: Tried.from_dict(r) for r in rest}
+        except (ValueError, TypeError, KeyError, AttributeError):
+            raise FileError(
+                "holds no campaigns of a rehearsal: name another folder", file=shown(self.path)
+            ) from None
+        if differs:
+            raise FileError(
+                f"holds campaigns of another rehearsal, as {' and '.join(differs)} "
+                f"{'is' if len(differs) == 1 else 'are'} not the same: name another folder",
+                file=shown(self.path),
+            )
+        if len(whole) < len(content):  # stopped while a line was written
+            with writing(self.path):
+                os.truncate(self.path, len(whole))
+
+    def add(self, tried: Tried) -> None:
+        """Keep one more, at once."""
+        self.finished[tried.number] = tried
+        line = json.dumps(tried.as_dict(), allow_nan=False) + "\n"
+        with writing(self.path), self.path.open("a", encoding="utf-8") as file:
+            file.write(line)

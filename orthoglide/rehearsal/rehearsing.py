@@ -1,0 +1,106 @@
+"""Rehearsing a sheet: campaigns on many drawn machines, side by side and resumable."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import get_args
+
+from orthoglide.errors import InputError
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, protocol, read_campaign
+from orthoglide.observations.protocols import Kind, check_dials
+from orthoglide.progress import Progress, Step, silent
+from orthoglide.rehearsal.drawing import Scope
+from orthoglide.rehearsal.kept import Kept, asked
+from orthoglide.rehearsal.table import Rehearsal
+from orthoglide.rehearsal.trying import Tried, try_one
+from orthoglide.rehearsal.weak_spots import weak_spots
+
+CAMPAIGNS = 90
+"""Ten of each turn of :data:`orthoglide.rehearsal.drawing.TURNS`."""
+
+
+def rehearse(
+    machine: Machine | None = None,
+    sheet: Campaign | Kind | os.PathLike[str] = "sweep",
+    campaigns: int = CAMPAIGNS,
+    *,
+    seed: int = 0,
+    jobs: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> Rehearsal:
+    """How often a sheet would find what is wrong with machines like this one.
+
+    Machines are drawn by dimensions and tolerances, measured by the sheet, and calibrated from what
+    was measured; what is then said is held against what is true. They are simulated by the model
+    that calibrates them: what no model of the package has, no rehearsal shows.
+
+    Args:
+        machine: dimensions, tolerances and dial; nominal where absent. Its parameters do not count.
+        sheet: rows to be read, as campaign, file or kind of protocol; readings do not count.
+        campaigns: how many; a larger rehearsal holds the smaller.
+        seed: of every random draw; the same seed gives the same answer, whatever the jobs.
+        jobs: processes, -1 for all processors; where absent as ``joblib.parallel_config`` says,
+            which may be a cluster (``parallel_config(backend="dask")``), else one.
+        out: folder in which finished campaigns are kept: a run that was stopped goes on from there.
+        progress: called with each step; any callable will do.
+
+    Raises:
+        InputError: for a machine or sheet that cannot be used, or a folder of another rehearsal.
+    """
+    progress = progress or silent
+    for name, value, least in (("campaigns", campaigns, 1), ("seed", seed, 0)):
+        if value < least:
+            raise InputError(f"{name} must be {least} or more, not {value}")
+    if jobs == 0:
+        raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
+    machine = (machine or Machine.nominal()).with_only({})
+    check_dials(machine.geometry)
+    progress(Step("computing", "what the sheet can see"))
+    scope = Scope.of(machine, _sheet(machine, sheet))
+    kept = None if out is None else Kept(Path(out), asked(scope, seed))
+    weak = weak_spots(scope, seed)
+    tried = _all(scope, campaigns, seed, jobs, kept, progress)
+    return Rehearsal(machine.spec.name, len(scope.sheet), seed, tried, weak)
+
+
+def _sheet(machine: Machine, sheet: Campaign | str | os.PathLike[str]) -> Campaign:
+    if isinstance(sheet, Campaign):
+        return sheet
+    if sheet in get_args(Kind):
+        return protocol(sheet, machine.geometry)  # type: ignore[arg-type]
+    return read_campaign(sheet, machine.spec, require_readings=False)
+
+
+def _all(
+    scope: Scope, campaigns: int, seed: int, jobs: int | None, kept: Kept | None, show: Progress
+) -> tuple[Tried, ...]:
+    """All campaigns in their order, those of an earlier run as they were."""
+    from joblib import Parallel, delayed
+
+    done = dict(kept.finished) if kept else {}
+    missing = [k for k in range(campaigns) if k not in done]
+    began, before = time.monotonic(), campaigns - len(missing)
+    show(Step("computing", _left(before, campaigns, 0, 0.0), 100 * before / campaigns))
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    tasks = (delayed(try_one)(scope, k, seed) for k in missing)
+    for tried in parallel(tasks) if missing else ():
+        done[tried.number] = tried
+        if kept:
+            kept.add(tried)
+        count = sum(k in done for k in range(campaigns))
+        told = _left(count, campaigns, count - before, time.monotonic() - began)
+        show(Step("computing", told, 100 * count / campaigns))
+    return tuple(done[k] for k in range(campaigns))
+
+
+def _left(count: int, campaigns: int, fresh: int, seconds: float) -> str:
+    """How far it is, and how long it takes from here."""
+    told = f"campaign {count} of {campaigns}"
+    if not fresh or count == campaigns:
+        return told
+    rest = (campaigns - count) * seconds / fresh
+    return f"{told}, about {rest:.0f} s left" if rest < 90 else f"{told}, {rest / 60:.0f} min left"

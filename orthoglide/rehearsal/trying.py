@@ -1,0 +1,121 @@
+"""One campaign of a rehearsal: a machine is drawn, measured, calibrated, and compared."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from orthoglide.accuracy import expected_error
+from orthoglide.closing import close_loop
+from orthoglide.errors import OrthoglideError
+from orthoglide.rehearsal.drawing import TURNS, Drawn, Scope, draw
+from orthoglide.rehearsal.scoring import claims
+from orthoglide.simulation import simulate, simulate_tcp
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What became of one campaign; millimetres, of the tool after the best translation.
+
+    Attributes:
+        number: of the campaign, from 0.
+        kind: what was wrong, as in the table.
+        cause: what stood out, as verdicts call it; empty where nothing did.
+        size: of that, in tolerances or in the deviation to expect of such a place.
+        words: what it was, as a clause.
+        word: the verdict.
+        named: causes that it named and that were there.
+        located: places that it located and that were there.
+        false: what it claimed besides.
+        nominal_mm: mean error of the tool of the machine as drawn.
+        before_mm: the same after zeros and lengths are put right.
+        after_mm: the same after everything found is compensated.
+        stated_mm: what the verdict says of that.
+        inside: share of the tool's coordinates within their stated 95 % interval.
+        seconds: that it took.
+        failed: why it came to no verdict; empty where it did.
+    """
+
+    number: int
+    kind: str
+    cause: str = ""
+    size: float = 0.0
+    words: str = ""
+    word: str = ""
+    named: tuple[str, ...] = ()
+    located: tuple[str, ...] = ()
+    false: tuple[str, ...] = ()
+    nominal_mm: float = float("nan")
+    before_mm: float = float("nan")
+    after_mm: float = float("nan")
+    stated_mm: float = float("nan")
+    inside: float = float("nan")
+    seconds: float = 0.0
+    failed: str = ""
+
+    @property
+    def missed(self) -> bool:
+        """Whether something stood out and was neither named nor located."""
+        return bool(self.cause) and not (self.named or self.located or self.failed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; what is not a number is left out."""
+        return {k: v for k, v in asdict(self).items() if v == v}
+
+    @classmethod
+    def from_dict(cls, kept: Mapping[str, Any]) -> Tried:
+        """The same back again.
+
+        Raises:
+            TypeError: where something else was kept.
+        """
+        values: dict[str, Any] = dict(kept)
+        for name in ("named", "located", "false"):
+            values[name] = tuple(values[name])
+        return cls(**values)
+
+
+def try_one(scope: Scope, number: int, seed: int) -> Tried:
+    """One campaign; a failure is a result like others.
+
+    Args:
+        scope: machine and sheet.
+        number: of the campaign; with the seed it determines every draw.
+        seed: of the rehearsal.
+    """
+    kind, began = TURNS[number % len(TURNS)], time.perf_counter()
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+    about: dict[str, Any] = {"number": number, "kind": kind.name}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what libraries tell programmers, in every process
+            drawn = draw(scope, kind, rng)
+            about |= {"cause": drawn.cause, "size": round(drawn.size, 2), "words": drawn.words}
+            about |= _closed(scope, drawn, rng)
+    except OrthoglideError as error:
+        about["failed"] = f"{type(error).__name__}: {error}"
+    except Exception as error:  # a crash is a result too: it is counted and shown
+        about["failed"] = f"unexpected {type(error).__name__}: {error}"
+    return Tried(**about, seconds=round(time.perf_counter() - began, 1))
+
+
+def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, Any]:
+    measured = simulate(drawn.machine, scope.sheet, seed=rng)
+    points = simulate_tcp(drawn.machine, seed=rng)
+    verdict = close_loop([measured], scope.machine, tcp=points)
+    named, located, false = claims(verdict, drawn)
+    assert verdict.tcp is not None
+    errors = verdict.tcp["translation"]
+    stated = expected_error(verdict.machine, verdict.machine.values).shape
+    figures = (errors.nominal[0], errors.before[0], errors.after[0], stated)
+    names = ("nominal_mm", "before_mm", "after_mm", "stated_mm")
+    return {
+        "word": verdict.word, "named": tuple(named), "located": tuple(located),
+        "false": tuple(false), "inside": round(errors.inside, 4),
+        **{n: round(1e3 * v, 5) for n, v in zip(names, figures, strict=True)},
+    }  # fmt: skip

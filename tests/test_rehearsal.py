@@ -1,0 +1,294 @@
+"""Rehearsals: what is drawn, how it is scored, that workers and stops change nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.parameters import Parameter
+from orthoglide.rehearsal.drawing import EFFECT, KINDS, NOTHING, OUTSIDE, TURNS, WHOLE, Scope, draw
+from orthoglide.rehearsal.scoring import claims, is_cause
+from orthoglide.rehearsal.table import Rehearsal
+from orthoglide.rehearsal.trying import Tried, try_one
+from orthoglide.rehearsal.weak_spots import weak_spots
+
+MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
+
+
+@pytest.fixture(scope="module")
+def scope() -> Scope:
+    machine = og.Machine.load(MACHINE)
+    return Scope.of(machine, og.protocol("standard", machine.geometry))
+
+
+def drawn(scope: Scope, kind: Any, number: int = 0) -> Any:
+    return draw(scope, kind, np.random.default_rng(number))
+
+
+# --- what is drawn --------------------------------------------------------------------------------
+
+
+def test_a_sound_machine_has_zeros_and_lengths_alone(scope: Scope) -> None:
+    values = drawn(scope, NOTHING).machine.values
+    assert {n.partition(".")[0] for n in values} == {"joint_offset", "leg_length"}
+
+
+def test_machines_are_off_by_their_tolerances(scope: Scope) -> None:
+    machines = [drawn(scope, WHOLE[1], k).machine for k in range(40)]
+    for name, share in (("joint_offset.x", 1.0), ("axis_tilt.y.z", 0.3), ("backlash.z", 0.3)):
+        sizes = [m.values[name] / m.tolerance(name) for m in machines]
+        assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(share, rel=0.35), name
+
+
+def test_one_effect_stands_out(scope: Scope) -> None:
+    for k in range(30):
+        one = drawn(scope, EFFECT, k)
+        beyond = {n: v for n, v in one.machine.values.items() if n in one.sizes}
+        assert one.cause
+        assert set(beyond) == set(one.sizes)
+        size = np.linalg.norm([v / one.machine.tolerance(n) for n, v in beyond.items()])
+        assert 3 <= size <= 10
+        assert size == pytest.approx(one.size)
+
+
+def test_every_effect_is_drawn_that_the_sheet_could_show(scope: Scope) -> None:
+    found = {drawn(scope, EFFECT, k).cause.partition(".")[0] for k in range(300)}
+    assert found == {n.effect for n in scope.parameters}
+    assert "screw_error" in found
+    assert "thermal_growth" not in found
+
+
+def test_what_is_outside_has_no_shape_of_the_catalogue(scope: Scope) -> None:
+    by_name = {p.name: p for p in scope.places}
+    for k in range(10):
+        one = drawn(scope, OUTSIDE, k)
+        place = by_name[one.cause]
+        u = np.linspace(-1, 1, 401)
+        weights = [one.machine.values[n] for n in place.effect.motions]
+        curve = np.stack(place.kernel.functions(u), axis=1) @ weights
+        assert np.sqrt(np.mean(curve**2)) == pytest.approx(one.size * place.unit, rel=0.02)
+        left = curve - np.polyval(np.polyfit(u, curve, 2), u)
+        assert np.linalg.norm(left) > 0.99 * np.linalg.norm(curve)
+
+
+def test_small_rehearsals_are_a_fair_part_of_larger_ones() -> None:
+    assert set(TURNS) == set(KINDS)
+    assert {k.name for k in TURNS[:3]} >= {EFFECT.name, OUTSIDE.name}
+
+
+# --- how it is scored -----------------------------------------------------------------------------
+
+
+def verdict_of(*effects: tuple[str, ...], places: tuple[str, ...] = ()) -> Any:
+    """A verdict with causes, each by its credible set, and one class of places."""
+    catalogue = og.Machine.nominal().catalogue
+
+    def explanation(name: str) -> Any:
+        own = [name] if name in catalogue.motions or ".c" in name else list(catalogue[name].motions)
+        return SimpleNamespace(name=name, parameters=own, probability=0.5)
+
+    causes = [
+        SimpleNamespace(name=names[0], explanations=[explanation(n) for n in names])
+        for names in effects
+    ]
+    members = [SimpleNamespace(place=SimpleNamespace(name=p)) for p in places]
+    located = [SimpleNamespace(members=members, resembling=(), probability=0.9)] if places else []
+    return SimpleNamespace(effects=causes, located=located, catalogue=catalogue, blunders=())
+
+
+def test_a_set_that_holds_the_cause_names_it(scope: Scope) -> None:
+    one = next(d for d in (drawn(scope, EFFECT, k) for k in range(99)) if "axis_tilt" in d.cause)
+    assert claims(verdict_of(("axis_tilt.x.y", one.cause)), one)[0] == ["axis_tilt.x.y"]
+    assert claims(verdict_of(("rail_bow.x.y",)), one) == ([], [], ["rail_bow.x.y"])
+    assert claims(verdict_of(places=("rail.x.y/travel",)), one)[2] == ["rail.x.y/travel"]
+    assert claims(verdict_of(("axis_tilt.common",)), one)[2] == ["axis_tilt.common"]
+    assert claims(verdict_of(("axis_tilt",)), one)[0] == ["axis_tilt"]  # the block that holds it
+
+
+def test_a_place_is_located_by_its_class(scope: Scope) -> None:
+    one = drawn(scope, OUTSIDE)
+    assert claims(verdict_of(places=("bar.x.1/approach", one.cause)), one)[1]
+    assert claims(verdict_of(("axis_tilt.x.y",)), one)[2] == ["axis_tilt.x.y"]
+
+
+def test_on_whole_machines_what_stands_out_is_there(scope: Scope) -> None:
+    one = drawn(scope, WHOLE[0], 3)
+    largest = max(one.sizes, key=lambda n: abs(one.sizes[n]))
+    least = min(one.sizes, key=lambda n: abs(one.sizes[n]))
+    largest, least = (str(Parameter(str(n))) for n in (largest, least))
+    assert abs(one.sizes[largest]) > 0.2 > abs(one.sizes[least])
+    assert claims(verdict_of((largest,)), one)[0] == [largest]
+    assert claims(verdict_of((least,)), one)[2] == [least]
+
+
+def test_the_same_rule_scores_the_truth_table() -> None:
+    assert is_cause("axis_tilt.x.y", ["axis_tilt.x.y"], "axis_tilt.x.y", "axis_tilt")
+    assert not is_cause("axis_tilt.common", ["axis_tilt.common"], "axis_tilt.x.y", "axis_tilt")
+    assert is_cause(
+        "axis_tilt.common", ["axis_tilt.common"], "axis_tilt.x.y", "axis_tilt", ["axis_tilt.common"]
+    )
+
+
+# --- weak spots -----------------------------------------------------------------------------------
+
+
+def test_weak_spots_say_what_a_sheet_lacks(scope: Scope) -> None:
+    words = {n: w.words for w in weak_spots(scope) for n in w.names}
+    assert "temperature_C" in words["thermal_growth"]
+    assert "load_N" in words["drive_compliance"]
+    assert "screw_error" not in words  # the machine file has the pitch
+
+
+def test_a_sheet_read_from_one_side_is_told_to_be_blind_to_lost_motion(scope: Scope) -> None:
+    sheet = scope.sheet
+    one_sided = replace(sheet, approach=np.ones_like(sheet.approach))
+
+    def unseen(campaign: og.Campaign) -> set[str]:
+        found = weak_spots(Scope.of(scope.machine, campaign))
+        return {n for w in found if w.words.startswith("not s") for n in w.names}
+
+    blind = {n for n in unseen(one_sided) if "backlash" in n}
+    assert blind
+    assert not blind & unseen(sheet)
+
+
+# --- the run --------------------------------------------------------------------------------------
+
+
+def told(found: Rehearsal) -> str:
+    assert not any(t.failed for t in found.campaigns), found
+    return str(found)
+
+
+@pytest.fixture(scope="module")
+def alone() -> Rehearsal:
+    return og.rehearse(og.Machine.load(MACHINE), "standard", 3, seed=2)
+
+
+def test_the_table_is_the_same_whatever_the_workers(alone: Rehearsal) -> None:
+    two = og.rehearse(og.Machine.load(MACHINE), "standard", 3, seed=2, jobs=2)
+    assert told(two) == told(alone)
+
+
+def test_a_dask_cluster_gives_the_same_table(alone: Rehearsal) -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    from joblib import parallel_config
+
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with (
+        distributed.LocalCluster(**options) as cluster,
+        distributed.Client(cluster),
+        parallel_config(backend="dask"),
+    ):
+        found = og.rehearse(og.Machine.load(MACHINE), "standard", 3, seed=2)
+    assert told(found) == told(alone)
+
+
+def test_a_stopped_rehearsal_goes_on(alone: Rehearsal, tmp_path: Path) -> None:
+    machine, out = og.Machine.load(MACHINE), tmp_path / "out"
+    og.rehearse(machine, "standard", 2, seed=2, out=out)
+    kept = out / "campaigns.jsonl"
+    kept.write_bytes(kept.read_bytes()[:-20])  # killed while writing the last line
+    steps: list[str] = []
+    found = og.rehearse(
+        machine, "standard", 3, seed=2, out=out, progress=lambda s: steps.append(str(s))
+    )
+    assert told(found) == told(alone)
+    assert "campaign 1 of 3" in steps
+    assert "campaign 0 of 3" not in steps
+    assert len(kept.read_text().splitlines()) == 4
+    for change in ({"seed": 3}, {"sheet": "sweep"}, {"machine": og.Machine.nominal()}):
+        request: dict[str, Any] = {"machine": machine, "sheet": "standard", "seed": 2} | change
+        with pytest.raises(og.FileError, match="another rehearsal, as the"):
+            og.rehearse(**request, campaigns=1, out=out)
+
+
+def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise og.SolverError("it does not settle")
+
+    monkeypatch.setattr("orthoglide.rehearsal.trying.close_loop", fail)
+    tried = try_one(scope, 0, 0)
+    assert tried.failed == "SolverError: it does not settle"
+    assert not tried.missed
+    found = Rehearsal("mine", 36, 0, (tried,), ())
+    assert found.columns["failed"][KINDS.index(EFFECT)] == 1
+    assert "failed, SolverError: it does not settle" in str(found)
+    assert Tried.from_dict(json.loads(json.dumps(tried.as_dict()))).failed == tried.failed
+
+
+def test_the_result_is_a_table(alone: Rehearsal) -> None:
+    frame = alone.to_frame()
+    assert list(frame.index) == [0, 1, 2]
+    assert frame.after_mm.notna().all()
+    assert alone.columns["campaigns"] == [sum(k is t for t in TURNS[:3]) for k in KINDS]
+    assert "<table>" in alone._repr_html_()
+    assert {len(alone.of(k)) for k in KINDS} == {0, 1}
+
+
+# --- on the command line --------------------------------------------------------------------------
+
+
+def refused(*arguments: str) -> str:
+    result = CliRunner().invoke(cli, ["rehearse", *arguments])
+    assert result.exit_code == 2, result.output
+    return result.output
+
+
+def test_what_cannot_be_rehearsed_is_refused(tmp_path: Path) -> None:
+    assert "campaigns must be 1 or more" in refused("--campaigns", "0")
+    assert "jobs must be" in refused("--jobs", "0")
+    assert "there is no such file" in refused("--sheet", str(tmp_path / "no.csv"))
+    assert "exclude each other" in refused("--jobs", "1", "--dask", "tcp://here:8786")
+    (tmp_path / "theirs").write_text("x")
+    assert "holds no earlier rehearsal" in refused("--out", str(tmp_path))
+    (tmp_path / "campaigns.jsonl").write_text("[]\n")
+    assert "holds no campaigns of a rehearsal" in refused("--out", str(tmp_path))
+
+
+def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
+    og.write_campaign(og.protocol("standard"), tmp_path / "sheet.csv")
+    line = [
+        "rehearse", "--sheet", str(tmp_path / "sheet.csv"), "--campaigns", "1", "--jobs", "1",
+        "--out", str(tmp_path / "out"),
+    ]  # fmt: skip
+    result = CliRunner().invoke(cli, line)
+    assert result.exit_code == 0, result.output
+    assert "what is wrong" in result.stdout
+    assert "Weak spots" in result.stdout
+    assert (tmp_path / "out" / "rehearsal.txt").read_text() == result.stdout
+    assert CliRunner().invoke(cli, line).stdout == result.stdout  # nothing is left to do
+
+
+def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
+    """As its user stops it: the whole process group hears it."""
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "orthoglide", "rehearse", "--jobs", "2", "--out", str(out)],
+        stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=Path(__file__).parents[1],
+    )  # fmt: skip
+    import signal
+    import time
+
+    kept, until = out / "campaigns.jsonl", time.monotonic() + 120
+    while time.monotonic() < until and not (kept.exists() and kept.read_text().count("\n") > 1):
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    last = error.strip().splitlines()[-1]
+    assert last.startswith("orthoglide: interrupted:")
+    assert "goes on" in last
+    assert kept.read_text().count("\n") > 1
