@@ -153,7 +153,7 @@ def test_skip_undo_and_nonsense(machine: og.Machine, tmp_path: Path) -> None:
     path = tmp_path / "c.csv"
     words = ("undo", "?", "=", "=", "five", "=", "skip", "=", "undo", "=", "999", "=",
              "=", "=")  # fmt: skip
-    operator, said, run = conversation(path, machine, scripted(*words))
+    _, said, run = conversation(path, machine, scripted(*words))
     with pytest.raises(Stopped):
         run()
     text = "\n".join(said)

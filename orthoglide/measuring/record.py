@@ -16,7 +16,8 @@ from orthoglide.errors import FileError
 from orthoglide.machine_file import MachineFile
 from orthoglide.measuring.page import command_columns
 from orthoglide.observations import Campaign
-from orthoglide.observations.reading import campaign_from_rows
+from orthoglide.observations.reading import campaign_of_table
+from orthoglide.observations.table import rows_table
 from orthoglide.observations.writing import Row, campaign_rows
 from orthoglide.text import csv_text, shown
 
@@ -138,6 +139,5 @@ class Record:
                                                                "reading_mm": ""}
             for row in rows
         ]  # fmt: skip
-        return campaign_from_rows(
-            used, self.machine_file, name=self.path.stem, file=shown(self.path)
-        )
+        table = rows_table(used, shown(self.path))
+        return campaign_of_table(table, self.path.stem, self.machine_file)
