@@ -191,3 +191,15 @@ def test_what_needs_dials_says_so() -> None:
     for ask in (lambda: og.protocol("standard", SPEC.geometry), lambda: og.simulate(MACHINE)):
         with pytest.raises(InputError, match="readings of its tool"):
             ask()
+
+
+def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
+    """Half a millimetre off the base at few places, but on what a leaning rail makes of all."""
+    bent = MACHINE.with_parameters({"rail_tilt.c.tangential": 1.5e-2})
+    (campaign,) = read(tmp_path, text(("tcp",), bent, noise=1e-5))
+    assert isinstance(campaign, ToolCampaign)
+    assert og.identify([campaign], MACHINE).sigma_scale > 10
+    slipped = campaign.reading.copy()
+    slipped[7] += 3e-3
+    with pytest.raises(InputError, match="line 9: 3"):
+        og.identify([replace(campaign, reading=slipped)], MACHINE)

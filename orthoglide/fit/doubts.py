@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import fitted_basis
+from orthoglide.fit.least_squares import fitted_basis, linearise, normal, nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import solve
+from orthoglide.fit.unknowns import with_free
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, ToolCampaign
@@ -88,15 +89,38 @@ def check_slips(estimate: Estimate) -> None:
     off = (problem.measured - again.predicted) / problem.sigma
     rest = off[(point >= 0) & ~np.isin(point, worst)]
     limit = _SLIPPED * max(1.0, float(np.sqrt(np.mean(rest**2))))
-    slipped = [
-        p
-        for p in sorted(worst)
-        if np.linalg.norm(off[point == p]) > limit
-        and np.linalg.norm((off * problem.sigma)[point == p]) > _least(problem, names[p])
-    ]
-    if slipped:
+
+    def far(off: Array) -> list[int]:
+        return [
+            p
+            for p in sorted(worst)
+            if np.linalg.norm(off[point == p]) > limit
+            and np.linalg.norm((off * problem.sigma)[point == p]) > _least(problem, names[p])
+        ]
+
+    if far(off):  # many causes are far off the base at a few places: only points off all of them
+        off = _with_everything(again) / problem.sigma
+    if slipped := far(off):
         raise InputError("; ".join(_said(problem, names[p], off, point == p) for p in slipped)
                          + ": correct the row or remove it")  # fmt: skip
+
+
+def _with_everything(fit: Estimate) -> Array:
+    """What a fit leaves ``(n,)`` once every effect is free within its tolerance, metres."""
+    shapes = [f.setups_of for f in fit.problem.factors]
+    more = [
+        effect.name
+        for effect in fit.problem.machine.catalogue.effects
+        if not effect.of_dial or any(setups_of(effect) for setups_of in shapes)
+    ]
+    problem = with_free(fit.problem, more)
+    x = np.concatenate([fit.x, problem.start[len(fit.x) :]])
+    at = linearise(problem, x)
+    nuisance = nuisances(problem, at.slopes)
+    here = normal(problem, at, nuisance)
+    step = np.linalg.lstsq(here.information, -here.gradient, rcond=1e-14)[0]
+    rest = problem.measured - at.value - at.jacobian @ step
+    return np.asarray(rest - nuisance.fitted(rest))
 
 
 def _least(problem: Problem, name: tuple[int, int]) -> float:
