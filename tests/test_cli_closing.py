@@ -67,7 +67,7 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     made = tmp_path / "orthoglide-demo"
     assert set(tree(made / "published")) >= FILES
     assert set(tree(made / "simulated")) >= FILES
-    worn = og.Machine.load(made / "simulated.toml")
+    worn = og.Machine.load(made / "made-up.toml")
     assert worn.values["rail_bow.x.z"] == 1.5e-4
     assert len(og.read_campaign(made / "simulated.csv")) == 252
     assert process("demo", "--quiet", cwd=tmp_path).stdout == ""

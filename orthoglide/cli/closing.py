@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
 DEMO_FOLDER = "orthoglide-demo"
 DEMO_CAMPAIGN, DEMO_HELD_OUT = "experiment2.csv", "experiment3.csv"
-# Of the machine made up, SI: zeros as they are on any machine, and the fault that is to be found.
-DEMO_ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4}
-DEMO_FAULT = {"rail_bow.x.z": 1.5e-4}
-DEMO_NOISE = 5e-6
+DEMO_MACHINE = "made-up.toml"
 
 
 def judge_options(command: Any) -> Any:
@@ -112,33 +109,33 @@ def _demo_runs(
     from importlib.resources import as_file, files as packaged
     from tempfile import TemporaryDirectory
 
-    from orthoglide.effects import CATALOGUE
     from orthoglide.effects.wording import cause_words
     from orthoglide.machine import Machine
-    from orthoglide.machine_file import machine_text
     from orthoglide.observations import campaign_text
     from orthoglide.simulation import simulate
 
-    machine = Machine.nominal()
-    worn = machine.with_parameters({**DEMO_ZEROS, **DEMO_FAULT})
-    campaign = simulate(worn, "sweep", noise=DEMO_NOISE, seed=seed)
-    (fault,) = DEMO_FAULT
-    hidden = cause_words(CATALOGUE, fault, DEMO_FAULT)
-    made = Path(stack.enter_context(TemporaryDirectory())) / "simulated.csv"
-    files["simulated.csv"] = text = campaign_text(campaign, machine.spec)
-    files["simulated.toml"] = machine_text(worn.spec)
-    made.write_text(text, encoding="utf-8")
+    names = (DEMO_MACHINE, DEMO_CAMPAIGN, DEMO_HELD_OUT)
     data = packaged("orthoglide") / "data"
-    first, held = (stack.enter_context(as_file(data / n)) for n in (DEMO_CAMPAIGN, DEMO_HELD_OUT))
+    made, first, held = (stack.enter_context(as_file(data / name)) for name in names)
+    worn = Machine.load(made)
+    base = worn.catalogue.base
+    (fault,) = (n for n in worn.values if worn.catalogue.effect_of(n).name not in base)
+    hidden = cause_words(worn.catalogue, fault, worn.values)
+    campaign = simulate(worn, "sweep", seed=seed)
+    sheet = Path(stack.enter_context(TemporaryDirectory())) / "simulated.csv"
+    sheet.write_text(campaign_text(campaign, worn.spec), encoding="utf-8")
+    files |= {sheet.name: sheet.read_text("utf-8"), DEMO_MACHINE: made.read_text("utf-8")}
     return {
         "simulated": (
             f"1. A machine made up, so that its fault is known: {hidden}. {len(campaign)} readings "
             f"of a whole sweep were simulated and nothing else was told.",
-            lambda: read_request("close-loop", (made,), seed=seed),
+            lambda: read_request("close-loop", (sheet,), seed=seed),
         ),
         "published": (
             "2. The machine of the papers, from the few readings that its authors published.",
-            lambda: read_request("demo", (first,), holdout=held, own=CATALOGUE.zeros, seed=seed),
+            lambda: read_request(
+                "demo", (first,), holdout=held, own=worn.catalogue.zeros, seed=seed
+            ),
         ),
     }
 
