@@ -25,6 +25,7 @@ from orthoglide.cli import (
     rehearse,
     rerun,
     sheets,
+    tolerances,
 )
 from orthoglide.cli.completion import completion_option
 from orthoglide.cli.examples import with_examples
@@ -53,6 +54,7 @@ _MODULES = (
     sheets,
     design,
     rehearse,
+    tolerances,
     compensate,
     compare,
     kinematics,

@@ -12,10 +12,12 @@ from orthoglide.planning.suggestions import (
     next_measurements,
     next_sheet,
 )
+from orthoglide.planning.tolerances import NeededTolerances, needed_tolerances
 
 __all__ = [
     "Design",
     "Detectability",
+    "NeededTolerances",
     "Observability",
     "Repeats",
     "SmallestEffect",
@@ -23,6 +25,7 @@ __all__ = [
     "deciding_instruments",
     "design",
     "expected_noise",
+    "needed_tolerances",
     "next_measurements",
     "next_sheet",
     "observability",
