@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -172,3 +173,16 @@ def test_what_is_no_posterior_is_refused() -> None:
         Posterior(NAMES, np.zeros(3), np.eye(2))
     with pytest.raises(InputError, match="finite"):
         Posterior(NAMES, np.zeros(3), np.full((3, 3), np.nan))
+
+
+def test_zeros_that_leave_the_same_shape_leave_the_least_place() -> None:
+    """Parallel slides raise the tool as a whole: no zero may pay for shape with centimetres."""
+    from orthoglide.accuracy import best_zeros
+    from tests.test_layout import DELTA
+
+    worn = og.Machine(replace(og.Machine.nominal().spec, geometry=DELTA)).with_parameters(
+        {"axis_tilt.a.radial": 4e-3, "mount_tilt.b.a": 8e-3, "joint_offset.c": -4e-4}
+    )
+    error = expected_error(worn, best_zeros(worn))
+    assert error.shape <= expected_error(worn, {}).shape + 1e-6
+    assert error.place < 2e-3

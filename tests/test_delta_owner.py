@@ -40,3 +40,30 @@ def test_two_visits_are_compared(imported: Path, tmp_path: Path) -> None:
     common = ("--machine", imported / "machine.toml")
     told = run("check", imported / "mesh-default.csv", tmp_path / "later.csv", *common)
     assert "Nothing changed" in told
+
+
+def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> None:
+    machine = imported / "machine.toml"
+    for command in (
+        ("protocol", "--out", tmp_path / "s.csv"),
+        ("simulate", "--out", tmp_path / "c.csv"),
+    ):
+        assert "linear-delta" in run(*command, "--machine", machine, code=2)
+    told = run("compare", "--machine", machine, "--out", tmp_path / "cmp", code=2)
+    assert "simplified model" in told
+    run("identify", imported / "mesh-default.csv", "--machine", machine, "--out", tmp_path / "id")
+    calibrated = tmp_path / "id" / "calibrated.toml"
+    (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,10\n30,-20,5\n")
+    run("compensate", tmp_path / "path.csv", "--machine", calibrated, "--out", tmp_path / "to.csv")
+    run("export", "--machine", calibrated, "--out", tmp_path / "exported")
+    text = (tmp_path / "exported" / "controller.txt").read_text()
+    assert "too far down" in text or "too far up" in text
+    assert "origin" not in text
+    assert not list(tmp_path.glob("[sc].csv"))
+
+
+def test_absurd_rods_are_told_whatever_is_asked(tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    run("import", "klipper", DATA / "v400-april.cfg", "--out", folder)
+    for command in (("forward", 0, 0, 0), ("inverse", 0, 0, 1)):
+        assert run(*command, "--machine", folder / "machine.toml").startswith("warning: The arms")

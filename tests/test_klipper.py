@@ -231,3 +231,89 @@ def test_the_step_of_older_firmware_is_understood(tmp_path: Path) -> None:
     file.write_text(text)
     one, other = (import_printer(p).campaigns[0].command for p in (V400, file))
     assert np.abs(one - other).max() < 1e-12
+
+
+def _apart(text: str) -> tuple[str, str]:
+    """What the owner wrote, and what the firmware saved."""
+    own, mark, saved = text.partition("#*#")
+    return own, mark + saved
+
+
+ODD = {
+    "Windows": lambda t: t.replace("\n", "\r\n"),
+    "old Macintosh": lambda t: t.replace("\n", "\r"),
+    "indented": lambda t: t.replace("\n", "\n  "),
+    "comments": lambda t: t.replace("delta_radius = 162.820595", "delta_radius=162.820595#was: 1"),
+    "pasted flat": lambda t: t.replace("#*# \t", "#*# ").replace("#*#   ", "#*# "),
+    "other probe": lambda t: t.replace("[probe]", "[bltouch]"),
+    "no general mesh": lambda t: t.replace("[bed_mesh]", "[bed_mush]"),
+    "macro": lambda t: "[gcode_macro X]\ngcode:\n  {% set a = 1 %}\n\n  M117 [x]: y\n" + t,
+    "include": lambda t: "[include parts/*.cfg]\n" + _apart(t)[1],
+}
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> None:
+    plain, file = import_printer(V400), tmp_path / "printer.cfg"
+    file.write_bytes(ODD[kind](V400.read_text()).encode() + b"\n# gr\xfc\xdf\n")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "own.cfg").write_text(_apart(V400.read_text())[0])
+    found = import_printer(file)
+    assert [c.name for c in found.campaigns] == [c.name for c in plain.campaigns]
+    for one, other in zip(found.campaigns, plain.campaigns, strict=True):
+        assert np.abs(one.command - other.command).max() < 1e-12
+        assert np.array_equal(one.reading, other.reading)
+
+
+def test_files_of_elsewhere_are_not_read(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "secret.cfg").write_text("[printer]\nsecret\n")
+    file = tmp_path / "in" / "printer.cfg"
+    for name in ("../secret.cfg", str(tmp_path / "secret.cfg"), "printer.cfg"):
+        file.write_text(f"[include {name}]\n" + V400.read_text())
+        assert len(import_printer(file).campaigns) == 3
+    file.write_text("[include towers.cfg]\n[printer]\ndelta_radius: 160\n")
+    with pytest.raises(FileError, match=r"stepper_a.*towers\.cfg"):
+        import_printer(file)
+
+
+def test_profiles_of_one_plain_name_keep_their_own_files(tmp_path: Path) -> None:
+    text = V400.read_text().replace("default_9Probe", "Bed 1").replace("default_25Probe", "bed/1")
+    (tmp_path / "printer.cfg").write_text(text)
+    names = [c.name for c in import_printer(tmp_path / "printer.cfg").campaigns]
+    assert names == ["calibration", "mesh-Bed-1", "mesh-bed-1-2"]
+
+
+def test_what_the_probe_did_not_touch_is_left_out(tmp_path: Path) -> None:
+    region = "faulty_region_1_min: -20, -20\nfaulty_region_1_max: 20, 20\n"
+    text = V400.read_text().replace("[bed_mesh]\n", f"[bed_mesh]\n{region}")
+    (tmp_path / "printer.cfg").write_text(text)
+    mesh = import_printer(tmp_path / "printer.cfg").campaigns[2]
+    at = np.array([[float(v) for v in label.split()] for label in mesh.posture])
+    assert len(mesh) == 441 - 9
+    assert np.abs(at).max(axis=1).min() > 20
+
+
+def test_endstops_of_another_time_are_noted(tmp_path: Path) -> None:
+    text = V400.read_text()
+    for line in [one for one in text.split("\n") if "position_endstop =" in one]:
+        key, value = line.split("=")
+        text = text.replace(line, f"{key}= {float(value) + 5}")
+    (tmp_path / "printer.cfg").write_text(text)
+    found = import_printer(tmp_path / "printer.cfg")
+    assert any("+5.0 mm off" in note for note in found.notes)
+
+
+def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    rows = "\n".join("#*#   " + ", ".join(["0.01"] * 81) for _ in range(81))
+    text = V400.read_text().partition("#*# [bed_mesh")[0] + (
+        f"#*# [bed_mesh scan]\n#*# points =\n{rows}\n#*# min_x = -100\n#*# max_x = 100\n"
+        f"#*# min_y = -100\n#*# max_y = 100\n"
+    )
+    file.write_text(text)
+    found = import_printer(file)
+    assert len(found.campaigns[1]) < 1000
+    assert any("one in 3" in note for note in found.notes)
+    file.write_text(text.partition("#*# [bed_mesh")[0])
+    assert any("7 touches" in note for note in import_printer(file).notes)

@@ -34,7 +34,7 @@ from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures.draw import draw
 from orthoglide.report.figures.style import PALETTE
 from orthoglide.report.phrases import listed, weak_sentences
-from orthoglide.report.wording import headline
+from orthoglide.report.wording import claim, headline
 from orthoglide.request import Request
 
 DATA = Path(og.__file__).parent / "data"
@@ -159,7 +159,8 @@ def test_result_is_written_last() -> None:
 
 def test_the_key_numbers_are_on_the_page() -> None:
     estimate, text = published(), words(files_of()["report.html"])
-    assert headline(result_of()) in text
+    assert claim(result_of()) == headline(result_of())
+    assert claim(result_of()) in text
     assert "x −0.51, y +0.55, z −1.72 mm" in text
     assert "leg lengths nominal to 0.02 mm" in text
     assert "from 0.32 to 0.14 mm" in text
@@ -425,6 +426,7 @@ def test_many_parameters_are_not_all_named() -> None:
 
 MEASURE = """<script>
 addEventListener("load", () => {
+  document.querySelectorAll("details").forEach(e => { e.open = true; });
   const page = document.scrollingElement, wide = innerWidth;
   const out = [...document.querySelectorAll("main *, header *")].filter(e =>
     !e.closest("svg *, .scroll *") && e.getBoundingClientRect().right > wide + 1);

@@ -22,6 +22,7 @@ from orthoglide.cli import (
     identification,
     importing,
     kinematics,
+    measure,
     rehearse,
     rerun,
     sheets,
@@ -42,7 +43,7 @@ def cli() -> None:
     """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
 
     Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted. Nothing is
-    written unless the run succeeds, but for the finished campaigns that `rehearse` keeps.
+    written unless the run succeeds, but for what `measure` was told and `rehearse` has finished.
     """
 
 
@@ -52,6 +53,7 @@ _MODULES = (
     check,
     rerun,
     sheets,
+    measure,
     design,
     rehearse,
     tolerances,

@@ -21,6 +21,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "rerun": ("rerun april/result.json", "rerun april/result.json --inputs data --out again"),
     "protocol": ("protocol --kind sweep --machine machine.toml --out sheet.csv",),
+    "measure": (
+        "measure --machine machine.toml --out april.csv",
+        "measure --sheet sheet.csv --out april.csv",
+    ),
     "simulate": ("simulate --machine bent.toml --kind sweep --seed 1 --out bent.csv",),
     "design": (
         "design --machine machine.toml --count 24 --out sheet.csv",

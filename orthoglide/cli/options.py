@@ -135,10 +135,13 @@ def noise_metres(noise_mm: float | None) -> float | None:
 def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine:
     """The machine of ``--machine``, with the effects of ``--effects-file``."""
     from orthoglide.effects.loading import load_effects
+    from orthoglide.klipper.firmware import firmware_of, rods_words
     from orthoglide.machine import Machine
 
     effects = () if effects_file is None else load_effects(effects_file)
     machine = Machine.nominal() if path is None else Machine.load(path, effects)
-    for warning in machine.warnings:
+    firmware = firmware_of(machine)
+    doubts = [] if firmware is None else [rods_words(firmware)]
+    for warning in filter(None, (*doubts, *machine.warnings)):
         say(f"warning: {warning}", err=True)
     return machine.with_effects(effects)

@@ -65,6 +65,8 @@ class Commands(click.Group):
                 raise _interrupted() from error
             bad = isinstance(error, InputError)
             raise Refusal(str(error), BAD_INPUT if bad else NUMERICS_FAILED) from error
+        except Refusal:
+            raise
         except Exception as error:
             if _asked_to_stop():  # a compiled import that was interrupted says that it failed
                 raise _interrupted() from error

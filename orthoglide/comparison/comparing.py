@@ -11,9 +11,10 @@ from orthoglide import reduction
 from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.layout import ORTHOGLIDE
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
-from orthoglide.observations.protocols import Kind, check_dials, protocol
+from orthoglide.observations.protocols import Kind, protocol
 from orthoglide.prediction import Conditions
 from orthoglide.units import ONE
 
@@ -87,7 +88,11 @@ class Comparison:
         plain = (machine or Machine.nominal()).with_only({})
         pitch = plain.spec.screw_pitch or self.circumstances.pitch
         self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
-        check_dials(plain.geometry)
+        if plain.geometry.layout != ORTHOGLIDE:
+            raise InputError(
+                f"the simplified model that is compared here is the Orthoglide's, and this machine "
+                f"is a {plain.geometry.layout.kind}: give the machine file of an Orthoglide"
+            )
         self.geometry, self.model = plain.geometry, self.machine.model
         side = np.linspace(*cube(self.geometry), self.circumstances.points)
         grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)

@@ -11,6 +11,7 @@ import numpy as np
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
+from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
 
 RULE = (
@@ -30,7 +31,7 @@ class DriveNumbers:
     commands ``c = sign (shown - zero)``; with lost motion B, ``B/2`` behind the last move.
 
     Attributes:
-        leg: ``"x"``, ``"y"`` or ``"z"``.
+        leg: its name.
         sign: +1 where the controller counts away from the origin, else -1.
         zero: what it showed at mechanical zero as the machine file says, metres.
         offset: joint offset, metres.
@@ -91,14 +92,13 @@ class DriveNumbers:
             "bar_length_mm": _mm(self.bar_length),
         }
 
-    def worked(self) -> str:
-        """The sign rule for this drive, number by number."""
-        way = "away from" if self.sign > 0 else "toward"
-        side = "out" if self.offset >= 0 else "in"
+    def worked(self, names: LegNames) -> str:
+        """The sign rule for this drive, number by number, in a layout's words."""
+        way, side = names.ways[self.sign > 0][1], names.ways[self.offset >= 0][0]
         return (
             f"joint offset {self.leg} = {_mm(self.offset):+.4f} mm: sent to mechanical zero, shown "
             f"{_mm(self.zero):.4f}, carriage {self.leg} stands {abs(_mm(self.offset)):.4f} mm too "
-            f"far {side}. The controller counts {way} the origin (sign {self.sign:+d}), so the "
+            f"far {side}. The controller counts {way} (sign {self.sign:+d}), so the "
             f"carriage is at mechanical zero where it shows {_mm(self.zero):.4f} - "
             f"({self.sign:+d}) x ({_mm(self.offset):+.4f}) = {_mm(self.new_zero):.4f} mm: enter "
             f"that as the zero, or add {_mm(self.correction):+.4f} mm to every command of drive "
@@ -112,7 +112,8 @@ class ControllerNumbers:
 
     Attributes:
         name: of the machine.
-        drives: x, y, z.
+        names: of its legs.
+        drives: of the three legs.
         left_over: parameters of the machine that no such number can hold.
         zeros_only: zeros for a controller that takes nothing else, metres.
         checks: readings that prove the sign of each new zero.
@@ -120,6 +121,7 @@ class ControllerNumbers:
     """
 
     name: str
+    names: LegNames
     drives: tuple[DriveNumbers, DriveNumbers, DriveNumbers]
     left_over: tuple[str, ...]
     zeros_only: tuple[float, ...]
@@ -146,9 +148,12 @@ class ControllerNumbers:
         return _TEXT.format(
             name=self.name,
             rule=fill(RULE, 100),
-            worked=self.drives[0].worked(),
+            worked=self.drives[0].worked(self.names),
             table="\n".join(map(_line, self.drives)),
-            checks="\n".join(f"- {check}" for check in self.checks) or _NONE,
+            checks=_CHECKS.format(
+                legs=", ".join(self.names.legs),
+                checks="\n".join(f"- {check}" for check in self.checks) or _NONE,
+            ),
             alone=", ".join(
                 f"{d.leg} {_mm(v):.4f}" for d, v in zip(self.drives, self.zeros_only, strict=True)
             ),
@@ -194,6 +199,7 @@ def controller_numbers(
     of = machine.catalogue.effect_of
     return ControllerNumbers(
         machine.spec.name,
+        machine.geometry.layout.names,
         (drives[0], drives[1], drives[2]),
         tuple(n for n, v in machine.values.items() if v and of(n).controller not in held),
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
@@ -238,7 +244,11 @@ def _rest(names: tuple[str, ...]) -> str:
     )
 
 
-_NONE = "- no zero moves by what a dial shows."
+_NONE = "- no zero moves by what a dial on a leg shows."
+_CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the numbers in brackets
+are what the controller shows for {legs}.
+{checks}"""
+
 _TEXT = """Numbers for the controller: {name}
 All lengths in mm, in the controller's own counting.
 
@@ -249,15 +259,13 @@ Scale factor: multiply commanded distances from mechanical zero (or the counts p
 it; the new zero is the one after that.
 Backlash: the carriage lags half of it behind either move, and the offset is the middle of the band.
 A controller that shifts by half each way takes "backlash" and "new zero". One that adds the whole
-in one direction only (taken here: moves toward smaller rho go farther by it) takes "backlash" and
+in one direction only (taken here: moves toward smaller commands go farther) takes "backlash" and
 "one-sided zero".
 Bar length: L of that leg, where the controller computes the kinematics.
 
 drive    new zero  add to cmd.  scale factor   backlash one-sided zero   bar length
 {table}
 
-Check of the signs. Enter the three new zeros and nothing else; the numbers in brackets are what the
-controller shows for x, y, z.
 {checks}
 
 Zeros only. For a controller that takes nothing but zeros these are best: {alone}.

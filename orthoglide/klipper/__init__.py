@@ -7,10 +7,9 @@ The formats and equations are those of the firmware's documentation and sources
 from orthoglide.klipper.corrections import (
     Corrections,
     corrections,
-    firmware_of,
     unseen_by_firmware,
 )
-from orthoglide.klipper.firmware import Firmware, rods_words
+from orthoglide.klipper.firmware import Firmware, firmware_of, rods_words
 from orthoglide.klipper.importing import Imported, import_printer
 
 __all__ = [

@@ -58,17 +58,6 @@ class Corrections:
         }
 
 
-def firmware_of(machine: Machine) -> Firmware | None:
-    """What the firmware believes of a machine that was imported; ``None`` of another."""
-    kept = machine.spec.provenance.get("klipper")
-    if not isinstance(kept, Mapping):
-        return None
-    try:
-        return Firmware.of(kept)
-    except (KeyError, TypeError, ValueError):  # the table was edited
-        return None
-
-
 def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections | None:
     """New numbers for a machine's firmware.
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
+from orthoglide.machine import Machine
 from orthoglide.reduction.spheres import intersect_spheres
 
 TOWERS = ("a", "b", "c")
@@ -110,6 +111,17 @@ class Firmware:
                 f"position_endstop: {endstop * 1e3:.6f}",
             ]  # fmt: skip
         return found
+
+
+def firmware_of(machine: Machine) -> Firmware | None:
+    """What the firmware believes of a machine that was imported; ``None`` of another."""
+    kept = machine.spec.provenance.get("klipper")
+    if not isinstance(kept, Mapping):
+        return None
+    try:
+        return Firmware.of(kept)
+    except (KeyError, TypeError, ValueError):  # the table was edited
+        return None
 
 
 ROD_SPREAD = 5e-4

@@ -11,8 +11,8 @@ import numpy as np
 
 from orthoglide.effects import catalogue_of
 from orthoglide.effects.printers import of_printers
-from orthoglide.errors import FileError
-from orthoglide.geometry import Geometry
+from orthoglide.errors import FileError, InputError
+from orthoglide.geometry import Array, Geometry
 from orthoglide.klipper.config import Config, read_config
 from orthoglide.klipper.firmware import TOWERS, Firmware, rods_words
 from orthoglide.klipper.stored import CALLIPER, PROBE, Stored
@@ -102,7 +102,8 @@ def _machine(
     config: Config, firmware: Firmware, arm: float, stored: list[ToolCampaign]
 ) -> MachineFile:
     zero = float(np.sqrt(arm**2 - firmware.delta_radius**2))
-    every = np.concatenate([np.concatenate([c.command, c.second]) for c in stored])
+    every = np.concatenate([*(np.concatenate([c.command, c.second]) for c in stored),
+                            _around(config, firmware) - zero])  # fmt: skip
     low, high = float(np.nanmin(every)), float(np.nanmax(every))
     low = min(np.floor((low - 1e-3) * 1e3) * 1e-3, -1e-3)
     high = max(np.ceil((max(high, (firmware.at_endstop - zero).max())) * 1e3) * 1e-3, 1e-3)
@@ -139,6 +140,17 @@ def _machine(
             }
         },
     )
+
+
+def _around(config: Config, firmware: Firmware) -> Array:
+    """Heights of the carriages ``(n, 3)`` around the plate, if the firmware says how far it is."""
+    radius = config.section("printer").number("print_radius", 0.0, -1, 5000) * 1e-3
+    angle = np.deg2rad(np.arange(0.0, 360.0, 5.0))
+    ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    try:
+        return firmware.heights(ring)
+    except InputError:  # it goes as far as its arms
+        return firmware.heights(np.zeros((1, 3)))
 
 
 def _notes(firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:

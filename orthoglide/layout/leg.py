@@ -17,6 +17,8 @@ class LegNames:
     Attributes:
         legs: the three legs.
         across: for each leg the names of its directions b and c, as parameters carry them.
+        ways: in words where a carriage stands that went too far down and up its slide, and which
+            way that is.
         held: numbers that the machine's own controller or firmware holds; with the effects that
             these are every identification starts.
     """
@@ -24,6 +26,7 @@ class LegNames:
     legs: tuple[str, str, str]
     across: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
     held: tuple[str, ...]
+    ways: tuple[tuple[str, str], tuple[str, str]]
 
     @property
     def every(self) -> frozenset[str]:

@@ -13,6 +13,7 @@ from orthoglide.layout.leg import Array, Leg, LegNames
 Triple = tuple[float, float, float]
 
 _ACROSS = ("radial", "tangential")
+_WAYS = (("down", "downward"), ("up", "upward"))
 _HELD = ("zero", "bar_length", "place")
 
 
@@ -35,7 +36,7 @@ class LinearDelta:
     tool: Triple = (0.0, 0.0, 0.0)
 
     kind: ClassVar[str] = "linear-delta"
-    names: ClassVar[LegNames] = LegNames(("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD)
+    names: ClassVar[LegNames] = LegNames(("a", "b", "c"), (_ACROSS, _ACROSS, _ACROSS), _HELD, _WAYS)
     hanging: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

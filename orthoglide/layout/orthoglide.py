@@ -20,7 +20,10 @@ class Orthoglide:
 
     kind: ClassVar[str] = "orthoglide"
     names: ClassVar[LegNames] = LegNames(
-        ("x", "y", "z"), (("y", "z"), ("z", "x"), ("x", "y")), ("zero", "bar_length")
+        ("x", "y", "z"),
+        (("y", "z"), ("z", "x"), ("x", "y")),
+        ("zero", "bar_length"),
+        (("in", "toward the origin"), ("out", "away from the origin")),
     )
     hanging: ClassVar[bool] = False
 

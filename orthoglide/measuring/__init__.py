@@ -1,5 +1,8 @@
-"""At the machine: the sheet that is carried there."""
+"""At the machine: the sheet that is carried there, and the conversation while it is measured."""
 
 from orthoglide.measuring.page import sheet_page
+from orthoglide.measuring.program import MOST, SETTLED, opening
+from orthoglide.measuring.record import Record
+from orthoglide.measuring.session import End, Session, Stopped
 
-__all__ = ["sheet_page"]
+__all__ = ["MOST", "SETTLED", "End", "Record", "Session", "Stopped", "opening", "sheet_page"]

@@ -110,8 +110,8 @@ def dial_words(setup: Setup, machine: Machine) -> tuple[str, ...]:
 
 def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
     rows = campaign_rows(sheet, machine.spec)
-    commands = [name for name in rows[0] if name.startswith(("rho_", "travel_"))]
-    together = _mounted_together(rows, commands)
+    commands = command_columns(rows[0])
+    together = mounted_together(rows)
     by_name = {s.name: s for s in sheet.setups}
     numbered = enumerate(rows, start=2)
     for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
@@ -119,14 +119,20 @@ def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
         yield Page(" and ".join(names), told, tuple(_steps(list(lines), names, commands)))
 
 
-def _mounted_together(rows: list[Row], commands: list[str]) -> dict[str, tuple[str, ...]]:
+def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:
     """Setups that are read at one visit, by each of them, in the order they are read."""
+    commands = command_columns(rows[0])
     found: dict[str, tuple[str, ...]] = {}
     for visit in _visits(rows, commands):
         names = tuple(dict.fromkeys(row["setup"] for row in visit))
         for name in names:
             found[name] = max(names, found.get(name, ()), key=len)
     return found
+
+
+def command_columns(row: Row) -> list[str]:
+    """Columns of the three commands."""
+    return [name for name in row if name.startswith(("rho_", "travel_"))]
 
 
 def _visits(rows: list[Row], commands: list[str]) -> Iterator[list[Row]]:

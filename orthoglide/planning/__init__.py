@@ -13,6 +13,7 @@ from orthoglide.planning.suggestions import (
     next_sheet,
 )
 from orthoglide.planning.tolerances import NeededTolerances, needed_tolerances
+from orthoglide.planning.tracing import tracing
 
 __all__ = [
     "Design",
@@ -32,4 +33,5 @@ __all__ = [
     "reading_pool",
     "repeats_needed",
     "smallest_effects",
+    "tracing",
 ]

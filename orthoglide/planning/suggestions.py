@@ -30,7 +30,7 @@ from orthoglide.planning.rivals import (
 from orthoglide.posterior import Cause
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
-Aim = Literal["separate", "narrow", "none"]
+Aim = Literal["separate", "narrow", "trace", "none"]
 Pairs = dict[tuple[int, int], float]
 """Sigmas between two rivals, the smaller number first."""
 
@@ -51,9 +51,10 @@ class Suggestion:
 
     Attributes:
         reason: what they are for and what is to be expected of them, in words.
-        aim: ``separate`` rivals, ``narrow`` a weak direction, or ``none`` where nothing helps.
+        aim: ``separate`` rivals, ``narrow`` a weak direction, ``trace`` what nothing explains, or
+            ``none`` where nothing helps.
         gain: for rivals the sigmas between the two least separated; for a direction how many times
-            narrower it gets.
+            narrower it gets; nan of what nothing explains.
         pool: the readings to choose from.
         chosen: those chosen, with repetitions; none where nothing helps.
     """

@@ -51,7 +51,7 @@ def controller(result: Result) -> Data:
         "rows": rows if zeros else [],
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
         "rule": RULE,
-        "worked": numbers.drives[0].worked(),
+        "worked": numbers.drives[0].worked(numbers.names),
         "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "left_over": listed(numbers.left_over),
@@ -78,6 +78,7 @@ def firmware(advice: FirmwareAdvice, stands: bool) -> Data:
 _AIMS = {
     "separate": "To tell the causes apart",
     "narrow": "To narrow what is hardly seen",
+    "trace": "To follow what nothing explains",
 }
 _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.effects.words import toward
+from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures.causes import MOST_CURVES
@@ -14,12 +16,9 @@ from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import (
-    MEANINGS,
     curve_size,
     effects_named,
-    headline,
     located_words,
-    look_at,
 )
 
 if TYPE_CHECKING:
@@ -79,23 +78,6 @@ def _tile(what: str, before: float, after: float, unit: str) -> Tile:
     return Tile(what, f"{before * 1e3:.{places}f}", f"{after * 1e3:.{places}f}", unit)
 
 
-def finding(result: Result) -> Data:
-    """The verdict, its sentence, and what speaks against acting on it."""
-    after = result.after
-    lacking = not result.request.searches and after.sigma_scale > 1
-    return {
-        "sentence": headline(result),
-        "word": result.word,
-        "meaning": sentence(MEANINGS[result.word]),
-        "tiles": tiles(result),
-        "effects": result.improved,
-        "base": effects_named(result.before),
-        "lacking": f"{after.sigma_scale:.2g}" if lacking else "",
-        "cautions": result.cautions,
-        "warnings": [sentence(w) for w in result.warnings],
-    }
-
-
 def faults(result: Result) -> Data:
     """Faults of the data, each with and without."""
     rows = [
@@ -111,17 +93,24 @@ def faults(result: Result) -> Data:
     return {"rows": rows, "with": f"{with_them:.4f}", "without": f"{without:.4f}"}
 
 
-def look(result: Result) -> Data:
-    """Where to look on the machine."""
-    return {"rows": look_at(result)}
-
-
 def left(result: Result) -> Data:
     """The pattern of what is left."""
     return {
         "pattern": [sentence(text) for text in result.pattern],
         "rms": compact(result.after.scores.rms * 1e3, 2),
         "noise": compact(result.after.problem.noise.typical * 1e3, 2),
+        "rows": [
+            {
+                "setup": rest.setup,
+                "dial": f"leg {LEGS[rest.leg]} along {LEGS[rest.axis]}",
+                "share": f"{rest.share:.0%}",
+                "rms": compact(rest.rms * 1e3, 2),
+                "most": f"{compact(abs(rest.most) * 1e3, 2)} toward "
+                f"{toward(LEGS[rest.axis], rest.most)}",
+                "posture": rest.posture,
+            }
+            for rest in result.rest
+        ],
     }
 
 
@@ -129,6 +118,7 @@ def judged(result: Result, figures: Figures) -> Data:
     """Figures of merit of the nominal machine, before and after."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
+        "tiles": tiles(result),
         "rows": score_rows(result),
         "figure": whole(figures["residuals"]),
         "held": result.hold_out is not None,

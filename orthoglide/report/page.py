@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import orthoglide.report.first as first
 import orthoglide.report.follows as follows
 import orthoglide.report.found as found
 from orthoglide import __version__
@@ -36,6 +37,11 @@ class Section:
     title: str
     data: Mapping[str, Any]
 
+    @property
+    def folded(self) -> bool:
+        """Whether a reader unfolds it first: all but the verdict, what is left and numbers."""
+        return self.template not in ("finding", "left", "firmware", "controller")
+
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     """The report as HTML.
@@ -45,6 +51,19 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
         drawings: figures.
         sheet: the text of ``next_measurements.csv``; empty where nothing is proposed.
     """
+    searches = result.request.searches
+    return rendered(
+        "page.html.j2",
+        title="What is wrong with this machine" if searches else "Calibration report",
+        subtitle=_subtitle(result),
+        sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
+        version=__version__,
+        command=result.request.command,
+    )
+
+
+def rendered(template: str, **data: Any) -> str:
+    """A template of the page with what it shows."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -55,23 +74,14 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    searches = result.request.searches
-    return environment.get_template("page.html.j2").render(
-        title="What is wrong with this machine" if searches else "Calibration report",
-        subtitle=_subtitle(result),
-        sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
-        version=__version__,
-        command=result.request.command,
-    )
+    return environment.get_template(template).render(**data)
 
 
 def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
     searches = result.request.searches
-    yield Section("finding", "", found.finding(result))
+    yield Section("finding", "", first.finding(result))
     if result.blunders:
         yield Section("faults", "Faults of the data", found.faults(result))
-    if result.found:
-        yield Section("look", "What to look at on the machine", found.look(result))
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
     if result.firmware is not None:

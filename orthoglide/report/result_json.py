@@ -18,11 +18,13 @@ from orthoglide.report.wording import headline, located_words
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
     from orthoglide.diagnosis.changes import Change
+    from orthoglide.diagnosis.rest import SetupRest
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
     from orthoglide.judging import TcpErrors
     from orthoglide.posterior import BudgetItem, CandidateScore, Cause, Curve, Explanation, Located
     from orthoglide.request import Request
     from orthoglide.result import Result
+    from orthoglide.result.actions import Action
 
 SCHEMA = 2
 _DIGITS = 10  # what differs behind these is rounding
@@ -88,9 +90,11 @@ def _mapping(result: Result) -> dict[str, Any]:
             "rare_probability": number(result.left.rare, _SHORT),
             "stopped": result.stopped,
             "pattern": list(result.pattern),
+            "by_setup": [_rest(rest) for rest in result.rest],
         },
         "workspace": _workspace(result),
         "tool": {name: error.as_dict() for name, error in result.numbers.expected.items()},
+        "actions": [_action(action) for action in result.actions],
         "invisible": list(result.invisible),
         "method": {
             "name": after.method,
@@ -217,6 +221,29 @@ def _budget(item: BudgetItem, result: Result) -> dict[str, Any]:
         "gain_mm": _mm(item.gain, _SHORT),
         "gain_sigma_mm": _mm(item.gain_sigma, _SHORT),
         "gain_share": number(item.share, _SHORT),
+    }
+
+
+def _action(action: Action) -> dict[str, Any]:
+    return {
+        "action": action.kind,
+        "words": action.words,
+        "gain_mm": _mm(action.gain, _SHORT),
+        "gain_sigma_mm": _mm(action.gain_sigma, _SHORT),
+        "options": [vars(option) for option in action.options],
+    }
+
+
+def _rest(rest: SetupRest) -> dict[str, Any]:
+    return {
+        "setup": rest.setup,
+        "leg": LEGS[rest.leg],
+        "direction": LEGS[rest.axis],
+        "share": number(rest.share, _SHORT),
+        "rms_mm": _mm(rest.rms, _SHORT),
+        "most_mm": _mm(rest.most, _SHORT),
+        "command_mm": [_mm(v) for v in rest.command],
+        "posture": rest.posture,
     }
 
 

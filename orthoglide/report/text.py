@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from orthoglide.numerals import signed
+from orthoglide.numerals import compact, signed
 from orthoglide.report.phrases import sentence, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, curve_size, headline
@@ -52,6 +52,7 @@ def summary(result: Result, ranked: bool = False) -> str:
     remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
     remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
     parts += [Text(f"- {line}") for line in remarks]
+    parts += [Text(line) for line in _to_do(result)]
     if result.firmware is not None:
         parts.append(_firmware(result.firmware))
         if not result.stands:
@@ -59,6 +60,15 @@ def summary(result: Result, ranked: bool = False) -> str:
         parts += [Text(f"- {sentence(text)}") for text in result.firmware.unseen]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
+
+
+def _to_do(result: Result) -> Iterator[str]:
+    for k, action in enumerate(result.actions, start=1):
+        gain = f" (gains {compact(action.gain * 1e3, 2)} mm at the tool)" if action.gain > 0 else ""
+        yield f"{k}. {sentence(action.words)[:-1]}{gain}."
+        for one in action.options:
+            test = f"; {one.confirm}" if one.confirm else ""
+            yield f"   - {sentence(one.words)[:-1]}: look at {one.look_at}{test}."
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:

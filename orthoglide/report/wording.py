@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.effects.wording import parameter_words
+from orthoglide.effects.words import toward
+from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
     from orthoglide.fit import Estimate
     from orthoglide.parameters import Parameter
-    from orthoglide.posterior import Cause, Curve, Explanation, Located
+    from orthoglide.posterior import Cause, Curve, Located
     from orthoglide.result import Result
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
@@ -35,36 +37,77 @@ MEANINGS: Mapping[str, str] = {
 
 
 def headline(result: Result) -> str:
-    """The result in a few sentences, for somebody with a spanner in hand."""
+    """The result in a few sentences: what must be known first, what is wrong, and by what."""
+    if not result.request.searches:
+        return claim(result)
+    first = "" if result.firmware is None else result.firmware.first
+    return " ".join(text for text in (first, claim(result), evidence(result)) if text)
+
+
+def claim(result: Result) -> str:
+    """What is wrong, for somebody with a spanner in hand."""
     if not result.request.searches:
         fit = result.after
         return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
-    first = "" if result.firmware is None else result.firmware.first
-    said = {"adequate": _adequate, "unexplained": _unexplained, "partial": _partial}
-    text = said.get(result.word, _explained)(result)
+    if result.found:
+        more = " This is not all." if result.word == "partial" else ""
+        return f"{_causes(result)}{more}"
+    if result.word == "unexplained":
+        return f"{_nothing_explains(result)}{where_left(result)}"
+    if result.improved:
+        return (
+            f"No single cause stands out: everything is off by a little, about "
+            f"{compact(result.share, 1)} of its tolerance."
+        )
+    base = effects_named(result.before)
+    return f"Nothing is wrong that these readings could show beyond the {base}."
+
+
+def evidence(result: Result) -> str:
+    """What speaks for the claim of a closed loop, and what had to be dealt with first."""
+    said = [_weighed(result)]
     # Faults of the data belong to the verdict: a reader of the first lines must know.
     count = len(result.blunders)
     if count:
-        text += f" {count} fault{'s' if count > 1 else ''} in the data had to be dealt with first."
-    told = [first] if first else []
-    return " ".join([*told, text, *(sentence(change.message) for change in result.changed)])
+        faults = f"{count} fault{'s' if count > 1 else ''}"
+        said.append(f"{faults} in the data had to be dealt with first.")
+    return " ".join([*said, *(sentence(change.message) for change in result.changed)])
 
 
 # --- Of a closed loop -----------------------------------------------------------------------
 
 
-def _adequate(result: Result) -> str:
+def _weighed(result: Result) -> str:
     base = effects_named(result.before)
-    if result.improved:
-        share = compact(result.share, 1)
+    if result.word == "unexplained":
+        why = "" if _too_few(result) else f" {_why_significant(result)}"
+        return f"With the {base} set right, {_fall(result)}.{why}"
+    if result.word == "partial":
         return (
-            f"No single cause stands out: everything is off by a little, about {share} of its "
-            f"tolerance. With the {base} set right and all of it in the model, {_fall(result)}, "
-            f"which is the noise of {_instrument(result)}.{_alone(result)}"
+            f"With it in the model, {_fall(result)}, and nothing known explains the rest. "
+            f"{_why_significant(result)}{where_left(result)}"
         )
+    if result.found:
+        given = "this in the model"
+    else:
+        given = f"the {base} set right" + (" and all of it in the model" if result.improved else "")
+    text = f"With {given}, {_fall(result)}, which is the noise of {_instrument(result)}."
+    return text + _alone(result)
+
+
+def where_left(result: Result) -> str:
+    """Where what nothing explains lives: which leg, which direction, at which station most."""
+    if not result.rest or _too_few(result):
+        return ""
+    most = result.rest[0]
+    leg, way = LEGS[most.leg], toward(LEGS[most.axis], most.most)
+    at = f" at posture {most.posture}" if most.posture else ""
+    alike = most.share < 2 / len(result.rest)
+    spread = ", though all dials show some" if alike else ""
     return (
-        f"Nothing is wrong that these readings could show beyond the {base}: with these set "
-        f"right, {_fall(result)}, which is the noise of {_instrument(result)}."
+        f" The largest part of it ({most.share:.0%}) shows on leg {leg} read along "
+        f"{LEGS[most.axis]}{spread}: there the dial is off by up to "
+        f"{compact(abs(most.most) * 1e3, 2)} mm, toward {way}{at}."
     )
 
 
@@ -79,31 +122,21 @@ def _alone(result: Result) -> str:
     return f" If one cause alone were behind most of it, it would be one of these: {text}{rest}."
 
 
-def _unexplained(result: Result) -> str:
-    if result.left.p_value > _CHANCE and result.request.searches:
+def _too_few(result: Result) -> bool:
+    """Whether only tolerances that are not this machine's would explain so little that is left."""
+    return result.left.p_value > _CHANCE
+
+
+def _nothing_explains(result: Result) -> str:
+    if _too_few(result):
         return (
             "Something is wrong, and nothing stands out: these readings would be explained only by "
             "errors of everything beyond its tolerance, or by errors that have no structure. They "
             "are too few to tell more, or the tolerances are not this machine's."
         )
     return (
-        f"Something is wrong that no effect of the catalogue and no free function of its parts "
-        f"explains: with the {effects_named(result.before)} set right, {_fall(result)}. "
-        f"{_why_significant(result)}"
-    )
-
-
-def _explained(result: Result) -> str:
-    return (
-        f"{_causes(result)} With this in the model, {_fall(result)}, which is the noise of "
-        f"{_instrument(result)}."
-    )
-
-
-def _partial(result: Result) -> str:
-    return (
-        f"{_causes(result)} This is not all: with it in the model, {_fall(result)}, and nothing "
-        f"known explains the rest. {_why_significant(result)}"
+        "Something is wrong that no effect of the catalogue and no free function of its parts "
+        "explains."
     )
 
 
@@ -179,21 +212,6 @@ def _fall(result: Result) -> str:
         f"what prediction leaves of the readings {verb} from {first:.{places}f} to "
         f"{after:.{places}f} mm rms"
     )
-
-
-def look_at(result: Result) -> list[tuple[str, str]]:
-    """What to look at on the machine: causes that are looked at in one place, and the place."""
-    by_place: dict[str, list[Explanation]] = {}
-    for one in (one for cause in result.effects for one in cause.explanations):
-        found = by_place.setdefault(one.look_at, [])
-        if one.name not in {other.name for other in found}:
-            found.append(one)
-    rows = [
-        (sentence("; or ".join(one.words for one in found)), sentence(place))
-        for place, found in by_place.items()
-    ]
-    curves = [curve for found in result.located for curve in found.members]
-    return rows + [(sentence(c.place.words), sentence(c.place.look_at)) for c in curves]
 
 
 # --- Of an identification -------------------------------------------------------------------

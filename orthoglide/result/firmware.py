@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orthoglide.effects.wording import confirm_words
 from orthoglide.fit import Estimate
 from orthoglide.klipper import Corrections, corrections, firmware_of, rods_words, unseen_by_firmware
 from orthoglide.machine import Machine
 from orthoglide.posterior import Cause, Explanation
+from orthoglide.result.actions import confirm
 
 _SEEN = 2.0  # sigmas of a touch
 
@@ -69,19 +69,13 @@ def firmware_advice(
     return FirmwareAdvice(
         rods_words(old),
         found,
-        tuple(_beyond(one, fit) for one in every),
+        tuple(_beyond(one) for one in every),
         tuple(text for one in every if (text := _unseen(machine, fit, one))),
     )
 
 
-def _beyond(one: Explanation, fit: Estimate) -> str:
-    catalogue = one.catalogue
-    effect = catalogue.effect_of(one.name)
-    name = one.parameters[0]
-    parameter = catalogue.parameter(name, [s for f in fit.problem.factors for s in f.setup_names])
-    if parameter.member or len(one.parameters) > 1:
-        return f"{one.words}: look at {effect.look_at}"
-    return f"{one.words}: {confirm_words(effect, parameter, one.values[name])}"
+def _beyond(one: Explanation) -> str:
+    return f"{one.words}: {confirm(one) or f'look at {one.look_at}'}"
 
 
 def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> str:

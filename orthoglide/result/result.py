@@ -10,6 +10,7 @@ from orthoglide.accuracy import Map, tcp_map
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
+from orthoglide.diagnosis.rest import SetupRest, rest_by_setup
 from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -28,6 +29,7 @@ from orthoglide.posterior import (
     budget,
 )
 from orthoglide.request import Request
+from orthoglide.result.actions import Action, actions
 from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
 
@@ -235,22 +237,35 @@ class Result:
             return ()
         return describe_left(self.after)
 
+    @cached_property
+    def rest(self) -> tuple[SetupRest, ...]:
+        """What the last fit leaves of every mounting of a dial, largest share first."""
+        return rest_by_setup(self.after)
+
     # --- What follows -----------------------------------------------------------------------
+
+    @cached_property
+    def actions(self) -> tuple[Action, ...]:
+        """What to do, most gain first."""
+        return actions(self)
 
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide.planning import deciding_instruments, next_measurements
+        from orthoglide.planning import deciding_instruments, next_measurements, tracing
 
         if not self.request.searches:
             return ()
-        if self.request.machine.geometry.layout.hanging:
+        geometry = self.request.machine.geometry
+        if geometry.layout.hanging:
             return deciding_instruments(self.after, self.effects)
         rivals = [
             (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
         ] or [(e.name, e.machine) for e in self.alone[:_MOST_RIVALS]]
         apart = next_measurements(self.after, rivals, count=_PROPOSED, directions=())
-        return (*apart, *next_measurements(self.before, count=_PROPOSED))
+        more = next_measurements(self.before, count=_PROPOSED)
+        trace = () if self.stands or not self.rest else (tracing(self.rest[0], geometry),)
+        return (*trace, *apart, *more)
 
     @cached_property
     def next_sheet(self) -> Campaign | None:

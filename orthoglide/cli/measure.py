@@ -1,0 +1,85 @@
+"""``measure``: asks for one reading after another and says when that is enough."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from orthoglide.cli.options import PATH, load_machine, machine_option
+from orthoglide.cli.run import INTERRUPTED, Refusal
+from orthoglide.cli.terminal import is_terminal, say
+from orthoglide.errors import InputError
+
+if TYPE_CHECKING:
+    from orthoglide.measuring import End
+
+
+@click.command()
+@click.option("--out", type=PATH, required=True, metavar="CAMPAIGN.csv",
+              help="Campaign to write, or to go on with.")  # fmt: skip
+@machine_option
+@click.option("--sheet", type=PATH, metavar="SHEET.csv",
+              help="Measuring sheet to read first; its own where absent.")  # fmt: skip
+@click.option("--most", type=int, default=126, show_default=True,
+              help="Readings after which no more are asked for.")  # fmt: skip
+def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int) -> None:
+    """Ask for one reading after another at the machine, until the verdict is settled.
+
+    Says where each dial stands and where to go, takes what is typed or sent to its standard input
+    (12.34, 12,34, 340 um; skip, undo, quit, ?), says at once when a reading cannot be or does not
+    agree with its repeats, and asks next for what tells most between the causes in play. Every
+    reading is on the disk before the next question; the same command goes on where it was.
+
+    The verdict is settled when nothing significant is left, no cause that may stand out is open
+    (between 5 % and 90 %), and no dozen of further readings would part the causes named by two
+    standard deviations; that nothing is wrong is believed after 90 readings.
+    """
+    from orthoglide.measuring import Record, Session, Stopped
+    from orthoglide.observations import read_campaign
+
+    if most < 2:
+        raise InputError(f"--most must be 2 or more, not {most}")
+    machine = load_machine(machine_path)
+    first = None if sheet is None else read_campaign(sheet, machine.spec, require_readings=False)
+    record = Record(out, machine.spec)
+    session = Session(machine, record, _ask, say, sheet=first, most=most)
+    try:
+        end = session.run()
+    except (Stopped, KeyboardInterrupt):
+        name = click.format_filename(out)
+        kept = f"{record.readings} readings are kept in {name}" if out.exists() else "nothing yet"
+        text = (
+            f"stopped before the verdict was settled: {kept}; the same command goes on from there"
+        )
+        raise Refusal(text, INTERRUPTED) from None
+    _tell(end, out, machine_path)
+
+
+COMMANDS = (measure,)
+
+
+def _ask(question: str) -> str:
+    """Put a question; what is typed, or comes next on standard input."""
+    if is_terminal() and sys.stdin.isatty():
+        return input(question)
+    say(question)
+    answer = sys.stdin.readline()
+    if not answer:
+        raise EOFError
+    return answer
+
+
+def _tell(end: End, out: Path, machine_path: Path | None) -> None:
+    from orthoglide.report import summary
+
+    word = "Settled" if end.settled else "Not settled"
+    given = f" --machine {click.format_filename(machine_path)}" if machine_path else ""
+    name = click.format_filename(out)
+    say(
+        f"{word} after {end.readings} readings: {end.reason}.\n\n{summary(end.verdict)}\n\n"
+        f"The report: orthoglide close-loop {name}{given} --out {click.format_filename(out.stem)}",
+        needed=True,
+    )

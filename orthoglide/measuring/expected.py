@@ -1,0 +1,105 @@
+"""Whether a reading can be: against what was read before and what the tolerances allow.
+
+With everything in the catalogue within a few tolerances, the readings of a sheet are jointly
+normal: ``y = y0 + J x + datum + placement + rounding + noise``. Given those taken so far the next
+one has a mean and a standard deviation; that repeats agree is part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
+from orthoglide.observations.checks import DIAL_RANGE
+from orthoglide.planning.designs import shown_names
+from orthoglide.planning.linear import LinearReadings
+
+_WIDE = 3.0
+"""Tolerances: the prior of everything; a machine this far off is one to be measured."""
+
+_BEYOND = 5.0
+"""Standard deviations from which a reading is asked for again: one in a million by chance."""
+
+_DATUM = 1e-2  # metres: where a dial may stand at its first reading
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What the readings of a sheet are likely to be.
+
+    Attributes:
+        sheet: the readings to take.
+        machine: as it is believed to be.
+    """
+
+    sheet: Campaign
+    machine: Machine
+
+    @cached_property
+    def _linear(self) -> LinearReadings:
+        names = shown_names(self.machine, self.sheet, ())
+        return LinearReadings.of(self.machine, self.sheet, names)
+
+    @cached_property
+    def _covariance(self) -> Array:
+        """Of all readings of the sheet ``(n, n)``, square metres; zero apart across mountings but
+        for the machine.
+        """
+        linear, setup = self._linear, self.sheet.setup
+        rows = np.arange(len(setup))
+        same = np.equal.outer(setup, setup)
+        of_dials = np.where(same, linear.covariance(rows, rows) + _DATUM**2, 0.0)
+        step = self.machine.spec.dial.resolution
+        noise = np.diag(linear.sigma**2 + step**2)
+        return np.asarray(_WIDE**2 * linear.columns @ linear.columns.T + of_dials + noise)
+
+    @cached_property
+    def _nominal(self) -> Array:
+        return self.machine.readings(self.sheet)
+
+    def doubt(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
+        """What speaks against a reading, a clause; empty where nothing does.
+
+        Args:
+            row: of the sheet.
+            reading: metres.
+            taken: readings so far by row, metres.
+        """
+        own = [k for k in taken if self.sheet.setup[k] == self.sheet.setup[row]]
+        if not own:
+            return ""
+        done = np.array(list(taken))
+        across = self._covariance[row, done]
+        weights = np.linalg.solve(self._covariance[np.ix_(done, done)], across)
+        seen = np.array([taken[k] for k in done]) - self._nominal[done]
+        mean = self._nominal[row] + weights @ seen
+        sd = float(np.sqrt(self._covariance[row, row] - weights @ across))
+        if abs(reading - mean) <= _BEYOND * sd:
+            return ""
+        station = self._linear.station
+        before = [taken[k] for k in own if station[k] == station[row]]
+        if before:
+            told = ", ".join(f"{v * 1e3:.3f}" for v in before)
+            return f"it is out of step with its repeats: this dial showed {told} here before"
+        low, high = ((mean + side * _BEYOND * sd) * 1e3 for side in (-1, 1))
+        return (
+            f"after the readings before it, and with the tolerances of this machine, it should lie "
+            f"between {low:.2f} and {high:.2f}"
+        )
+
+    def impossible(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
+        """Why a reading cannot be, a clause; empty where it can."""
+        setup = int(self.sheet.setup[row])
+        own = [v for k, v in taken.items() if self.sheet.setup[k] == setup]
+        rows = self.sheet.setup == setup
+        along = self.sheet.command[rows, self.sheet.setups[setup].axis]
+        span = float(np.ptp([*own, reading]))
+        if span <= DIAL_RANGE + np.ptp(along):
+            return ""
+        return f"the dial would have moved {span * 1e3:.1f} mm in this mounting, which no leg does"

@@ -1,0 +1,163 @@
+"""What to read next, and when the verdict is settled.
+
+It begins with both dials at a quarter of each leg in turn, up and down the stroke; where that
+shows nothing, near their carriages too, as small causes take more readings. After that every sheet
+holds the readings that tell most between the explanations that are in play: causes that were named
+with their rivals, and causes that may stand out and do not yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.closing import Verdict
+from orthoglide.errors import OrthoglideError
+from orthoglide.fit import Estimate, identify
+from orthoglide.geometry import LEGS
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign, Setup
+from orthoglide.observations.protocols import check_dials, unread
+from orthoglide.planning import next_measurements, next_sheet
+
+SETTLED = (
+    "The verdict is settled when nothing significant is left, no cause that may stand out is open "
+    "(between 5 % and 90 %), and no dozen of further readings would part the causes named by two "
+    "standard deviations; that nothing is wrong is believed after 90 readings."
+)
+"""The criterion, in words."""
+
+MOST = 126
+"""Readings after which the answer is what it is: half of a sweep sheet."""
+
+_PATH = (2 / 3, 1.0, 2 / 3, 0.0, -0.6, -1.0, -0.6, 0.0)
+"""Of the upper and lower half stroke: up, down and back, both ways at all places but the ends."""
+
+_DIALS = ((0.25, 0), (0.65, 1), (0.25, 2), (0.5, 0), (0.25, 1))
+"""Where the dials stand, as parts of the leg, and the bar they touch (0: the median line): first,
+and where more is to be seen. The first two together find every effect from a quarter more than the
+size at which a sweep sheet does, or less (``orthoglide.planning.smallest_effects``)."""
+
+_CLEARANCE = 8e-3
+"""Metres that a dial keeps from the ends of its leg, over the whole stroke."""
+
+_BELIEVED = 90  # readings after which it is believed that nothing is wrong
+_OPEN = (0.05, 0.9)  # probability of a cause that may stand out or not
+_MOST_OPEN = 3
+_COUNT = 12  # readings at a time
+_TELLS = 2.0  # sigmas between two explanations that readings are worth
+_SHEETS = 6
+
+
+@dataclass(frozen=True)
+class Next:
+    """What to do after a verdict.
+
+    Attributes:
+        reason: a sentence.
+        sheet: to read; ``None`` where no further reading is worth it.
+        settled: whether the verdict is.
+    """
+
+    reason: str
+    sheet: Campaign | None = None
+    settled: bool = False
+
+
+def opening(machine: Machine, number: int = 0) -> Campaign:
+    """The sheet to begin with: both dials on each leg in turn; later numbers with other places.
+
+    Raises:
+        InputError: for a machine against whose legs no dial is set.
+    """
+    geometry = machine.geometry
+    check_dials(geometry)
+    share, bar = _DIALS[number % len(_DIALS)]
+    low, high = geometry.stroke
+    ends = (high + _CLEARANCE) / geometry.L, 1 + (low - _CLEARANCE) / geometry.L
+    share = round(float(np.clip(share, *ends)), 3)
+    travels = [high * part if part > 0 else -low * part for part in _PATH]
+    name = f"-{share:g}" + (f"-bar{bar}" if bar else "")
+    pairs = [(leg, axis) for leg in range(3) for axis in range(3) if axis != leg]
+    setups = tuple(
+        Setup(LEGS[leg] + LEGS[axis] + name, leg, axis, 1, round(share * geometry.L, 9), bar)
+        for leg, axis in pairs
+    )
+    visits = [(leg, travel, dial) for leg in range(3) for travel in travels for dial in range(2)]
+    command = [geometry.command_on_axis(leg, travel) for leg, travel, _ in visits]
+    return unread(
+        "measure",
+        setups,
+        [2 * leg + dial for leg, _, dial in visits],
+        np.round(command, 9),
+        posture=[f"{travel * 1e3:+.6g}" for _, travel, _ in visits],
+    ).with_moves()
+
+
+def following(verdict: Verdict, number: int, room: int) -> Next:
+    """What to do after so many sheets.
+
+    Args:
+        verdict: of everything read so far.
+        number: of sheets so far.
+        room: readings that may still be taken.
+    """
+    machine, taken = verdict.request.machine, sum(map(len, verdict.request.campaigns))
+    left = verdict.word in ("partial", "unexplained")
+    rivals = _in_play(verdict)
+    found = next_measurements(verdict.after, rivals, count=_COUNT, directions=())
+    chosen = next_sheet([s for s in found if s.aim == "separate" and s.gain >= _TELLS])
+    more = opening(machine, number)
+    if left:
+        reason, sheet = "something is left", _renamed(more, number)
+    elif chosen is not None:
+        reason, sheet = (
+            "in play are " + ", ".join(name for name, _ in rivals),
+            _renamed(chosen, number),
+        )
+    elif not verdict.found and taken < _BELIEVED:
+        reason, sheet = "nothing was found yet", _renamed(more, number)
+    else:
+        return Next("nothing more in reach would tell more", settled=True)
+    if len(sheet) > room or number >= _SHEETS:
+        return Next(f"{reason}, and no more readings were to be taken")
+    return Next(reason, sheet)
+
+
+def _in_play(verdict: Verdict) -> list[tuple[str, Estimate]]:
+    """Explanations between which further readings are to decide, each with its fit."""
+    base = verdict.before.names
+    chosen = [e.chosen.parameters for e in verdict.effects]
+    found: list[tuple[str, Sequence[str]]] = []
+    for k, cause in enumerate(verdict.effects):
+        others = [n for j, own in enumerate(chosen) if j != k for n in own]
+        if cause.rivals:
+            several = (cause.chosen, *cause.rivals)
+            found += [(e.name, (*others, *e.parameters)) for e in several]
+    named = [n for own in chosen for n in own]
+    low, high = _OPEN
+    stands = {name for e in verdict.effects for name in (e.name, *e.indistinguishable_from)}
+    doubtful = [c for c in verdict.candidates if c.parameters and low < c.probability < high]
+    doubtful = [c for c in doubtful if c.name not in stands]
+    if doubtful and not found:
+        found.append((" and ".join(e.name for e in verdict.effects) or "nothing", named))
+    found += [(c.name, (*named, *c.parameters)) for c in doubtful[:_MOST_OPEN]]
+    return [(n, fit) for n, parts in found if (fit := _fitted(verdict, (*base, *parts)))]
+
+
+def _fitted(verdict: Verdict, names: Sequence[str]) -> Estimate | None:
+    """The readings by one explanation; ``None`` where they cannot be fitted by it."""
+    try:
+        return identify(
+            verdict.before.problem.campaigns, verdict.request.machine, tuple(dict.fromkeys(names))
+        )
+    except OrthoglideError:
+        return None
+
+
+def _renamed(sheet: Campaign, number: int) -> Campaign:
+    """Every mounting of a sheet with a name that no earlier one has."""
+    named = (replace(s, name=f"{s.name.removeprefix('next-')}-{number + 1}") for s in sheet.setups)
+    return replace(sheet, setups=tuple(named))

@@ -1,0 +1,143 @@
+"""The campaign file while it is measured: every row is on the disk before the next question."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from orthoglide import files
+from orthoglide.errors import FileError
+from orthoglide.machine_file import MachineFile
+from orthoglide.measuring.page import command_columns
+from orthoglide.observations import Campaign
+from orthoglide.observations.reading import campaign_of_table
+from orthoglide.observations.table import rows_table
+from orthoglide.observations.writing import Row, campaign_rows
+from orthoglide.text import csv_text, shown
+
+AGAIN = "again"
+"""Posture of a move that leads back to where a reading is to be taken after an interruption."""
+
+SKIPPED = "skipped"
+"""Posture of a place that was gone to and not read."""
+
+_BEFORE = ("kind", "setup", "leg", "direction", "posture")
+_AFTER = ("gauge_mm", "bar", "repeat", "order", "load_N", "time_s", "reading_mm")
+
+
+class Record:
+    """A campaign file that grows by a row at a time.
+
+    Args:
+        path: of the file; made where there is none.
+        machine_file: whose controller's coordinates the commands are in.
+
+    Attributes:
+        rows: of the file, moves included.
+        idle: seconds since the last row, where the file was there already.
+    """
+
+    def __init__(self, path: Path, machine_file: MachineFile) -> None:
+        self.path, self.machine_file = path, machine_file
+        self.rows: list[Row] = []
+        self.idle = 0.0
+        self._columns: tuple[str, ...] = ()
+
+    @property
+    def readings(self) -> int:
+        """How many there are."""
+        return sum(row["kind"] == "leg" for row in self.rows)
+
+    def plan(self, sheet: Campaign) -> list[Row]:
+        """The rows of a sheet as this file has them, in the order they are gone through."""
+        planned = campaign_rows(sheet.with_readings(np.full(len(sheet), np.nan)), self.machine_file)
+        columns = (*_BEFORE, *command_columns(planned[0]), *_AFTER)
+        return [
+            {name: ({"kind": "leg"} | row).get(name, "") for name in columns} for row in planned
+        ]
+
+    def open(self, first: Campaign) -> bool:
+        """Read what the file holds, or begin it; whether it was there.
+
+        Args:
+            first: sheet that it begins with.
+
+        Raises:
+            FileError: where it is no file of this kind, or cannot be written.
+        """
+        self._columns = tuple(self.plan(first)[0])
+        if not self.path.exists():
+            files.write_whole(self.path, csv_text(self._columns, ()), overwrite=False)
+            return False
+        text = files.decode(files.read_bytes(self.path), self.path).replace("\r\n", "\n")
+        whole = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
+        lines = list(csv.reader(io.StringIO(whole, newline="")))
+        if not lines or tuple(lines[0]) != self._columns:
+            raise FileError(
+                "was not begun by this command with this machine file: choose another name for "
+                "--out",
+                file=shown(self.path),
+                line=1,
+            )
+        for number, cells in enumerate(lines[1:], start=2):
+            if len(cells) != len(self._columns):
+                text = "has another number of columns than the first line: restore it"
+                raise FileError(text, file=shown(self.path), line=number)
+        self.rows = [dict(zip(self._columns, cells, strict=True)) for cells in lines[1:]]
+        self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
+        if whole != text:
+            self._cut(len(whole.encode()))
+        return True
+
+    def append(self, row: Row) -> Row:
+        """Add a row, numbered, and see it on the disk."""
+        full = row | {"order": str(len(self.rows))}
+        line = csv_text(list(full.values()), ()).encode()
+        with files.writing(self.path), open(self.path, "ab") as stream:
+            stream.write(line)
+            stream.flush()
+            os.fsync(stream.fileno())
+        self.rows.append(full)
+        return full
+
+    def take_back(self) -> Row | None:
+        """Remove the last reading and what follows it; the reading's row, if there is one."""
+        at = max((k for k, r in enumerate(self.rows) if r["kind"] == "leg"), default=None)
+        if at is None:
+            return None
+        kept, row = self.rows[:at], self.rows[at]
+        text = csv_text(self._columns, [r.values() for r in kept])
+        self._cut(len(text.encode()))
+        self.rows = kept
+        return row
+
+    def _cut(self, size: int) -> None:
+        with files.writing(self.path), open(self.path, "r+b") as stream:
+            stream.truncate(size)
+            os.fsync(stream.fileno())
+
+    def campaign(self, rows: Sequence[Row]) -> Campaign:
+        """Some of the rows as a campaign; mountings that were read in one place only say nothing.
+
+        Raises:
+            FileError: where the readings cannot be used.
+        """
+        places: dict[str, set[tuple[str, ...]]] = {}
+        for row in rows:
+            if row["kind"] == "leg":
+                places.setdefault(row["setup"], set()).add(
+                    tuple(row[c] for c in command_columns(row))
+                )
+        used = [
+            row if len(places.get(row["setup"], ())) > 1 else {**row, "kind": "move",
+                                                               "reading_mm": ""}
+            for row in rows
+        ]  # fmt: skip
+        table = rows_table(used, shown(self.path))
+        return campaign_of_table(table, self.path.stem, self.machine_file)

@@ -1,0 +1,43 @@
+"""Readings that follow what nothing explains: both bars of one leg along its whole travel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orthoglide.diagnosis.rest import SetupRest
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.planning.pool import reading_pool
+from orthoglide.planning.suggestions import Suggestion
+
+_TWICE = 2  # visits: a single one may be misread
+_MID = 0.5  # of the leg
+
+
+def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
+    """A sheet for where most is left, which no rival needs to be known for.
+
+    Both bars of the leg are touched along the direction in which most is left, at every step of its
+    travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
+    bars a twist from a shift.
+
+    Args:
+        rest: of the dial that shows most of it.
+        geometry: of the machine.
+    """
+    pool = reading_pool(geometry)
+    gauge = _MID * geometry.L
+    dials = [
+        k
+        for k, s in enumerate(pool.setups)
+        if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
+    ]
+    own = [axis for axis in range(3) if axis != rest.leg]
+    along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
+    rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
+    leg, axis = LEGS[rest.leg], LEGS[rest.axis]
+    reason = (
+        f"what nothing explains shows most on leg {leg} along {axis}: {len(rows) * _TWICE} "
+        f"readings of both its bars along {axis}, over its whole travel and from both sides, "
+        f"show whether it is bent or turned, lost motion or a bar"
+    )
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))

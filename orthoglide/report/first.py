@@ -1,0 +1,163 @@
+"""The first screen of the page: what is wrong, what the tool loses by it, and what to do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from orthoglide.effects.wording import size_words
+from orthoglide.numerals import compact
+from orthoglide.report.phrases import sentence
+from orthoglide.report.wording import MEANINGS, claim, curve_size, evidence
+
+if TYPE_CHECKING:
+    from orthoglide.accuracy import ExpectedError
+    from orthoglide.posterior import Cause, Explanation, Located
+    from orthoglide.result import Result
+    from orthoglide.result.actions import Action
+
+Data = dict[str, Any]
+
+MOST = 5
+"""Rivals that are named before the rest is folded away."""
+
+_SIDES = 1.96  # of a 95 % interval
+_CERTAIN, _SURE = 0.995, 0.9
+_STAGES = {
+    "now": "The tool now",
+    "zeros": "With zeros corrected",
+    "zeros_and_lengths": "And bar lengths entered",
+    "compensated": "With commands compensated",
+}
+
+
+@dataclass(frozen=True)
+class Said:
+    """One cause or place as a reader meets it.
+
+    Attributes:
+        words: a sentence with part, direction, size and unit.
+        sure: how sure it is, and how well its size is known.
+    """
+
+    words: str
+    sure: str
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What was found in one place of the machine.
+
+    Attributes:
+        first: the most probable.
+        same: other names of it: the same to these readings and to the tool.
+        rivals: that these readings cannot tell from it, most probable first.
+    """
+
+    first: Said
+    same: tuple[Said, ...]
+    rivals: tuple[Said, ...]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Mean error of the tool at one stage of correction; millimetres as text."""
+
+    what: str
+    shape: str
+    sigma: str
+    place: str
+
+
+def finding(result: Result) -> Data:
+    """The verdict, how sure it is, the tool's error, what to do, and what speaks against it."""
+    after, searches = result.after, result.request.searches
+    lacking = not searches and after.sigma_scale > 1
+    first = result.firmware.first if result.firmware else ""
+    return {
+        "word": result.word,
+        "meaning": sentence(MEANINGS[result.word]),
+        "claims": claims(result),
+        "text": claim(result),
+        "more": result.word == "partial",
+        "evidence": evidence(result) if searches else "",
+        "tiles": tiles(result),
+        "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",
+        "legs": bool(after.problem.campaigns),
+        "actions": [_action(action) for action in result.actions],
+        "most": MOST,
+        "cautions": [*([first] if first else []), *result.cautions],
+        "warnings": [sentence(w) for w in result.warnings],
+    }
+
+
+def claims(result: Result) -> list[Claim]:
+    """Causes, then places, each with what else it could be."""
+    return [*map(_of_cause, result.effects), *map(_of_place, result.located)]
+
+
+def _of_cause(cause: Cause) -> Claim:
+    names = (cause.chosen, *cause.same)  # share one probability
+    first = _said(cause.chosen, sum(one.probability for one in names))
+    several = [tuple(_said(e, e.probability) for e in part) for part in (cause.same, cause.rivals)]
+    return Claim(first, *several)
+
+
+def _said(one: Explanation, probability: float) -> Said:
+    sure = sure_words(probability)
+    if one.in_unit is not None:
+        effect = one.catalogue.effect_of(one.name)
+        spread = one.in_unit[1] * effect.unit.si * _SIDES
+        sure += f", its size to ± {size_words(effect, spread)}"
+    return Said(sentence(one.words), sure)
+
+
+def _of_place(found: Located) -> Claim:
+    several = tuple(
+        Said(
+            sentence(f"{c.place.words}, by {curve_size(c)} (root mean square)"),
+            sure_words(c.probability),
+        )
+        for c in found.members
+    )
+    return Claim(several[0], (), several[1:])
+
+
+def sure_words(p: float) -> str:
+    """A probability as a mechanic says it: ``97 % sure``, ``51 % likely``."""
+    if p >= _CERTAIN:
+        return "more than 99 % sure"
+    return f"{100 * p:.0f} % {'sure' if p >= _SURE else 'likely'}"
+
+
+def tiles(result: Result) -> list[Tile]:
+    """The tool's mean error over the workspace, now and as more is put right."""
+    expected = result.numbers.expected
+    stages = ("now", "zeros") if not result.stands and result.request.searches else _STAGES
+    return [Tile(_STAGES[name], *_lengths(expected[name])) for name in stages]
+
+
+def _lengths(error: ExpectedError) -> tuple[str, str, str]:
+    shape, sigma = (compact(v * 1e3, 2) for v in (error.shape, error.shape_sigma))
+    return shape, sigma, f"{error.place * 1e3:.1f} ± {error.place_sigma * 1e3:.1f}"
+
+
+def _action(action: Action) -> Data:
+    gain = ""
+    if math.isfinite(action.gain):
+        gain = f"{compact(max(action.gain, 0.0) * 1e3, 2)} mm"
+    options = [
+        {
+            "words": sentence(o.words),
+            "look_at": sentence(f"look at {o.look_at}"),
+            "confirm": o.confirm and sentence(o.confirm),
+        }
+        for o in action.options
+    ]
+    return {
+        "kind": action.kind,
+        "words": sentence(action.words),
+        "gain": gain,
+        "options": options,
+    }

@@ -1,0 +1,140 @@
+"""What to do about a machine, in the order of what it gains: the budget turned into work."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from orthoglide.control import withheld
+from orthoglide.numerals import plain
+from orthoglide.posterior import Cause, Explanation, Located
+
+if TYPE_CHECKING:
+    from orthoglide.result.result import Result
+
+Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
+
+_WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
+
+
+@dataclass(frozen=True)
+class Option:
+    """One of the causes that a part is looked at for.
+
+    Attributes:
+        words: what would be wrong, as a clause with sign, size and unit.
+        look_at: on the machine.
+        confirm: a test with the reading to expect; empty where there is none.
+    """
+
+    words: str
+    look_at: str
+    confirm: str
+
+
+@dataclass(frozen=True)
+class Action:
+    """One thing to do.
+
+    Attributes:
+        kind: ``zeros`` to enter, a cause to ``confirm`` or to ``mend``, commands to ``compensate``,
+            or readings to ``measure``.
+        words: what to do, a sentence without its full stop.
+        gain: by how much the tool's mean error over the workspace falls, best shift removed,
+            metres; nan of what changes nothing on the machine.
+        gain_sigma: standard deviation of that; nan where it is not known.
+        options: causes to look for, most probable first.
+    """
+
+    kind: Kind
+    words: str
+    gain: float = math.nan
+    gain_sigma: float = math.nan
+    options: tuple[Option, ...] = ()
+
+
+def actions(result: Result) -> tuple[Action, ...]:
+    """What to do, most gain first; what decides before everything where the verdict is open.
+
+    Nothing is to be entered or mended where the verdict warns against it.
+    """
+    decides, told = _measure(result)
+    if withheld(result.machine):
+        return (*_found(result, "confirm"), *told)
+    done = [*_zeros(result), *_found(result, "mend"), *_compensate(result)]
+    done.sort(key=lambda action: -action.gain)
+    return (*told, *done) if decides else (*done, *told)
+
+
+def _zeros(result: Result) -> Iterator[Action]:
+    numbers, expected = result.numbers, result.numbers.expected
+    if result.firmware is not None:
+        gain = expected["now"].shape - expected["zeros_and_lengths"].shape
+        yield Action("zeros", "Enter the numbers for the firmware that stand below", gain)
+        return
+    of = result.catalogue.effect_of
+    known = any(of(name).controller == "zero" for name in result.machine.spec.parameters)
+    gain = expected["now"].shape - expected["zeros"].shape
+    if known and gain > _WORTH * expected["now"].shape:
+        named = zip(numbers.drives, numbers.zeros_only, strict=True)
+        values = ", ".join(f"{d.leg} {plain(zero * 1e3, 3)}" for d, zero in named)
+        yield Action("zeros", f"Enter new zeros in the controller: {values} mm", gain)
+
+
+def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]:
+    """Causes and places found, each with what to look at and what it gains."""
+    gains = {item.cause: (item.gain, item.gain_sigma) for item in result.budget}
+    what = {"confirm": "Confirm before anything is changed", "mend": "Look, confirm and put right"}
+    several: tuple[Cause | Located, ...] = (*result.effects, *result.located)
+    for one in several:
+        name = one.name if isinstance(one, Cause) else one.members[0].place.effect.name
+        gain = gains.get(name, (0.0, 0.0)) if kind == "mend" else (math.nan, math.nan)
+        yield Action(kind, what[kind], *gain, options=options(one))
+
+
+def options(found: Cause | Located) -> tuple[Option, ...]:
+    """What to look at for everything in a credible set."""
+    if isinstance(found, Cause):
+        return tuple(Option(e.words, e.look_at, confirm(e)) for e in found.explanations)
+    return tuple(Option(c.place.words, c.place.look_at, "") for c in found.members)
+
+
+def confirm(one: Explanation) -> str:
+    """The test that confirms a cause, with the reading to expect; empty of several parameters."""
+    from orthoglide.effects.wording import confirm_words
+
+    if len(one.parameters) > 1:
+        return ""
+    name = one.parameters[0]
+    parameter = one.catalogue.parameter(name)
+    value = one.values[name]
+    return (
+        "" if parameter.member else confirm_words(one.catalogue.effect_of(name), parameter, value)
+    )
+
+
+def _compensate(result: Result) -> Iterator[Action]:
+    expected = result.numbers.expected
+    gain = expected["zeros"].shape - expected["compensated"].shape
+    if result.request.searches and not result.firmware and gain > _WORTH * expected["now"].shape:
+        words = (
+            "Send compensated commands, for which nothing is changed on the machine: orthoglide "
+            "compensate path.csv --machine calibrated.toml --out commands.csv"
+        )
+        yield Action("compensate", words, gain)
+
+
+def _measure(result: Result) -> tuple[bool, list[Action]]:
+    """The readings that would tell most, of those proposed; whether the verdict hangs on them."""
+    if not result.request.searches:
+        text = "Look for the cause of what is left: orthoglide close-loop takes the same files"
+        return False, [Action("measure", text)] if result.after.sigma_scale > 1 else []
+    for one in result.next_measurements:
+        if one.chosen and one.aim == "narrow":
+            text = f"Measure more only to know more: the report proposes {len(one.chosen)} readings"
+            return False, [Action("measure", text)]
+        if one.chosen or one.pool is None:
+            return True, [Action("measure", f"Measure more: {one.reason}")]
+    return False, []

@@ -1,0 +1,254 @@
+"""The first screen of the page: part, direction and size, what the tool loses, and what to do."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.closing import Verdict
+from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
+from orthoglide.layout import LinearDelta
+from orthoglide.parameters import Parameter
+from orthoglide.posterior import Cause, Explanation
+from orthoglide.report import result_text
+from orthoglide.report.first import finding, sure_words
+from orthoglide.report.page import rendered
+from orthoglide.result.actions import Option
+from tests.test_report import result_of, words
+from tests.test_report_verdict import verdict_of
+
+DELTA = catalogue_of(LinearDelta.names)
+DATA = Path(og.__file__).parent / "data"
+
+
+def explained(name: str, value: float, catalogue: Catalogue, probability: float) -> Explanation:
+    """A cause as the search would have found it, of a made-up size."""
+    return Explanation(
+        name, (name,), probability, {name: value}, {name: abs(value) / 20}, {}, np.zeros(0),
+        catalogue,
+    )  # fmt: skip
+
+
+@cache
+def base() -> Verdict:
+    """Some result to put made-up causes into; its own numbers are the ones identified."""
+    result = result_of("rig")
+    result.numbers  # noqa: B018  computed once for all copies
+    return result
+
+
+def made_up(word: str, *causes: Cause) -> Verdict:
+    request = replace(base().request, command="close-loop")
+    verdict = replace(base(), request=request, word=word, effects=causes)
+    kept: dict[str, Any] = {"next_measurements": (), "numbers": base().numbers, "budget": ()}
+    verdict.__dict__.update(kept)
+    return verdict
+
+
+def screen(verdict: Verdict) -> str:
+    """What a reader finds on the first screen, folded parts left out."""
+    html = rendered("sections/finding.html.j2", data=finding(verdict))
+    open_parts = re.sub(r"</summary>.*?</details>", "</summary></details>", html, flags=re.DOTALL)
+    return words(open_parts)
+
+
+SIZE = r"([\d.]+) (mm|mrad|%|µm)"
+TOWARD = r"toward (the outside|the centre|the counter-clockwise side|the clockwise side|−?[xyz])"
+# How a reader finds leg, way and size of each effect: independent of what writes the sentences.
+READ = {
+    "joint_offset": rf"zero of drive (?P<leg>\w) is {SIZE} too far (?P<way>out|in)\b",
+    "encoder_scale": rf"drive (?P<leg>\w) moves {SIZE} (?P<way>more|less) than it is told",
+    "screw_error": rf"drive (?P<leg>\w) runs {SIZE} ahead and behind",
+    "backlash": rf"drive (?P<leg>\w) has {SIZE} of lost motion(?P<way> with the wrong sign)?",
+    "drive_compliance": rf"drive (?P<leg>\w) (?P<way>gives way|moves against the load) by {SIZE}",
+    "axis_offset": rf"the (?P<leg>\w) rail stands {SIZE} beside its place, (?P<way>{TOWARD})",
+    "axis_tilt": rf"the (?P<leg>\w) carriage is out of square (?P<way>{TOWARD}) by {SIZE}",
+    "rail_tilt": rf"the (?P<leg>\w) rail leans (?P<way>{TOWARD}) by {SIZE}",
+    "rail_bow": rf"the (?P<leg>\w) rail is bent: its middle stands {SIZE} (?P<way>{TOWARD})",
+    "mount_tilt": rf"first hinge of leg (?P<leg>\w) is turned by {SIZE} about (?P<axis>[^,]+|\w, "
+    rf"[^,]+), (?P<way>right|left)-handed",
+    "leg_length": rf"bars of leg (?P<leg>\w) are {SIZE} (?P<way>longer|shorter)",
+    "bar_mismatch": rf"bar 1 of leg (?P<leg>\w) is {SIZE} (?P<way>longer|shorter) than bar 2",
+    "parallelogram_width": rf"link of leg (?P<leg>\w) at the platform is {SIZE} "
+    rf"(?P<way>wider|narrower)",
+    "thermal_growth": rf"bars of leg (?P<leg>\w) (?P<way>grow|shrink) by {SIZE} a metre",
+    "thermal_drift": rf"bars of leg (?P<leg>\w) (?P<way>grow|shrink) by {SIZE} a metre",
+    "gauge_direction": rf"dial of (?P<leg>\w+) is turned by {SIZE} .*?(?P<way>right|left)-handed",
+    "gauge_scale": rf"dial of (?P<leg>\w+) shows {SIZE} (?P<way>more|less)",
+    "gauge_drift": rf"stand of (?P<leg>\w+) creeps: its reading (?P<way>grows|falls) by {SIZE}",
+    "plate_bow": rf"plate of (?P<leg>\w+) is a (?P<way>bowl|dome): its rim stands {SIZE}",
+    "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
+    rf"(?P<way>\d+) degrees",
+}
+UP = {"out", "more", "gives way", "right", "longer", "wider", "grow", "grows", "bowl"}
+SCALES = {"mm": 1e-3, "mrad": 1e-3, "%": 1e-2, "µm": 1e-6}
+PER = {"thermal_drift": 1 / 3600, "gauge_drift": 1 / 3600}  # said for an hour
+UNSIGNED = {"screw_error"}  # an amplitude
+OUTWARD = {"the outside": "radial", "the counter-clockwise side": "tangential"}
+INWARD = {"the centre": "radial", "the clockwise side": "tangential"}
+
+
+def every(catalogue: Catalogue) -> list[Parameter]:
+    dials = [e for e in catalogue.values() if e.of_dial]
+    return [*catalogue.parameters, *(p for e in dials for p in e.parameters(("left",)))]
+
+
+def read(text: str, effect: str) -> tuple[str, str, float]:
+    """Part, way and size that a sentence gives, the way as a sign and a direction."""
+    found = re.search(READ[effect], text, re.IGNORECASE)
+    assert found, text
+    groups = [g for g in found.groups() if g is not None]
+    unit = next(g for g in groups if g in SCALES)
+    size = float(groups[groups.index(unit) - 1]) * SCALES[unit] * PER.get(effect, 1.0)
+    return found["leg"], (found.groupdict().get("way") or "").removeprefix("toward "), size
+
+
+def points(way: str, p: Parameter, value: float) -> bool:
+    """Whether a way is the parameter's, with the sign of its value."""
+    if p.effect in UNSIGNED:
+        return True
+    if p.effect == "backlash":
+        return bool(way) == (value < 0)
+    if p.effect == "plate_trefoil":
+        phase = np.deg2rad(3 * float(way)) - (np.pi / 2 if p.direction == "sin" else 0)
+        return bool(np.cos(phase) * np.sign(value) > 0.99)
+    if p.effect == "rail_bow":  # u^2 - 1 is negative between the ends
+        value = -value
+    if p.direction in {"x", "y", "z"}:
+        return way == ("−" if value < 0 else "") + p.direction
+    if p.direction in {"radial", "tangential"}:
+        return (OUTWARD if value > 0 else INWARD).get(way) == p.direction
+    return (way in UP) == (value > 0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    "case",
+    [(c, p) for c in (CATALOGUE, DELTA) for p in every(c)],
+    ids=lambda c: f"{'delta' if c[0] is DELTA else 'orthoglide'}-{c[1]}",
+)
+def test_a_reader_finds_part_direction_and_size(
+    case: tuple[Catalogue, Parameter], sign: int
+) -> None:
+    """Of the cause and of its rival, which has the other sign and half the size."""
+    catalogue, name = case
+    value = sign * 2.5 * catalogue.effect_of(name).tolerance_si
+    chosen = explained(name, value, catalogue, 0.6)
+    rival = explained(name, -value / 2, catalogue, 0.38)
+    text = screen(made_up("ambiguous", Cause(chosen, (rival,), ())))
+    first, _, other = text.partition(". 60 % likely")
+    assert "One of these, which these readings cannot tell apart" in first
+    assert "38 % likely" in other
+    for said, expected in ((first, value), (other, -value / 2)):
+        part, way, size = read(said, name.effect)
+        assert part == (name.setup or name.leg)
+        assert points(way, name, expected)
+        assert size == pytest.approx(abs(expected), rel=0.06)
+
+
+def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
+    one = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
+    twin = explained("rail_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
+    text = screen(made_up("explained", Cause(one, (), (twin,))))
+    assert "98 % sure, its size to ± 0.24 mrad" in text
+    assert "the same to these readings and to the tool" in text
+    assert "cannot tell" not in text
+    assert [sure_words(p) for p in (0.999, 0.93, 0.512)] == [
+        "more than 99 % sure", "93 % sure", "51 % likely",
+    ]  # fmt: skip
+
+
+def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
+    several = [explained(p, 1e-3, CATALOGUE, 0.05) for p in CATALOGUE["rail_bow"].motions]
+    several += [explained(p, 1e-3, CATALOGUE, 0.05) for p in CATALOGUE["leg_length"].motions]
+    first = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.5)
+    verdict = made_up("ambiguous", Cause(first, tuple(several), ()))
+    assert "or 4 more" in screen(verdict)
+    html = rendered("sections/finding.html.j2", data=finding(verdict))
+    assert all(one.words[1:] in words(html) for one in several)
+
+
+# --- The tool, and what to do ---------------------------------------------------------------
+
+
+def test_tiles_are_the_tool_at_every_stage() -> None:
+    verdict = verdict_of("explained")
+    tiles = {t.what: t for t in finding(verdict)["tiles"]}
+    shapes = [float(t.shape) for t in tiles.values()]
+    assert len(tiles) == 4
+    assert shapes[0] > shapes[1] > shapes[3]
+    kept = json.loads(result_text(verdict))["tool"]
+    for tile, stage in zip(tiles.values(), kept.values(), strict=True):
+        assert float(tile.shape) == pytest.approx(stage["shape_mm"], rel=0.05)
+        assert tile.place.startswith(f"{stage['place_mm']:.1f} ±")
+
+
+def test_what_to_do_goes_by_what_it_gains() -> None:
+    verdict = verdict_of("explained")
+    kinds = [a.kind for a in verdict.actions]
+    assert kinds == ["zeros", "mend", "compensate", "measure"]
+    gains = [a.gain for a in verdict.actions[:3]]
+    assert gains == sorted(gains, reverse=True)
+    assert gains[1] == verdict.budget[0].gain
+    zeros = verdict.actions[0].words
+    for drive, zero in zip("xyz", verdict.numbers.zeros_only, strict=True):
+        assert f"{drive} {zero * 1e3:.3f}" in zeros
+    option: Option = verdict.actions[1].options[0]
+    assert "expect 0.24 mm toward z" in option.confirm
+    text = screen(verdict)
+    assert option.confirm[1:] in text
+    kept = json.loads(result_text(verdict))["actions"]
+    assert [a["action"] for a in kept] == kinds
+    assert kept[0]["gain_mm"] == pytest.approx(gains[0] * 1e3, rel=1e-5)
+
+
+def test_where_something_is_left_nothing_is_to_be_changed() -> None:
+    """Numbers are withheld, causes confirmed first, and the sheet follows what is left."""
+    for which, first in (("unexplained", "measure"), ("partial", "confirm")):
+        verdict = verdict_of(which)
+        kinds = [a.kind for a in verdict.actions]
+        assert kinds[0] == first
+        assert not {"zeros", "mend", "compensate"} & set(kinds)
+        text = screen(verdict)
+        assert "Enter new zeros" not in text
+        assert not re.search(r"\bgains\b", text)
+        assert len(finding(verdict)["tiles"]) == 2
+
+
+def test_what_is_left_is_found_where_it_is() -> None:
+    """One dial sees a bend that no part makes: it is named, with its direction and its size."""
+    verdict = verdict_of("unexplained")
+    most = verdict.rest[0]
+    assert sum(rest.share for rest in verdict.rest) == pytest.approx(1.0)
+    fit = verdict.after
+    rows = np.flatnonzero(fit.problem.setup_of_row == 0)
+    name = fit.problem.campaigns[0].setups[0].name
+    one = next(rest for rest in verdict.rest if rest.setup == name)
+    assert one.rms == pytest.approx(np.sqrt(np.mean(fit.residuals[rows] ** 2)))
+    text = screen(verdict)
+    leg, axis = "xyz"[most.leg], "xyz"[most.axis]
+    sign = "−" if most.most < 0 else ""
+    assert f"shows on leg {leg} read along {axis}" in text
+    assert re.search(rf"up to [\d.]+ mm, toward {sign}{axis}\b", text)
+    sheet = verdict.next_measurements[0]
+    assert sheet.aim == "trace"
+    assert {(s.leg, s.axis) for s in sheet.campaign.setups} == {(most.leg, most.axis)}
+    assert {s.bar for s in sheet.campaign.setups} == {1, 2}
+    assert set(np.unique(sheet.campaign.approach[:, most.leg])) == {-1.0, 1.0}
+    kept = json.loads(result_text(verdict))["left"]["by_setup"]
+    assert kept[0]["setup"] == most.setup
+
+
+def test_identify_says_what_to_enter_and_what_to_run_next() -> None:
+    text = screen(result_of())
+    zero = result_of().numbers.zeros_only[0] * 1e3
+    assert f"Enter new zeros in the controller: x {zero:.3f}" in text
+    assert "orthoglide close-loop takes the same files" in text

@@ -1,0 +1,301 @@
+"""``orthoglide measure``: the conversation, the file it leaves, and what it comes to."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.errors import FileError, InputError
+from orthoglide.measuring import MOST, SETTLED, End, Record, Session, Stopped, opening
+from orthoglide.measuring.answers import understood
+from orthoglide.measuring.expected import Expected
+from tests.rig import Rig
+from tests.rig_campaigns import read_csv
+from tests.rig_operator import Operator
+
+ROOT = Path(__file__).parents[1]
+MACHINE = ROOT / "tests" / "data" / "rig" / "machine.toml"
+TILTED = {"axis_tilt.y.z": 4e-3, "joint_offset.x": 0.6e-3, "joint_offset.z": -0.4e-3}
+
+
+@pytest.fixture(scope="module")
+def machine() -> og.Machine:
+    return og.Machine.load(MACHINE)
+
+
+# --- What is typed ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("4.12", "4.12"), ("4,12\n", "4.12"), (" -0.305 mm", "-0.305"), ("−1", "-1"),
+        ("340um", "0.340"), ("340 µm", "0.340"), ("+.5", "0.5"), ("12.50", "12.50"),
+    ],
+)  # fmt: skip
+def test_numbers_are_understood_exactly(typed: str, meant: str) -> None:
+    assert understood(typed) == Decimal(meant)
+
+
+def test_words_are_understood() -> None:
+    assert [understood(w) for w in ("skip", "BACK", "u", "q", "?")] == [
+        "skip", "undo", "undo", "quit", "help",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("typed", ["", "4.1.2", "1,234.5", "four", "4 in", "nan", "1e3", "5000"])
+def test_what_is_no_reading_is_refused(typed: str) -> None:
+    with pytest.raises(InputError):
+        understood(typed)
+
+
+# --- What can be ------------------------------------------------------------------------------
+
+
+def test_readings_of_a_machine_within_its_tolerances_are_never_doubted(
+    machine: og.Machine,
+) -> None:
+    sheet = opening(machine)
+    expected = Expected(sheet, machine)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        names = machine.catalogue.expand([n for n, e in machine.catalogue.items() if not e.needs])
+        names = [n for n in names if not machine.catalogue.effect_of(n).of_dial]
+        errors = {n: float(rng.normal(0, machine.tolerance(n))) for n in names}
+        shown = og.simulate(machine.with_parameters(errors), sheet, seed=seed).reading
+        taken: dict[int, float] = {}
+        for row, reading in enumerate(shown.tolist()):
+            assert not expected.doubt(row, reading, taken)
+            assert not expected.impossible(row, reading, taken)
+            taken[row] = reading
+
+
+def test_a_slip_is_out_of_step_with_its_repeats(machine: og.Machine) -> None:
+    sheet = og.protocol("sweep")
+    expected = Expected(sheet, machine)
+    shown = og.simulate(machine, sheet, seed=1).reading.tolist()
+    row = next(k for k in range(len(sheet)) if sheet.repeat[k] == 2 and sheet.posture[k] == "+20")
+    taken = dict(enumerate(shown[:row]))
+    assert not expected.doubt(row, shown[row], taken)
+    assert "out of step with its repeats" in expected.doubt(row, shown[row] + 1e-4, taken)
+    assert "should lie between" in expected.doubt(2, shown[2] + 10e-3, {0: shown[0]})
+    assert "which no leg does" in expected.impossible(2, 60e-3, {0: 0.0})
+
+
+# --- The conversation -------------------------------------------------------------------------
+
+
+def conversation(
+    path: Path, machine: og.Machine, answer: Callable[[str, Operator], str], most: int = MOST
+) -> tuple[Operator, list[str], Callable[[], End]]:
+    """A session with an operator; ``answer`` may change what it says."""
+    operator = Operator(Rig(errors=TILTED), np.random.default_rng(5))
+    said: list[str] = []
+
+    def tell(text: str) -> None:
+        said.extend(text.split("\n"))
+        for line in text.split("\n"):
+            operator.hear(line)
+
+    seconds = iter(range(0, 10**6, 10))
+    session = Session(machine, Record(path, machine.spec), lambda q: answer(q, operator), tell,
+                      most=most, clock=lambda: float(next(seconds)))  # fmt: skip
+    return operator, said, session.run
+
+
+def answering(operator: Operator, question: str) -> str:
+    return f"{operator.hear(question):.2f}"
+
+
+def scripted(*words: str) -> Callable[[str, Operator], str]:
+    """Readings, but for some words in between: a number at ``=``."""
+    left = list(words)
+
+    def answer(question: str, operator: Operator) -> str:
+        word = left.pop(0) if left else "quit"
+        return answering(operator, question) if word == "=" else word
+
+    return answer
+
+
+def test_every_reading_is_in_the_file_before_the_next_question(
+    machine: og.Machine, tmp_path: Path
+) -> None:
+    seen: list[int] = []
+    path = tmp_path / "c.csv"
+
+    def answer(question: str, operator: Operator) -> str:
+        seen.append(sum(row["kind"] == "leg" for row in read_csv(path)))
+        return answering(operator, question) if len(seen) < 6 else "q"
+
+    _, _, run = conversation(path, machine, answer)
+    with pytest.raises(Stopped):
+        run()
+    assert seen == [0, 1, 2, 3, 4, 5]
+    rows = read_csv(path)
+    assert [row["kind"] for row in rows] == ["move"] + ["leg"] * 5
+    assert [row["order"] for row in rows] == list(range(6))
+    assert og.read_campaign(path, machine.spec).approach[0].tolist() == [1, 1, 1]
+
+
+def test_skip_undo_and_nonsense(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    words = ("undo", "?", "=", "=", "five", "=", "skip", "=", "undo", "=", "999", "=",
+             "=", "=")  # fmt: skip
+    _, said, run = conversation(path, machine, scripted(*words))
+    with pytest.raises(Stopped):
+        run()
+    text = "\n".join(said)
+    assert "there is no reading to take back" in text
+    assert "'five' is no reading" in text
+    assert SETTLED in text
+    assert "999 mm cannot be" in text
+    rows = read_csv(path)
+    assert [row["posture"] for row in rows] == [
+        "move", "+40", "+40", "+60", "skipped", "again", "+40", "+40", "+0", "+0",
+    ]  # fmt: skip
+    # Led back, it comes to the place from the same side as before.
+    campaign = og.read_campaign(path, machine.spec)
+    plan = opening(machine)
+    np.testing.assert_array_equal(campaign.approach, plan.approach[[0, 1, 2, 4, 5, 6, 7]])
+    np.testing.assert_array_equal(campaign.approach[:, 0], [1, 1, 1, -1, -1, -1, -1])
+
+
+def test_an_odd_reading_is_kept_when_it_is_given_twice(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    _, said, run = conversation(path, machine, scripted("0", "0", "8.5", "8.5", "=", "quit"))
+    with pytest.raises(Stopped):
+        run()
+    assert sum("8.5 mm is odd" in line for line in said) == 1
+    assert [row["reading_mm"] for row in read_csv(path) if row["kind"] == "leg"][2] == 8.5
+
+
+def test_a_file_of_something_else_is_refused(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text("a,b\n1,2\n")
+    _, _, run = conversation(path, machine, scripted())
+    with pytest.raises(FileError, match="was not begun by this command"):
+        run()
+    assert path.read_text() == "a,b\n1,2\n"
+    path.unlink()
+    _, _, run = conversation(path, machine, scripted("=", "=", "="))
+    with pytest.raises(Stopped):
+        run()
+    path.write_text(path.read_text().replace("xy-", "zx-"))
+    _, _, run = conversation(path, machine, scripted("="))
+    with pytest.raises(FileError, match="was not measured with this machine file and sheet"):
+        run()
+
+
+# --- In a process of its own --------------------------------------------------------------------
+
+
+def lines_of(process: subprocess.Popen[str]) -> Iterator[str]:
+    assert process.stdout is not None
+    for line in process.stdout:
+        yield line.rstrip("\n")
+
+
+def start(path: Path, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "orthoglide", "measure", "--machine", str(MACHINE)]
+    return subprocess.Popen(
+        [*command, "--out", str(path), *words], text=True, bufsize=1, encoding="utf-8",
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1",
+             "PYTHONIOENCODING": "utf-8"},
+    )  # fmt: skip
+
+
+def serve(process: subprocess.Popen[str], operator: Operator, most: int = 10**6) -> list[str]:
+    """Answer questions down a pipe until the end, or until so many were answered."""
+    said, count = [], 0
+    for line in lines_of(process):
+        said.append(line)
+        reading = operator.hear(line)
+        if reading is not None:
+            if count == most:
+                break
+            count += 1
+            assert process.stdin is not None
+            process.stdin.write(f"{reading:.2f}\n")
+    return said
+
+
+def test_a_campaign_that_was_killed_goes_on_and_names_what_is_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "april.csv"
+    operator = Operator(Rig(errors=TILTED), np.random.default_rng(11))
+    process = start(path)
+    serve(process, operator, 20)
+    process.kill()
+    process.communicate()
+    kept = [row for row in read_csv(path) if row["kind"] == "leg"]
+    assert len(kept) == 20  # nothing is lost
+
+    process = start(path)
+    serve(process, operator, 3)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "23 readings are kept in" in errors
+    assert "the same command goes on" in errors
+
+    process = start(path)
+    said = serve(process, operator)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0, errors
+    text = "\n".join(said)
+    assert "23 readings: going on" in text
+    assert "Settled after" in text
+    rows = [row for row in read_csv(path) if row["kind"] == "leg"]
+    assert rows[:20] == kept
+    assert len(rows) <= 126  # half of a sweep sheet
+    verdict = og.close_loop(path, og.Machine.load(MACHINE))
+    named = {name for e in verdict.effects for name in (e.name, *e.indistinguishable_from)}
+    assert "axis_tilt.y.z" in named
+    assert not [
+        c for c in verdict.effects if c.name.partition(".")[0] not in ("axis_tilt", "rail_tilt")
+    ]
+    assert verdict.values["joint_offset.x"] == pytest.approx(0.6e-3, abs=0.1e-3)
+
+    process = start(path)  # settled already: it asks for nothing more
+    said, _ = process.communicate("", timeout=120)
+    assert process.returncode == 0
+    assert "shows:" not in said
+
+
+def test_the_end_of_the_input_is_a_stop(tmp_path: Path) -> None:
+    process = start(tmp_path / "c.csv")
+    said, errors = process.communicate("0\n", timeout=60)
+    assert process.returncode == 130
+    assert "1 readings are kept" in errors or "1 reading is kept" in errors
+    assert said.count("shows:") == 2
+
+
+def test_the_help_says_the_criterion_and_how_many_readings() -> None:
+    text = " ".join(CliRunner().invoke(cli, ["measure", "--help"]).output.split())
+    assert SETTLED in text
+    assert f"[default: {MOST}]" in text
+
+
+def test_bad_usage(tmp_path: Path) -> None:
+    def code(*words: str) -> int:
+        return CliRunner().invoke(cli, ["measure", *words]).exit_code
+
+    out = str(tmp_path / "c.csv")
+    assert code() == 2
+    assert code("--out", out, "--most", "1") == 2
+    assert code("--out", out, "--machine", "nowhere.toml") == 2
+    assert code("--out", out, "--sheet", "nowhere.csv") == 2
+    assert code("--out", str(tmp_path / "no" / "c.csv")) == 2
+    assert not list(tmp_path.iterdir())
