@@ -63,6 +63,7 @@ class DeltaRig:
                 bow = self._e(f"rail_bow.{name}.{way}") * (u**2 - 1)
                 at = at + (self._e(f"axis_offset.{name}.{way}") + slope * s + bow) * axis
                 turn = turn + self._e(f"rail_tilt.{name}.{way}") * np.cross(UP, axis)
+            turn = turn + self._e(f"rail_torsion.{name}") * u * UP
             turn = (
                 turn + self._e(f"mount_tilt.{name}.a") * UP + self._e(f"mount_tilt.{name}.b") * out
             )

@@ -31,7 +31,7 @@ UNEVEN = Geometry(
 CATALOGUE = catalogue_of(LinearDelta.names)
 NAMES = [p for p in CATALOGUE.parameters if p.effect in {
     "joint_offset", "encoder_scale", "axis_offset", "axis_tilt", "rail_tilt", "rail_bow",
-    "mount_tilt", "leg_length", "bar_mismatch", "parallelogram_width",
+    "rail_torsion", "mount_tilt", "leg_length", "bar_mismatch", "parallelogram_width",
 }]  # fmt: skip
 SIZE = {"mm": 3e-4, "rad": 4e-3, "1": 1e-3}
 

@@ -237,7 +237,7 @@ def catalogue_of(names: LegNames) -> Catalogue:
     """The package's own effects on a layout; one object for each."""
     if names == CATALOGUE.legs:
         return CATALOGUE
-    effects = (*CATALOGUE.effects, *plates.EFFECTS)
+    effects = (*CATALOGUE.effects, *rails.OF_TOWERS, *plates.EFFECTS)
     return Catalogue(tuple(replace(e, names=names) for e in effects), names)
 
 

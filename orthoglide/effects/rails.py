@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from orthoglide.effects.effect import Effect, LegConditions, Motion, sideways
+from orthoglide.effects.effect import Effect, LegConditions, Motion, once, sideways
 from orthoglide.effects.words import Words, across, mm, more, mrad, slope, toward
 from orthoglide.layout import Orthoglide
 from orthoglide.parameters import Parameter
@@ -163,4 +163,30 @@ MOUNT_TILT = Effect(
     ),
 )
 
+RAIL_TORSION = Effect(
+    "rail_torsion",
+    RAD,
+    2e-3,
+    because="an extrusion is twisted by a tenth of a degree over its length",
+    sentence="the rail is twisted: its carriage turns about it as it travels",
+    look_at="the tower's extrusion, with a square against its face at both ends",
+    members=once(Motion("turn_a", lambda c: c.u)),
+    words=Words(
+        lambda p, v: (
+            f"the {p.leg} rail is twisted: from one end of the stroke to the other its carriage "
+            f"turns by {mrad(2 * v)} about it, {more(v, 'counter-clockwise', 'clockwise')} on the "
+            f"way up"
+        ),
+        lambda p: f"the {p.leg} rail is twisted along its length",
+        "the rails are twisted along their lengths",
+        mrad,
+        lambda p, v: (
+            f"hold a square to carriage {p.leg} at both ends of its stroke: expect it to turn by "
+            f"{mrad(2 * v)} about the rail"
+        ),
+    ),
+)
+
 EFFECTS = (AXIS_OFFSET, AXIS_TILT, RAIL_TILT, RAIL_BOW, MOUNT_TILT)
+OF_TOWERS = (RAIL_TORSION,)
+"""Where rails stand free: those of an Orthoglide lie on their beds."""
