@@ -59,6 +59,7 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         Design as Design,
         Suggestion as Suggestion,
         design as design,
+        needed_tolerances as needed_tolerances,
         next_measurements as next_measurements,
         repeats_needed as repeats_needed,
         smallest_effects as smallest_effects,
@@ -86,7 +87,10 @@ _WHERE = {
     "machine": "Machine Pose",
     "mechanism": "Mechanism",
     "observations": "Campaign Setup TcpPoints protocol read_campaign read_tcp write_campaign",
-    "planning": "Design Suggestion design next_measurements repeats_needed smallest_effects",
+    "planning": (
+        "Design Suggestion design needed_tolerances next_measurements repeats_needed "
+        "smallest_effects"
+    ),
     "rehearsal": "Rehearsal rehearse",
     "simulation": "simulate simulate_tcp",
 }

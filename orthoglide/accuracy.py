@@ -21,6 +21,7 @@ GRID = 5
 """Commands along each axis of the map of the workspace."""
 
 _DRAWS = 400
+_PLACE = 0.01  # weight of place against shape: enough to choose between equal shapes
 _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
@@ -101,6 +102,23 @@ def variance_by_effect(machine: Machine) -> dict[str, float]:
     return shares
 
 
+def mean_length(covariance: Array) -> float:
+    """Mean length of normal vectors of zero mean, averaged over their covariances ``(g, 3, 3)``.
+
+    ``E |x| = int (1 - E exp(-t |x|^2)) t^(-3/2) dt / (2 sqrt(pi))`` from zero to infinity, with
+    ``E exp(-t |x|^2) = prod (1 + 2 t l_i)^(-1/2)`` over the eigenvalues; by the trapezoidal rule in
+    ``log t``, which is as good as exact.
+    """
+    values = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
+    largest = values.max(axis=1, keepdims=True)
+    length = np.sqrt(np.where(largest > 0, largest, 1.0))
+    log, step = np.linspace(-60, 60, 481, retstep=True)
+    t = np.exp(log)
+    decay = np.exp(-0.5 * np.log1p(2 * t[:, None, None] * values / length**2).sum(axis=2))
+    mean = (step / (2 * np.sqrt(np.pi))) * np.einsum("t,tg->g", t**-0.5, 1 - decay)
+    return float(np.mean(mean * length[:, 0]))
+
+
 @dataclass(frozen=True)
 class ExpectedError:
     """Mean distance of the TCP from where it is wanted over the workspace, metres.
@@ -153,13 +171,15 @@ def _wanted(machine: Machine) -> Array:
     return machine.with_only({}).forward(workspace(machine.geometry))
 
 
-_NO_SHAPE = 1e-3
-"""Share of the largest below which zeros change no shape: all of parallel rails moved alike."""
+def _mostly_shape(field: Array) -> Array:
+    """A field ``(g, 3, ...)`` with little of its translation."""
+    return field - (1 - _PLACE) * field.mean(axis=0)
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     """Settings of a controller that takes little: the zeros that leave the least shape error.
 
+    Where several leave the same, as on parallel slides, they are those that leave the least place.
     What the controller cannot take shifts the zeros that are best: they are fitted, by least
     squares over the workspace, to the machine with all its parameters.
 
@@ -177,10 +197,9 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     wanted = _wanted(machine)
     for _ in range(_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
-        left = without_place(machine.forward(commands) - wanted)
-        slopes = without_place(tcp_slopes(machine, zeros, Conditions.at(commands)))
-        matrix, right = slopes.reshape(-1, len(zeros)), left.reshape(-1)
-        step = np.linalg.lstsq(matrix, right, rcond=_NO_SHAPE)[0]
+        left = _mostly_shape(machine.forward(commands) - wanted)
+        slopes = _mostly_shape(tcp_slopes(machine, zeros, Conditions.at(commands)))
+        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1))[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings
 

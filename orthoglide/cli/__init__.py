@@ -26,6 +26,7 @@ from orthoglide.cli import (
     rehearse,
     rerun,
     sheets,
+    tolerances,
 )
 from orthoglide.cli.completion import completion_option
 from orthoglide.cli.examples import with_examples
@@ -55,6 +56,7 @@ _MODULES = (
     measure,
     design,
     rehearse,
+    tolerances,
     compensate,
     compare,
     kinematics,

@@ -12,11 +12,13 @@ from orthoglide.planning.suggestions import (
     next_measurements,
     next_sheet,
 )
+from orthoglide.planning.tolerances import NeededTolerances, needed_tolerances
 from orthoglide.planning.tracing import tracing
 
 __all__ = [
     "Design",
     "Detectability",
+    "NeededTolerances",
     "Observability",
     "Repeats",
     "SmallestEffect",
@@ -24,6 +26,7 @@ __all__ = [
     "deciding_instruments",
     "design",
     "expected_noise",
+    "needed_tolerances",
     "next_measurements",
     "next_sheet",
     "observability",

@@ -1,0 +1,44 @@
+"""``tolerances``: which tolerances a wanted error of the tool needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from orthoglide.cli.options import PATH, load_machine, machine_option, noise_metres
+from orthoglide.cli.terminal import say
+from orthoglide.errors import InputError
+
+
+@click.command()
+@click.option("--tcp", "tcp_mm", type=float, required=True, metavar="MM",
+              help="Mean error wanted of the tool, over the workspace after the best "
+                   "translation.")  # fmt: skip
+@machine_option
+@click.option("--calibrated-by", "sheet", type=PATH, metavar="SHEET.csv",
+              help="Also if every machine is calibrated by this sheet.")  # fmt: skip
+@click.option("--noise", "noise_mm", type=float, metavar="MM",
+              help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
+def tolerances(
+    tcp_mm: float, machine_path: Path | None, sheet: Path | None, noise_mm: float | None
+) -> None:
+    """Tell how large tolerances may be for a wanted error of the tool, and which cost most.
+
+    Linear, from the tolerances of the machine file taken as standard deviations: all scaled alike,
+    and shared out so that every effect makes the same part of the error.
+    """
+    from orthoglide.observations import read_campaign
+    from orthoglide.planning import needed_tolerances
+
+    if not 0 < tcp_mm < 1e3:
+        raise InputError(f"--tcp must be a positive number of millimetres, not {tcp_mm:g}")
+    machine, noise = load_machine(machine_path), noise_metres(noise_mm)
+    answers = [needed_tolerances(machine, tcp_mm * 1e-3)]
+    if sheet is not None:
+        read = read_campaign(sheet, machine.spec, require_readings=False)
+        answers.append(needed_tolerances(machine, tcp_mm * 1e-3, read, noise))
+    say("\n\n".join(map(str, answers)), needed=True)
+
+
+COMMANDS = (tolerances,)

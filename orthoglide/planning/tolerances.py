@@ -1,0 +1,189 @@
+"""Which tolerances a wanted error of the tool needs, calibrated by a sheet or not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orthoglide.accuracy import mean_length
+from orthoglide.errors import InputError
+from orthoglide.frames import data_frame, html_table
+from orthoglide.machine import Machine
+from orthoglide.observations import Campaign
+from orthoglide.planning.sources import Sources, ToolError
+from orthoglide.units import Unit
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LARGEST = 1e3
+"""Scale of the tolerances from which on any will do."""
+
+_HALVINGS = 60
+_WHY = "by side of approach, load, warmth or time alone, or by a screw pitch that the file lacks"
+
+
+@dataclass(frozen=True)
+class NeededTolerance:
+    """One effect in the budget of tolerances, SI.
+
+    Attributes:
+        effect: its name.
+        tolerance: of the machine file.
+        share: of the tool's error, as a share of its variance, all tolerances scaled alike.
+        scaled: tolerance needed if all are scaled alike.
+        equal: tolerance needed if all effects make the same share of the tool's error.
+        unit: of its parameters in files.
+    """
+
+    effect: str
+    tolerance: float
+    share: float
+    scaled: float
+    equal: float
+    unit: Unit
+
+
+@dataclass(frozen=True)
+class NeededTolerances:
+    """Tolerances that a wanted error of the tool needs.
+
+    Attributes:
+        wanted: mean over the workspace and machines after the best translation, metres.
+        now: the same at the tolerances of the machine file, metres.
+        scale: of all tolerances that gives what is wanted; infinite where any will do.
+        effects: what costs most first.
+        noise: share of the readings and their dials in the tool's error; 0 without calibration.
+        sheet: by which the machine is calibrated; empty where it is not.
+        left_out: effects of the machine that make no error of the tool at rest and in the middle
+            of the dead band.
+    """
+
+    wanted: float
+    now: float
+    scale: float
+    effects: tuple[NeededTolerance, ...]
+    noise: float
+    sheet: str
+    left_out: tuple[str, ...]
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """A row an effect, what costs most first, in the units of files."""
+        rows = [
+            (e.effect, e.tolerance / e.unit.si, e.share, e.scaled / e.unit.si, e.equal / e.unit.si,
+             e.unit.name)
+            for e in self.effects
+        ]  # fmt: skip
+        titles = ("effect", "tolerance", "share", "all_alike", "equal_shares", "unit")
+        return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
+
+    def to_frame(self) -> pd.DataFrame:
+        """The effects as a data frame; see :attr:`columns`.
+
+        Raises:
+            InputError: where pandas is not installed.
+        """
+        return data_frame(self.columns, index="effect")
+
+    def __str__(self) -> str:
+        how = f"Calibrated by {self.sheet}" if self.sheet else "Not calibrated"
+        needed = f"needs all of them times {self.scale:.3g}"
+        if self.scale == np.inf:
+            needed = "is kept with any"
+        elif self.scale > 1:
+            needed = f"allows all of them times {self.scale:.3g}"
+        lines = [
+            f"{how}: {self.now * 1e3:.3g} mm at the tolerances of the machine file; "
+            f"{self.wanted * 1e3:.3g} mm {needed}",
+            "",
+            f"{'effect':<20}{'tolerance':>11}{'share':>9}{'all alike':>11}{'equal shares':>14}  "
+            "unit",
+        ]
+        for name, now, share, alike, equal, unit in zip(*self.columns.values(), strict=True):
+            figures = f"{now:>11.3g}{100 * share:>7.1f} %{alike:>11.3g}{equal:>14.3g}"
+            lines.append(f"{name:<20}{figures}  {unit}")
+        if self.sheet:
+            lines.append(f"{'the readings':<20}{'':>11}{100 * self.noise:>7.1f} %")
+        if self.left_out:
+            lines.append(f"not counted: {', '.join(self.left_out)} ({_WHY})")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html_table(str(self).partition("\n")[0], self.columns)
+
+
+def needed_tolerances(
+    machine: Machine, wanted: float, sheet: Campaign | None = None, noise: float | None = None
+) -> NeededTolerances:
+    """The tolerances that a wanted error of the tool needs, by linear propagation.
+
+    Args:
+        machine: dimensions, tolerances and dial; its parameters do not count.
+        wanted: mean error over the workspace and over machines after the best translation, metres.
+        sheet: readings by which each machine is calibrated, all effects allowed for; none where
+            absent.
+        noise: standard deviation of one reading, metres.
+
+    Raises:
+        InputError: for an error that is no positive length.
+    """
+    if not 0 < wanted < 1:
+        raise InputError(f"the wanted error must be a positive length in metres, not {wanted}")
+    sources = Sources.of(machine.with_only({}), sheet, noise)
+    now = mean_length(sources.at(1.0).covariance)
+    scale = _scale(sources, wanted, now)
+    there = sources.at(min(scale, LARGEST))
+    parts = there.by_effect
+    total = sum(parts.values()) + there.noise
+    catalogue = machine.catalogue
+    equal = _equal_shares(there, wanted) if scale < np.inf else dict.fromkeys(parts, 1.0)
+    rows = [
+        NeededTolerance(
+            effect, machine.tolerance(effect), part / total, scale * machine.tolerance(effect),
+            scale * equal[effect] * machine.tolerance(effect),
+            catalogue[effect].unit,
+        )
+        for effect, part in parts.items()
+        if part > 0
+    ]  # fmt: skip
+    left_out = [e.name for e in catalogue.values() if not e.of_dial and not parts.get(e.name)]
+    return NeededTolerances(
+        wanted, now, scale, tuple(sorted(rows, key=lambda row: -row.share)), there.noise / total,
+        "" if sheet is None else sheet.name, tuple(left_out),
+    )  # fmt: skip
+
+
+def _scale(sources: Sources, wanted: float, now: float) -> float:
+    """Of all tolerances that gives the wanted error; infinite where any will do."""
+    if sources.rows is None:
+        return wanted / now
+
+    def error(log: float) -> float:
+        return mean_length(sources.at(float(np.exp(log))).covariance)
+
+    # A calibrated machine's error grows with its tolerances, and by no more than these.
+    low, high = min(0.0, float(np.log(wanted / now))), float(np.log(LARGEST))
+    if error(high) < wanted:
+        return float("inf")
+    while error(low) > wanted:
+        low -= 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if error(middle) < wanted else (low, middle)
+    return float(np.exp((low + high) / 2))
+
+
+def _equal_shares(there: ToolError, wanted: float) -> dict[str, float]:
+    """Factors of the tolerances at which all effects make the same share of the wanted error."""
+    parts = there.by_effect
+    each = sum(parts.values()) / sum(p > 0 for p in parts.values())
+    factors = {e: float(np.sqrt(each / p)) if p > 0 else 0.0 for e, p in parts.items()}
+    low, high = 0.0, 4.0  # the same variance need not be the same mean, and is within a factor of 2
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        tried = there.scaled({e: middle * f for e, f in factors.items()})
+        low, high = (middle, high) if mean_length(tried.covariance) < wanted else (low, middle)
+    return {e: high * f for e, f in factors.items()}
