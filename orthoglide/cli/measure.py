@@ -34,7 +34,7 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
     reading is on the disk before the next question; the same command goes on where it was.
 
     The verdict is settled when nothing significant is left, no cause that may stand out is open
-    (between 5 % and 90 %), and no dozen of further readings would part the causes named by two
+    (between 5 % and 90 %), and no two dozen further readings would part the causes named by two
     standard deviations; that nothing is wrong is believed after 90 readings.
     """
     from orthoglide.measuring import Record, Session, Stopped
