@@ -49,12 +49,14 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
     try:
         end = session.run()
     except (Stopped, KeyboardInterrupt):
-        name = click.format_filename(out)
-        kept = f"{record.readings} readings are kept in {name}" if out.exists() else "nothing yet"
-        text = (
-            f"stopped before the verdict was settled: {kept}; the same command goes on from there"
-        )
-        raise Refusal(text, INTERRUPTED) from None
+        if is_terminal():
+            say("")  # behind the question
+        count = f"{record.readings} reading" + ("" if record.readings == 1 else "s")
+        raise Refusal(
+            f"stopped before the verdict was settled, with {count} in "
+            f"{click.format_filename(out)}: the same command goes on from there",
+            INTERRUPTED,
+        ) from None
     _tell(end, out, machine_path)
 
 
