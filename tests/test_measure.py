@@ -163,7 +163,7 @@ def test_skip_undo_and_nonsense(machine: og.Machine, tmp_path: Path) -> None:
     assert "999 mm cannot be" in text
     rows = read_csv(path)
     assert [row["posture"] for row in rows] == [
-        "move", "+40", "+40", "+60", "skipped", "again", "+40", "+40", "+0", "+0",
+        "move", "+34.2", "+34.2", "+60", "skipped", "again", "+34.2", "+34.2", "+0", "+0",
     ]  # fmt: skip
     # Led back, it comes to the place from the same side as before.
     campaign = og.read_campaign(path, machine.spec)

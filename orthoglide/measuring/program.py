@@ -32,8 +32,9 @@ SETTLED = (
 MOST = 126
 """Readings after which the answer is what it is: half of a sweep sheet."""
 
-_PATH = (2 / 3, 1.0, 2 / 3, 0.0, -0.6, -1.0, -0.6, 0.0)
-"""Of the upper and lower half stroke: up, down and back, both ways at all places but the ends."""
+_INNER = (0.57, 0.43, 0.71, 0.34, 0.64)
+"""Places between zero and the ends of the stroke, as parts of its halves, sheet by sheet: none on
+the same phase of a screw as zero and the ends, as round numbers often are."""
 
 _DIALS = ((0.25, 0), (0.65, 1), (0.25, 2), (0.5, 0), (0.25, 1))
 """Where the dials stand, as parts of the leg, and the bar they touch (0: the median line): first,
@@ -67,7 +68,8 @@ class Next:
 
 
 def opening(machine: Machine, number: int = 0) -> Campaign:
-    """The sheet to begin with: both dials on each leg in turn; later numbers with other places.
+    """The sheet to begin with: both dials on each leg in turn, up, down and back, both ways at all
+    places but the ends; later numbers with other places.
 
     Raises:
         InputError: for a machine against whose legs no dial is set.
@@ -78,7 +80,8 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
     low, high = geometry.stroke
     ends = (high + _CLEARANCE) / geometry.L, 1 + (low - _CLEARANCE) / geometry.L
     share = round(float(np.clip(share, *ends)), 3)
-    travels = [high * part if part > 0 else -low * part for part in _PATH]
+    part = _INNER[number % len(_INNER)]
+    travels = [part * high, high, part * high, 0.0, part * low, low, part * low, 0.0]
     name = f"-{share:g}" + (f"-bar{bar}" if bar else "")
     pairs = [(leg, axis) for leg in range(3) for axis in range(3) if axis != leg]
     setups = tuple(

@@ -20,7 +20,7 @@ from orthoglide.observations.approach import OVERSHOOT
 from orthoglide.observations.writing import Row
 from orthoglide.text import shown
 
-_LEAD = 3
+_LEAD = 4
 """Readings of a sheet, its last, that are taken while what follows it is computed."""
 
 
