@@ -45,7 +45,8 @@ def posed(kind: str) -> Posed:
 PARTS = {
     "joint_offset": "drive", "encoder_scale": "drive", "screw_error": "drive", "backlash": "drive",
     "drive_compliance": "drive", "axis_offset": "rail", "axis_tilt": "rail", "rail_tilt": "rail",
-    "rail_bow": "rail", "rail_torsion": "carriage", "mount_tilt": "carriage", "leg_length": "bar", "bar_mismatch": "bar",
+    "rail_bow": "rail", "rail_torsion": "carriage", "mount_tilt": "carriage",
+    "leg_length": "bar", "bar_mismatch": "bar",
     "parallelogram_width": "link", "thermal_growth": "bar", "thermal_drift": "bar",
 }  # fmt: skip
 AGAINST = {"rail_bow", "backlash"}  # u^2 - 1 between the ends; half of it behind a move outward
