@@ -171,13 +171,16 @@ addEventListener("load", () => {
   const larger = set(view.querySelector(".times"), e => { e.value = "1000"; });
   const moved = set(view.querySelector(".place"), e => { e.value = 3; });
   const place = view.querySelector(".place").value;
+  const shown = k => getComputedStyle(document.querySelector(`.drawn .option-${k}`)).display;
+  const pick = document.querySelector("#pick-1"), before = pick && [shown(0), shown(1)];
+  if (pick) pick.click();
   view.querySelector(".play").click();
   setTimeout(() => {
     const run = seen();
     document.title = JSON.stringify({
       off: off !== first, back: back === first, larger: larger !== back, moved: moved !== larger,
       run: run !== moved && view.querySelector(".place").value !== place,
-      hidden: view.hidden, still: document.querySelectorAll("noscript svg").length,
+      picked: pick && [...before, shown(0), shown(1)], hidden: view.hidden, still: document.querySelectorAll("noscript svg").length,
       inked: canvas.width * canvas.height,
       asked: performance.getEntriesByType("resource").map(e => e.name),
       readout: view.querySelector(".readout").textContent });
@@ -212,6 +215,7 @@ def test_the_switch_moves_the_drawing_and_nothing_is_asked_of_a_network(
     assert all(told[name] for name in ("off", "back", "larger", "moved", "run"))
     assert not told["hidden"]
     assert told["asked"] == []
+    assert told["picked"] == (None if which == "delta" else ["inline", "none", "none", "inline"])
     assert re.search(r"off by -?\d+\.\d{3}, .* mm in x, y, z", str(told["readout"]))
 
 
