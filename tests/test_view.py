@@ -180,8 +180,7 @@ addEventListener("load", () => {
     document.title = JSON.stringify({
       off: off !== first, back: back === first, larger: larger !== back, moved: moved !== larger,
       run: run !== moved && view.querySelector(".place").value !== place,
-      picked: pick && [...before, shown(0), shown(1)], hidden: view.hidden, still: document.querySelectorAll("noscript svg").length,
-      inked: canvas.width * canvas.height,
+      picked: pick && [...before, shown(0), shown(1)], hidden: view.hidden,
       asked: performance.getEntriesByType("resource").map(e => e.name),
       readout: view.querySelector(".readout").textContent });
   }, 400);

@@ -55,15 +55,17 @@ def _pointing(at: Array, mark: Mark, project: Project, length: float = _LENGTH) 
     return one + (arrow(at, at + back, project, "mark") if mark.both else "")
 
 
-def _label(at: Array, text: str, project: Project) -> str:
-    """Words beside a point, kept on the paper."""
+def _label(at: Array, text: str, project: Project, tail: Array | None = None) -> str:
+    """Words beside a point, kept on the paper; beyond it where an arrow from a tail ends there."""
     if not text:
         return ""
     x, y = project(at)
+    down = tail is not None and y > project(tail)[1] + 2
     half = _LETTER * len(text) / 2
     x = min(max(x, half + 3), _WIDE - half - 3)
     return (
-        f'<text x="{x:.1f}" y="{y - 6:.1f}" text-anchor="middle" font-weight="600" '
+        f'<text x="{x:.1f}" y="{y + (16 if down else -6):.1f}" text-anchor="middle" '
+        f'font-weight="600" '
         f'fill="var(--m-mark)" stroke="var(--m-paper)" stroke-width="3.5" '
         f'paint-order="stroke">{escape(text)}</text>'
     )
@@ -86,7 +88,7 @@ def _drive(mark: Mark, posed: Posed, project: Project) -> str:
         _stroke(along, project, 2.0, ' stroke-dasharray="2 5"')
         + _stroke([at, at], project, 11.0)
         + _pointing(start, mark, project)
-        + _label(start + 1.2 * _LENGTH * mark.way, mark.label, project)
+        + _label(start + 1.1 * _LENGTH * mark.way, mark.label, project, start)
     )
 
 
@@ -103,7 +105,7 @@ def _rail(mark: Mark, posed: Posed, project: Project) -> str:
         + _stroke(wrong, project, 2.2)
         + arrow(at, tip, project, "mark")
         + (arrow(at, at - _BOW * mark.way, project, "mark") if mark.both else "")
-        + _label(tip, mark.label, project)
+        + _label(tip, mark.label, project, at)
     )
 
 
@@ -169,4 +171,4 @@ def _dialled(mark: Mark, dial: Dial, project: Project) -> str:
     )
     if mark.way.any():
         found += arrow(here, here + _LENGTH * mark.way, project, "mark")
-    return found + _label(here + 1.1 * _LENGTH * mark.way, mark.label, project)
+    return found + _label(here + 1.1 * _LENGTH * mark.way, mark.label, project, here)
