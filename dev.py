@@ -55,7 +55,7 @@ def hint(task: object) -> str:
 
 
 def demo(rest: list[str]) -> int:
-    """Calibrate the published machine and write a report."""
+    """Calibrate a machine with a known fault and the published one; write a report of each."""
     environment()
     out = next_free("demo")
     if not rest:
@@ -63,9 +63,10 @@ def demo(rest: list[str]) -> int:
             print(f"demo-out is there already and is kept: writing to {out.name}", flush=True)
         rest = ["--out", str(out)]
     code = python("-m", "orthoglide", "demo", *rest, cwd=Path.cwd())
-    report = out / "report.html"
-    if code == 0 and report.is_file():
-        print(f"\nOpen this in a browser: {report.as_uri()}")
+    reports = [out / name / "report.html" for name in ("simulated", "published")]
+    if code == 0 and reports[0].is_file():
+        print("\nOpen these in a browser, the first to see a fault that was found:")
+        print("\n".join(report.as_uri() for report in reports))
     return code
 
 

@@ -35,11 +35,13 @@ from zlib import crc32
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.attribution_asked import (
-    STRONG,
     alarmed,
     clear,
     holds,
+    misplaced,
     named,
+    placed,
+    seen,
     well,
     wrongly_explained,
 )  # fmt: skip
@@ -114,8 +116,8 @@ def failures(found: Sequence[Record]) -> list[str]:
         missed = kind in ("effect", "structured") and truth and clear(truth[0]) and not named(r)
         extra = kind in ("effect", "structured") and len(r["effects"]) > 1
         alarm = kind == "nothing" and alarmed(r)
-        strange = kind == "outside" and truth[0]["rms"] >= STRONG
-        claimed = (strange or (kind == "fault" and not r["blunders"])) and wrongly_explained(r)
+        claimed = kind == "fault" and not r["blunders"] and wrongly_explained(r)
+        strange = kind == "outside" and truth and seen(r)
         pair = (
             kind == "pair"
             and truth
@@ -124,7 +126,8 @@ def failures(found: Sequence[Record]) -> list[str]:
         )
         reasons = {
             "missed": missed, "second effect": extra, "false alarm": alarm, "wrong name": claimed,
-            "pair": pair,
+            "pair": pair, "wrong place": strange and misplaced(r),
+            "not located": strange and not placed(r) and not misplaced(r),
         }  # fmt: skip
         if any(reasons.values()):
             why = ", ".join(k for k, v in reasons.items() if v)
@@ -134,16 +137,18 @@ def failures(found: Sequence[Record]) -> list[str]:
 
 def _told(r: Record) -> str:
     truth = " + ".join(
-        f"{t['name']} rms {t['rms']:.1f}, {t['distance']:.1f} from {t['nearest']}"
+        f"{t['name']} {t['place']} rms {t['rms']:.1f}, {t['distance']:.1f} from {t['nearest']}"
         for t in r["truth"]
     )
     effects = " + ".join(
         f"{e['name']} (p {e['members'][0][2]:.2f}, {len(e['members']) - 1} rivals)"
         for e in r["effects"]
     )
+    places = " + ".join("|".join(f["places"]) for f in r["located"])
     chi2 = f"chi2 {r['chi2'][0]:.0f} -> {r['chi2'][1]:.0f} on {r['chi2'][2]}"
     left = f"left p {r['left'][0]:.4f}, {r['left'][1]:.4f}"
-    return f"truth {truth or '-'}; {r['word']}: {effects or '-'}; {chi2}; {left}; {r['stopped']}"
+    said = f"{r['word']}: {effects or '-'}; {places or '-'}"
+    return f"truth {truth or '-'}; {said}; {chi2}; {left}; {r['stopped']}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

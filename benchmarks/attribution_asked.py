@@ -9,6 +9,9 @@ from benchmarks.attribution_run import Record, accepted
 STRONG, APART = 3.0, 5.0
 """An effect should be named: rms past the base, and distance to the nearest other class."""
 
+SEEN = 5.0
+"""What lies outside the catalogue can be seen: told, it lowers chi2 by the square of this."""
+
 
 def well(records: Iterable[Record]) -> list[Record]:
     """Records that ended."""
@@ -38,6 +41,31 @@ def named(record: Record) -> bool:
 def alarmed(record: Record) -> bool:
     """Whether anything at all was said to be wrong."""
     return bool(record["word"] != "adequate" or record["blunders"])
+
+
+def seen(record: Record) -> bool:
+    """Whether these readings can see what lies outside the catalogue."""
+    return bool(record["truth"][0]["norm"] >= SEEN)
+
+
+def placed(record: Record) -> bool:
+    """Whether the class of the true place was located."""
+    place = record["truth"][0]["place"]
+    return any(place in found["places"] for found in record["located"])
+
+
+def misplaced(record: Record) -> bool:
+    """Whether a place or a name was claimed for what lies outside that is not its own."""
+    place = record["truth"][0]["place"]
+    elsewhere = any(place not in found["places"] for found in record["located"])
+    named = record["word"] in ("explained", "ambiguous", "located") and bool(record["effects"])
+    return elsewhere or named
+
+
+def worse(record: Record) -> bool:
+    """Whether the TCP is worse than before by more than was stated."""
+    tcp = record["tcp"]
+    return bool(tcp["after"][0] > tcp["before"][0] + tcp["stated"])
 
 
 def wrongly_explained(record: Record) -> bool:

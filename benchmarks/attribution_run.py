@@ -110,7 +110,7 @@ def _causes(
 def _size(cause: Cause, rms: float, bare: Rig, rows: list[rc.Row], seen: Signatures) -> float:
     """Size at which a cause shows so much past the base, or the largest that is asked for."""
     small = 1.0 if cause.extra is None else ac.FIRST_SIZE
-    shown = _rms(_shown(cause, small, bare, rows, seen), seen)
+    shown = rms_of(_shown(cause, small, bare, rows, seen), seen)
     return min(small * rms / max(shown, 1e-12), cause.largest)
 
 
@@ -124,7 +124,7 @@ def _stations(seen: Signatures) -> int:
     return int(seen.groups.max()) + 1
 
 
-def _rms(shown: Array, seen: Signatures) -> float:
+def rms_of(shown: Array, seen: Signatures) -> float:
     """Root mean square over stations, in sigmas of a station's average."""
     return float(np.linalg.norm(shown) / np.sqrt(_stations(seen)))
 
@@ -132,7 +132,7 @@ def _rms(shown: Array, seen: Signatures) -> float:
 # -- what the truth looks like to these readings -------------------------------------------------
 
 
-def _metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Record:
+def metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Record:
     """Size of a cause past the base, its class, and the distance to the nearest other class.
 
     Rivals have no more parameters than the cause; ``others`` are columns of what else is wrong.
@@ -154,7 +154,7 @@ def _metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Reco
     return {
         "name": cause.name,
         "family": cause.family,
-        "rms": _rms(shown, seen),
+        "rms": rms_of(shown, seen),
         "norm": float(np.linalg.norm(left)),
         "same": len(same),
         "same_family": [name for name in same if family[name] == cause.family],
@@ -175,7 +175,7 @@ def _truth(drawn: Drawn, seen: Signatures) -> list[Record]:
     for k, (cause, size) in enumerate(drawn.causes):
         others = [s for i, s in enumerate(shown) if i != k]
         columns = np.stack(others, -1) if others else np.zeros((0, 0))
-        found.append({**_metric(shown[k], seen, cause, columns), "size": size})
+        found.append({**metric(shown[k], seen, cause, columns), "size": size})
     return found
 
 
@@ -226,7 +226,7 @@ def _compared(drawn: Drawn, verdict: Verdict) -> Record:
         found["truth"] = _truth(drawn, seen)
         plain = Rig(errors={n: v for n, v in drawn.bare.errors.items() if _is_base(n)})
         hum = rc.predict(drawn.bare, drawn.rows) - rc.predict(plain, drawn.rows)
-        found["background"] = _rms(seen.whiten(hum), seen)
+        found["background"] = rms_of(seen.whiten(hum), seen)
         if truth and all(c.extra is None for c in truth):
             names = [p for c in truth for p in _freed(c, seen)]
             found["told"] = _told(drawn, verdict, names)

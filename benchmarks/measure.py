@@ -65,8 +65,13 @@ class Outcome:
 
     @property
     def alone(self) -> bool:
-        """Whether it is named, and nothing else is."""
-        return self.named and not any(c.rivals for c in self.verdict.effects)
+        """Whether it is named, and nothing else is; one phase of a screw is that screw."""
+        several = [{*c.parameters} for c in self.verdict.effects]
+        apart = (
+            r for own, c in zip(several, self.verdict.effects, strict=True) for r in c.rivals
+            if not (own <= {*r.parameters} or own >= {*r.parameters})
+        )  # fmt: skip
+        return self.named and next(apart, None) is None
 
 
 def drawn(count: int, seed: int) -> Iterator[tuple[str, float, Rig]]:
@@ -119,7 +124,8 @@ def main() -> None:
             one = way(true, rig, np.random.default_rng([options.seed, k, place]))
             found[name].append(one)
             if options.verbose:
-                told = ("named " if one.named else "") + ("WRONG " if one.wrong else "")
+                told = ("named " if one.named else "") + ("alone " if one.alone else "")
+                told += "WRONG " if one.wrong else ""
                 print(
                     f"{true or 'nothing':28}{size:5.2f} {name:12}{one.readings:4} "
                     f"{one.verdict!r} {told}{time.perf_counter() - began:.0f} s",

@@ -25,7 +25,7 @@ from benchmarks.attribution_run import campaign, machine, points_of
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.errors import OrthoglideError
 from orthoglide.judging import tcp_errors
-from orthoglide.posterior.linear import Scale
+from orthoglide.posterior.linear import Basis, Scale
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -83,7 +83,7 @@ def oracle(verdict: Verdict, share: float) -> dict[str, float]:
     posterior = verdict.posterior
     assert posterior is not None
     linear, none = posterior.mixture.linear, np.zeros(0, dtype=np.intp)
-    mean, _ = posterior.mixture.moments((), Scale(linear, share, 1e-3, 0.0), none)
+    mean, _ = posterior.mixture.moments((), Scale(Basis(linear, 1e-3, 0.0), share), none)
     names, values, _ = posterior.machine_with(mean)
     motions = machine().catalogue.motions
     return {n: float(v) for n, v in zip(names, values, strict=True) if n in motions}

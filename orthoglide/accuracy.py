@@ -21,6 +21,7 @@ GRID = 5
 """Commands along each axis of the map of the workspace."""
 
 _DRAWS = 400
+_PLACE = 0.01  # weight of place against shape: enough to choose between equal shapes
 _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
@@ -170,13 +171,15 @@ def _wanted(machine: Machine) -> Array:
     return machine.with_only({}).forward(workspace(machine.geometry))
 
 
-_NO_SHAPE = 1e-3
-"""Share of the largest below which zeros change no shape: all of parallel rails moved alike."""
+def _mostly_shape(field: Array) -> Array:
+    """A field ``(g, 3, ...)`` with little of its translation."""
+    return field - (1 - _PLACE) * field.mean(axis=0)
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     """Settings of a controller that takes little: the zeros that leave the least shape error.
 
+    Where several leave the same, as on parallel slides, they are those that leave the least place.
     What the controller cannot take shifts the zeros that are best: they are fitted, by least
     squares over the workspace, to the machine with all its parameters.
 
@@ -194,10 +197,9 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     wanted = _wanted(machine)
     for _ in range(_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
-        left = without_place(machine.forward(commands) - wanted)
-        slopes = without_place(tcp_slopes(machine, zeros, Conditions.at(commands)))
-        matrix, right = slopes.reshape(-1, len(zeros)), left.reshape(-1)
-        step = np.linalg.lstsq(matrix, right, rcond=_NO_SHAPE)[0]
+        left = _mostly_shape(machine.forward(commands) - wanted)
+        slopes = _mostly_shape(tcp_slopes(machine, zeros, Conditions.at(commands)))
+        step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1))[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings
 

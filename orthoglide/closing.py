@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.significance import Left, left_over
@@ -37,6 +38,9 @@ from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word
 
+if TYPE_CHECKING:
+    from orthoglide.report.figures.style import Drawing
+
 __all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
 
 SIGNIFICANT = 0.003
@@ -60,6 +64,21 @@ class Verdict(Result):
         from orthoglide.report import write_report
 
         write_report(self, folder, overwrite=overwrite)
+
+    def plot(self, what: str = "residuals") -> Drawing:
+        """A figure of the report, which notebooks show and ``save`` writes.
+
+        Args:
+            what: ``"residuals"`` or ``"readings"`` by setup, ``"causes"`` with their rivals,
+                ``"tool"``: where it goes instead, as arrows over the workspace; or
+                ``"parameters"``.
+
+        Raises:
+            InputError: for a figure that there is not, or not of this result.
+        """
+        from orthoglide.report.figures.draw import draw_one
+
+        return draw_one(self, what)
 
     def __repr__(self) -> str:
         found = ", ".join(e.name for e in self.effects) or "no cause"

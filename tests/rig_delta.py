@@ -7,7 +7,7 @@ Leg i has a = z (its slide), b = outward, c = counter-clockwise; bar 1 is on the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +30,9 @@ class DeltaRig:
         tool: tip from the middle of the platform's joints.
         stroke: travel from mechanical zero.
         errors: parameter name to value.
+        bends: by leg, what its carriage's path has besides: ``(radial, tangential, up)`` of travel.
+        turns: by leg, turn of its carriage about its rail, radians, of travel.
+        bed: height of the plate besides its named shapes, of x and y.
     """
 
     L: float = 0.345
@@ -40,6 +43,9 @@ class DeltaRig:
     tool: tuple[float, float, float] = (0.0, 0.0, -0.04)
     stroke: tuple[float, float] = (-0.14, 0.4)
     errors: Mapping[str, float] = field(default_factory=dict)
+    bends: Mapping[str, Callable[[float], tuple[float, float, float]]] = field(default_factory=dict)
+    turns: Mapping[str, Callable[[float], float]] = field(default_factory=dict)
+    bed: Callable[[float, float], float] | None = None
 
     def _e(self, name: str) -> float:
         return float(self.errors.get(name, 0.0))
@@ -57,7 +63,9 @@ class DeltaRig:
             u = (s - middle) / half
             joint = self.r * out - np.array(self.tool)
             at = joint + (self.radius - self.r) * out + (height + s) * UP
-            turn = np.zeros(3)
+            if name in self.bends:
+                at = at + np.array(self.bends[name](travel[k])) @ np.stack([out, c, UP])
+            turn = self.turns[name](travel[k]) * UP if name in self.turns else np.zeros(3)
             for way, axis in (("radial", out), ("tangential", c)):
                 slope = self._e(f"axis_tilt.{name}.{way}") + self._e(f"rail_tilt.{name}.{way}")
                 bow = self._e(f"rail_bow.{name}.{way}") * (u**2 - 1)
@@ -91,6 +99,14 @@ class DeltaRig:
         found = least_squares(miss, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         assert np.abs(found.fun).max() < 1e-12
         return found.x[:3], found.x[3:]
+
+    def plate(self, x: float, y: float, radius: float, name: str = "bed") -> float:
+        """Height of a plate at a place, its shapes named over a radius."""
+        u, v = x / radius, y / radius
+        shapes = {"plate_bow.{}": u**2 + v**2, "plate_trefoil.{}.cos": u**3 - 3 * u * v**2,
+                  "plate_trefoil.{}.sin": 3 * u**2 * v - v**3}  # fmt: skip
+        own = sum(self._e(key.format(name)) * value for key, value in shapes.items())
+        return own + (self.bed(x, y) if self.bed is not None else 0.0)
 
     def inverse(self, p: Array) -> Array:
         """Travel ``(3,)`` of the machine without errors at a tool's place ``(3,)``."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,11 @@ def test_from_files_and_results_to_words_and_a_page(
     assert plain.exit_code == 0, plain.output
     assert "joint offset of leg x changed from" in plain.stdout
     assert "What is left now:" in plain.stdout
+    told = re.search(
+        r"The tool is (\S+) mm off .*; (\S+) mm once the zeros are right", plain.stdout
+    )
+    assert told
+    assert float(told[1]) > float(told[2]) > 0
     assert "prove their signs" in plain.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new.csv", "old.csv"]
 

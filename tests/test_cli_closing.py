@@ -59,14 +59,22 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
     first = process("demo", cwd=tmp_path)
     assert first.returncode == 0
     assert all(re.fullmatch(r" *\d+ s  [a-z].*", line) for line in first.stderr.splitlines())
-    assert "readings held out, rms" in first.stdout
-    assert "Something is wrong" in flat(first.stdout)
-    assert set(tree(tmp_path / "orthoglide-demo")) >= FILES
+    one, two = flat(first.stdout).split("2. The machine of the papers")
+    said = r"x rail is bent: its middle stands (0\.1[45]\d*) mm toward −z"
+    assert "so that its fault is known: the x rail is bent: its middle stands 0.15 mm" in one
+    assert re.search(f"Verdict explained: The {said}", one)
+    assert "Verdict unexplained: Something is wrong" in two
+    made = tmp_path / "orthoglide-demo"
+    assert set(tree(made / "published")) >= FILES
+    assert set(tree(made / "simulated")) >= FILES
+    worn = og.Machine.load(made / "made-up.toml")
+    assert worn.values["rail_bow.x.z"] == 1.5e-4
+    assert len(og.read_campaign(made / "simulated.csv")) == 252
     assert process("demo", "--quiet", cwd=tmp_path).stdout == ""
     # Another process hashes strings otherwise: whatever hangs on that would show here.
     assert tree(tmp_path / "orthoglide-demo-2") == tree(tmp_path / "orthoglide-demo")
     assert sorted(os.listdir(tmp_path)) == ["orthoglide-demo", "orthoglide-demo-2"]
-    result = json.loads((tmp_path / "orthoglide-demo" / "result.json").read_text())
+    result = json.loads((made / "published" / "result.json").read_text())
     assert result["command"] == "demo"
     assert result["arguments"]["holdout"] == "experiment3.csv"
     assert result["holdout"]["before_rms_mm"] > 0
@@ -74,10 +82,12 @@ def test_demo_as_a_process_from_another_folder(tmp_path: Path) -> None:
 
 def test_demo_says_how_to_get_it_again(here: Path) -> None:
     done("demo", "--out", "out", "--seed", "3", "--quiet")
-    assert "orthoglide demo --out DIR --seed 3" in (here / "out" / "report.html").read_text()
-    shown = done("rerun", "out/result.json", "--out", "again")
-    assert "The same numbers again" in shown
-    assert tree(here / "out") == tree(here / "again")
+    page = (here / "out" / "published" / "report.html").read_text()
+    assert "orthoglide demo --out DIR --seed 3" in page
+    for which in ("published", "simulated"):
+        shown = done("rerun", f"out/{which}/result.json", "--out", which)
+        assert "The same numbers again" in shown
+        assert tree(here / "out" / which) == tree(here / which)
 
 
 # --- close-loop and diagnose ----------------------------------------------------------------

@@ -283,3 +283,24 @@ def test_types_are_shipped(tmp_path: Path) -> None:
     build = pytest.importorskip("hatchling.builders.wheel")
     (wheel,) = build.WheelBuilder(str(root.parent)).build(directory=str(tmp_path))
     assert "orthoglide/py.typed" in zipfile.ZipFile(wheel).namelist()
+
+
+def test_a_verdict_plots_itself(verdict: og.Verdict, tmp_path: Path) -> None:
+    for what in ("residuals", "readings", "tool", "parameters"):
+        drawing = verdict.plot(what)
+        assert drawing._repr_svg_().startswith("<?xml")
+    drawing.save(tmp_path / "figure.svg")
+    assert (tmp_path / "figure.svg").read_text(encoding="utf-8") == drawing.svg
+    with pytest.raises(og.InputError, match=r"no figure 'all': it has residuals, readings"):
+        verdict.plot("all")
+
+
+def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(
+    verdict: og.Verdict,
+) -> None:
+    space = verdict.workspace
+    assert space is not None
+    assert space.now.shape == space.left.shape == (len(space.travel), 3)
+    np.testing.assert_allclose(space.now.mean(axis=0), 0.0, atol=1e-12)
+    assert verdict.map is not None
+    np.testing.assert_allclose(space.nominal, verdict.map.error)

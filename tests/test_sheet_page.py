@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
+from orthoglide.measuring import sheet_page
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, Row, approaches, read_csv, simulate
 
@@ -87,12 +89,14 @@ def test_the_page_speaks_the_controllers_own_coordinates(tmp_path: Path) -> None
 
 
 def test_the_page_says_where_each_dial_stands_and_which_way_it_counts() -> None:
-    from orthoglide.measuring.page import dial_words
-    from orthoglide.observations import Setup
-
     machine = og.Machine.nominal()
-    told = " ".join(dial_words(Setup("a", 1, 0, -1, 0.0775625, 2), machine))
-    assert "leg y" in told
+    sheet = og.protocol("standard")
+    before, after = sheet.setups[:2], sheet.setups[3:]
+    turned = replace(sheet.setups[2], sign=-1, gauge=0.0775625, bar=2)
+    page = sheet_page(replace(sheet, setups=(*before, turned, *after)), machine, "s")
+    start = page.index(f"<h3>Dial {turned.name}")
+    told = page[start : page.index("</ul>", start)]
+    assert "On leg y" in told
     assert "bar 2, the one on the −x side" in told
     assert "77.56 mm" in told
     assert "25%" in told

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit.tool import ToolReadings, roughness
 from orthoglide.geometry import Geometry
@@ -191,3 +192,16 @@ def test_what_needs_dials_says_so() -> None:
     for ask in (lambda: og.protocol("standard", SPEC.geometry), lambda: og.simulate(MACHINE)):
         with pytest.raises(InputError, match="readings of its tool"):
             ask()
+
+
+def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
+    """Half a millimetre off the base at few places, but on what a leaning rail makes of all."""
+    machine = Machine(replace(SPEC, tolerance=of_printers(MACHINE.catalogue)))
+    bent = machine.with_parameters({"rail_tilt.c.tangential": 9e-3})
+    (campaign,) = read(tmp_path, text(("tcp",), bent, noise=1e-5))
+    assert isinstance(campaign, ToolCampaign)
+    assert og.identify([campaign], machine).sigma_scale > 5
+    slipped = campaign.reading.copy()
+    slipped[7] += 3e-3
+    with pytest.raises(InputError, match="line 9: 3"):
+        og.identify([replace(campaign, reading=slipped)], machine)

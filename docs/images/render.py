@@ -1,7 +1,7 @@
 """Make the pictures of the README again: ``python docs/images/render.py [machine] [report]``.
 
 ``machine.png`` is the URDF of the package in MuJoCo (with no display: ``MUJOCO_GL=egl``);
-``report.png`` the top of the demo's report in headless Chromium.
+``report.png`` the top of the demo's first report in headless Chromium.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def machine() -> None:
 
 
 def report() -> None:
-    """The demo's report, its first screen."""
+    """The first screen of what the demo finds on the machine with a known fault."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         raise SystemExit("report.png needs chromium: install it (apt-get install chromium)")
@@ -74,7 +74,7 @@ def report() -> None:
                 browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
                 "--disable-background-networking", f"--user-data-dir={folder}/profile",
                 "--hide-scrollbars", f"--window-size={REPORT[0]},{REPORT[1]}",
-                f"--screenshot={HERE / 'report.png'}", (out / "report.html").as_uri(),
+                f"--screenshot={HERE / 'report.png'}", (out / "simulated" / "report.html").as_uri(),
             ],
             check=True,
             stderr=subprocess.DEVNULL,

@@ -100,9 +100,14 @@ def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Readi
 def _told(found: Check) -> str:
     from orthoglide.report.wording import headline
 
-    checks = [str(c) for c in found.verdict.numbers.checks]
+    numbers, verdict = found.verdict.numbers, found.verdict
+    checks = [str(c) for c in numbers.checks]
+    now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     parts = [*(f"- {sentence}." for sentence in found.sentences), "", "What is left now:",
-             headline(found.verdict)]  # fmt: skip
+             headline(verdict),
+             f"The tool is {now} off on average over the workspace, a shift of the whole left out; "
+             f"{zeros} once the zeros are right."]  # fmt: skip
+    parts += [f"Caution: {text}" for text in verdict.cautions]
     if checks:
         parts += ["", "Once new zeros are entered, these readings prove their signs:"]
         parts += [f"- {text}" for text in checks]

@@ -25,7 +25,12 @@ KINDS = ("standard", "sweep", "two-gauges")
 @click.command()
 @click.argument("campaigns", nargs=-1, type=PATH, metavar="[SHEET.csv ...]")
 @machine_option
-@click.option("--out", type=PATH, metavar="SHEET.csv", help="Measuring sheet to write.")
+@click.option(
+    "--out",
+    type=PATH,
+    metavar="SHEET.csv",
+    help="Measuring sheet to write, with a page to print beside it.",
+)
 @click.option(
     "--free",
     type=Names(),

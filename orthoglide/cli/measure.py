@@ -34,7 +34,7 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
     reading is on the disk before the next question; the same command goes on where it was.
 
     The verdict is settled when nothing significant is left, no cause that may stand out is open
-    (between 5 % and 90 %), and no dozen of further readings would part the causes named by two
+    (between 5 % and 90 %), and no two dozen further readings would part the causes named by two
     standard deviations; that nothing is wrong is believed after 90 readings.
     """
     from orthoglide.measuring import Record, Session, Stopped
@@ -49,12 +49,14 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
     try:
         end = session.run()
     except (Stopped, KeyboardInterrupt):
-        name = click.format_filename(out)
-        kept = f"{record.readings} readings are kept in {name}" if out.exists() else "nothing yet"
-        text = (
-            f"stopped before the verdict was settled: {kept}; the same command goes on from there"
-        )
-        raise Refusal(text, INTERRUPTED) from None
+        if is_terminal():
+            say("")  # behind the question
+        count = f"{record.readings} reading" + ("" if record.readings == 1 else "s")
+        raise Refusal(
+            f"stopped before the verdict was settled, with {count} in "
+            f"{click.format_filename(out)}: the same command goes on from there",
+            INTERRUPTED,
+        ) from None
     _tell(end, out, machine_path)
 
 

@@ -17,7 +17,9 @@ from orthoglide.progress import Step
 from orthoglide.text import shown
 
 if TYPE_CHECKING:
+    from orthoglide.closing import Verdict
     from orthoglide.fit import Frame
+    from orthoglide.progress import Progress
     from orthoglide.request import Command, Request
 
 
@@ -60,6 +62,19 @@ def read_request(
     )  # fmt: skip
 
 
+def performed(
+    read: Callable[[], Request], step: Progress, *, draw: bool = True
+) -> tuple[Verdict, dict[str, str | bytes]]:
+    """The result of a request and, where they are to be drawn, the files of its folder."""
+    step(Step("reading"))
+    request = read()
+    from orthoglide.closing import run
+    from orthoglide.report import report_files
+
+    result = run(request, step)
+    return result, report_files(result, step) if draw else {}
+
+
 def execute(
     read: Callable[[], Request],
     out: Path | None,
@@ -82,13 +97,9 @@ def execute(
     if out is not None:
         check_folder(out)
     with progress(quiet or as_json) as step:
-        step(Step("reading"))
-        request = read()
-        from orthoglide.closing import run
-        from orthoglide.report import report_files, result_text, summary
+        result, files = performed(read, step, draw=out is not None)
+        from orthoglide.report import result_text, summary
 
-        result = run(request, step)
-        files = report_files(result, step) if out is not None else {}
         told = "" if quiet or as_json else summary(result, ranked)
         if as_json and out is None:
             step(Step("suggesting"))

@@ -27,7 +27,13 @@ def _kind_option(command: Any) -> Any:
 
 
 @click.command()
-@click.option("--out", type=PATH, required=True, metavar="SHEET.csv", help="File to write.")
+@click.option(
+    "--out",
+    type=PATH,
+    required=True,
+    metavar="SHEET.csv",
+    help="File to write; SHEET.html, to print, is written beside it.",
+)
 @_kind_option
 @machine_option
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 from orthoglide.machine import Machine
@@ -77,6 +77,11 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
     )
 
 
+def _turned(setup: Setup) -> str:
+    """What makes a dial that counts the other way right in the file."""
+    return f"write {replace(setup, sign=-setup.sign).direction} in column direction"
+
+
 def counted(machine: Machine) -> str:
     """What the commands of a sheet count, a sentence."""
     if machine.spec.controller != Controller():
@@ -88,8 +93,14 @@ def counted(machine: Machine) -> str:
     )
 
 
-def dial_words(setup: Setup, machine: Machine) -> tuple[str, ...]:
-    """Where a dial stands, what it touches and which way it counts; a sentence each."""
+def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...]:
+    """Where a dial stands, what it touches and which way it counts; a sentence each.
+
+    Args:
+        setup: the mounting.
+        machine: its dimensions.
+        otherwise: what to do where the dial counts the other way.
+    """
     names, L = machine.geometry.leg_names, machine.geometry.L
     leg, axis = names[setup.leg], names[setup.axis]
     short_link = names[(setup.leg + 2) % 3]
@@ -98,13 +109,13 @@ def dial_words(setup: Setup, machine: Machine) -> tuple[str, ...]:
         1: f"bar 1, the one on the +{short_link} side",
         2: f"bar 2, the one on the −{short_link} side",
     }[setup.bar]
-    counts = ("+", "−") if setup.sign > 0 else ("−", "+")
+    counts = "+" if setup.sign > 0 else "−"
     return (
         f"On leg {leg}, against {touched}.",
         f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, machine at mechanical "
         f"zero ({setup.gauge / L:.0%} of the way to the carriage); to a millimetre.",
-        f"It reads along {axis}: its number must grow when the leg moves toward {counts[0]}{axis}; "
-        f"if it falls, write {'-' if setup.sign > 0 else ''}{axis} in column direction.",
+        f"It reads along {axis}: its number must grow when the leg moves toward {counts}{axis}; "
+        f"if it falls, {otherwise}.",
     )
 
 
@@ -115,7 +126,7 @@ def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
     by_name = {s.name: s for s in sheet.setups}
     numbered = enumerate(rows, start=2)
     for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
-        told = tuple((n, dial_words(by_name[n], machine)) for n in names)
+        told = tuple((n, dial_words(by_name[n], machine, _turned(by_name[n]))) for n in names)
         yield Page(" and ".join(names), told, tuple(_steps(list(lines), names, commands)))
 
 

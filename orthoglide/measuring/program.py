@@ -24,7 +24,7 @@ from orthoglide.planning import next_measurements, next_sheet
 
 SETTLED = (
     "The verdict is settled when nothing significant is left, no cause that may stand out is open "
-    "(between 5 % and 90 %), and no dozen of further readings would part the causes named by two "
+    "(between 5 % and 90 %), and no two dozen further readings would part the causes named by two "
     "standard deviations; that nothing is wrong is believed after 90 readings."
 )
 """The criterion, in words."""
@@ -32,12 +32,13 @@ SETTLED = (
 MOST = 126
 """Readings after which the answer is what it is: half of a sweep sheet."""
 
-_PATH = (2 / 3, 1.0, 2 / 3, 0.0, -0.6, -1.0, -0.6, 0.0)
-"""Of the upper and lower half stroke: up, down and back, both ways at all places but the ends."""
+_INNER = (0.57, 0.43, 0.71, 0.34, 0.64)
+"""Places between zero and the ends of the stroke, as parts of its halves, sheet by sheet: none on
+the same phase of a screw as zero and the ends, as round numbers often are."""
 
-_DIALS = ((0.25, 0), (0.65, 1), (0.25, 2), (0.5, 0), (0.25, 1))
+_DIALS = ((0.25, 0), (0.65, 0), (0.25, 1), (0.65, 2), (0.5, 0))
 """Where the dials stand, as parts of the leg, and the bar they touch (0: the median line): first,
-and where more is to be seen. The first two together find every effect from a quarter more than the
+and where more is to be seen. The first two together find every effect from a fifth more than the
 size at which a sweep sheet does, or less (``orthoglide.planning.smallest_effects``)."""
 
 _CLEARANCE = 8e-3
@@ -46,7 +47,7 @@ _CLEARANCE = 8e-3
 _BELIEVED = 90  # readings after which it is believed that nothing is wrong
 _OPEN = (0.05, 0.9)  # probability of a cause that may stand out or not
 _MOST_OPEN = 3
-_COUNT = 12  # readings at a time
+_COUNT = 24  # readings at a time
 _TELLS = 2.0  # sigmas between two explanations that readings are worth
 _SHEETS = 6
 
@@ -67,7 +68,8 @@ class Next:
 
 
 def opening(machine: Machine, number: int = 0) -> Campaign:
-    """The sheet to begin with: both dials on each leg in turn; later numbers with other places.
+    """The sheet to begin with: both dials on each leg in turn, up, down and back, both ways at all
+    places but the ends; later numbers with other places.
 
     Raises:
         InputError: for a machine against whose legs no dial is set.
@@ -78,7 +80,8 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
     low, high = geometry.stroke
     ends = (high + _CLEARANCE) / geometry.L, 1 + (low - _CLEARANCE) / geometry.L
     share = round(float(np.clip(share, *ends)), 3)
-    travels = [high * part if part > 0 else -low * part for part in _PATH]
+    part = _INNER[number % len(_INNER)]
+    travels = [part * high, high, part * high, 0.0, part * low, low, part * low, 0.0]
     name = f"-{share:g}" + (f"-bar{bar}" if bar else "")
     pairs = [(leg, axis) for leg in range(3) for axis in range(3) if axis != leg]
     setups = tuple(
@@ -107,7 +110,8 @@ def following(verdict: Verdict, number: int, room: int) -> Next:
     machine, taken = verdict.request.machine, sum(map(len, verdict.request.campaigns))
     left = verdict.word in ("partial", "unexplained")
     rivals = _in_play(verdict)
-    found = next_measurements(verdict.after, rivals, count=_COUNT, directions=())
+    count = max(min(_COUNT, room), 2)
+    found = next_measurements(verdict.after, rivals, count=count, directions=())
     chosen = next_sheet([s for s in found if s.aim == "separate" and s.gain >= _TELLS])
     more = opening(machine, number)
     if left:

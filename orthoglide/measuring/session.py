@@ -20,8 +20,11 @@ from orthoglide.observations.approach import OVERSHOOT
 from orthoglide.observations.writing import Row
 from orthoglide.text import shown
 
-_LEAD = 3
+_LEAD = 4
 """Readings of a sheet, its last, that are taken while what follows it is computed."""
+
+
+_OTHERWISE = "give all its numbers with the other sign"
 
 
 class Stopped(Exception):
@@ -232,7 +235,7 @@ class Session:
         self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {self._told[0]}")
         for setup in sheet.setups:
             if setup.name in names:
-                words = "\n    ".join(dial_words(setup, self.machine))
+                words = "\n    ".join(dial_words(setup, self.machine, _OTHERWISE))
                 self.tell(f"  {setup.name}\n    {words}")
         self.tell(f"  {counted(self.machine)}")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,42 +88,80 @@ class Linear:
         return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
 
 
-class Scale:
-    """One point of the grid of scales: everything whitened by its background."""
+class Basis:
+    """Everything whitened by all but the background of the effects, along what that would add.
 
-    def __init__(self, linear: Linear, share: float, free_share: float, rough: float) -> None:
-        self.linear, self.share, self.free_share = linear, share, free_share
-        self.rough = rough
-        self.spike = linear.spike(share, free_share)
-        A = linear.columns
-        cov = (A * self.spike) @ A.T
+    Its directions are the same for all shares, of which each makes no more than other weights.
+
+    Attributes:
+        free_share: scale of the free functions that no slab lets out.
+        rough: error of its own at every station, in the noise of a reading.
+        columns: by coefficient ``(m, C)``.
+        residual: ``(m,)``.
+        by_group: columns of all groups side by side ``(m, K)``.
+        grows: what a background of one tolerance adds to the variance of each direction ``(m,)``.
+        log_det: of the covariance without background.
+    """
+
+    def __init__(self, linear: Linear, free_share: float, rough: float) -> None:
+        self.linear, self.free_share, self.rough = linear, free_share, rough
+        A, known = linear.columns, linear.spike(0.0, free_share)
+        cov = (A * known) @ A.T
         if rough > 0:
             cov += rough**2 * linear.stations @ linear.stations.T
         cov[np.diag_indices_from(cov)] += 1.0
-        factor = np.linalg.cholesky(cov)
-        both = np.linalg.solve(factor, np.column_stack([A, linear.residual]))
+        values, vectors = np.linalg.eigh(cov)
+        self.log_det = float(np.log(values).sum())
+        half = (vectors / np.sqrt(values)).T
+        background = half @ A[:, linear.spike(1.0, 0.0) - linear.spike(0.0, 0.0) > 0]
+        grows, turn = np.linalg.eigh(background @ background.T)
+        self.grows = np.maximum(grows, 0.0)
+        both = (turn.T @ half) @ np.column_stack([A, linear.residual])
         self.columns, self.residual = both[:, :-1], both[:, -1]
-        self.rare = (share > 1) + (rough > 0)
-        square, count, visits = linear.beyond
-        wide = 1 + rough**2 * visits
+        none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
+        blocks = (self.columns[:, g.places] @ g.weights for g in linear.groups)
+        self.by_group = np.hstack([none, *blocks])
+
+
+class Scale:
+    """One point of the grid of scales: everything whitened by its background."""
+
+    def __init__(self, basis: Basis, share: float) -> None:
+        self.basis, self.share = basis, share
+        self.free_share, self.rough = basis.free_share, basis.rough
+        self.spike = basis.linear.spike(share, basis.free_share)
+        self._weight = 1 / np.sqrt(1 + share**2 * basis.grows)
+        self.rare = (share > 1) + (basis.rough > 0)
+        square, count, visits = basis.linear.beyond
+        wide = 1 + basis.rough**2 * visits
         self.log_z = (
             _RARE * self.rare
             - 0.5 * (square / wide + count * float(np.log(wide)))
             - 0.5 * float(self.residual @ self.residual)
-            - float(np.log(np.diag(factor)).sum())
+            - 0.5 * basis.log_det
+            + float(np.log(self._weight).sum())
         )
 
-    @cached_property
+    @property
+    def columns(self) -> Array:
+        """By coefficient ``(m, C)``."""
+        return self.basis.columns * self._weight[:, None]
+
+    @property
+    def residual(self) -> Array:
+        """Of the readings ``(m,)``."""
+        return self.basis.residual * self._weight
+
+    @property
     def by_group(self) -> Array:
         """Columns of all groups side by side ``(m, K)``."""
-        none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
-        blocks = (self.columns[:, g.places] @ g.weights for g in self.linear.groups)
-        return np.hstack([none, *blocks])
+        return self.basis.by_group * self._weight[:, None]
 
-    @cached_property
-    def along(self) -> Array:
-        """Residual along them ``(K,)``."""
-        return np.asarray(self.by_group.T @ self.residual)
+
+def scales(linear: Linear) -> tuple[Scale, ...]:
+    """The grid of scales."""
+    grid = [Basis(linear, *each) for each in FREE_AND_ROUGH]
+    return tuple(Scale(basis, share) for share in linear.shares for basis in grid)
 
 
 def whole(name: str, places: Sequence[int], *, free: bool) -> Group:

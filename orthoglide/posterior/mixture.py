@@ -18,13 +18,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.posterior.linear import FREE_AND_ROUGH, SOUND, STRANGE, Linear, Scale
+from orthoglide.posterior.linear import SOUND, STRANGE, Linear, Scale, scales
 
 _MOST = 6  # groups that stand out together
 _FEW = 2  # coefficients of one cause: more are an effect whole
@@ -60,7 +60,7 @@ class Mixture:
     def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
         self.linear = linear
         self._given_names = frozenset(given)
-        self.scales = tuple(Scale(linear, s, *f) for s, f in product(linear.shares, FREE_AND_ROUGH))
+        self.scales = scales(linear)
         ends = np.cumsum([0, *(g.size for g in linear.groups)])
         self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
@@ -218,17 +218,18 @@ class Mixture:
         """
         if not state:
             return np.zeros((len(scale.residual), 0)), np.zeros(0)
-        columns = np.hstack([scale.by_group[:, self._span[g]] * tau for g, tau in state])
+        by_group = scale.by_group
+        columns = np.hstack([by_group[:, self._span[g]] * tau for g, tau in state])
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
     def _given(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """All groups' columns with what is out whitened, and the residual along them."""
-        if not state:
-            return scale.by_group, scale.along
-        left, shrink = self._out(scale, state)
-        columns = _whitened(scale.by_group, left, shrink)
-        residual = _whitened(scale.residual, left, shrink)
+        columns, residual = scale.by_group, scale.residual
+        if state:
+            left, shrink = self._out(scale, state)
+            columns = _whitened(columns, left, shrink)
+            residual = _whitened(residual, left, shrink)
         return columns, np.asarray(columns.T @ residual)
 
     def _log_z(self, scale: Scale, state: State) -> float:

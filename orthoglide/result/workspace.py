@@ -16,21 +16,31 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True)
 class Workspace:
-    """The TCP over the workspace, best translation removed, metres ``(g,)`` each.
+    """The TCP over the workspace, best translation removed, metres.
 
     Attributes:
         travel: from mechanical zero ``(g, 3)``.
-        nominal: predicted error of a controller that knows of no error.
-        before: predicted error of one that knows of joint offsets and leg lengths.
-        sure_before: 95 % radius about the base model, everything else allowed.
-        sure: 95 % radius about the calibrated machine, everything else allowed.
+        now: predicted error of a controller that knows of no error ``(g, 3)``.
+        left: predicted error of one that knows of joint offsets and leg lengths ``(g, 3)``.
+        sure_before: 95 % radius about the base model, everything else allowed ``(g,)``.
+        sure: 95 % radius about the calibrated machine, everything else allowed ``(g,)``.
     """
 
     travel: Array
-    nominal: Array
-    before: Array
+    now: Array
+    left: Array
     sure_before: Array
     sure: Array
+
+    @property
+    def nominal(self) -> Array:
+        """Length of ``now`` ``(g,)``."""
+        return np.linalg.norm(self.now, axis=1)
+
+    @property
+    def before(self) -> Array:
+        """Length of ``left`` ``(g,)``."""
+        return np.linalg.norm(self.left, axis=1)
 
     def figures(self) -> dict[str, Array]:
         """By name in ``result.json``."""
@@ -53,8 +63,8 @@ def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace
     base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
     return Workspace(
         calibrated.commands - known.geometry.zero,
-        calibrated.error,
-        np.linalg.norm(without_place(calibrated.p - base.p), axis=1),
+        without_place(calibrated.p - calibrated.nominal),
+        without_place(calibrated.p - base.p),
         base.uncertainty,
         calibrated.uncertainty,
     )

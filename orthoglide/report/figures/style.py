@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from orthoglide.files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,6 +58,21 @@ class Drawing:
     svg: str
     panels: tuple[tuple[float, float, float, float], ...] = ()
     axes: int = 1
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the figure as an SVG file.
+
+        Args:
+            path: where to.
+            overwrite: whether an existing file may be replaced.
+
+        Raises:
+            FileError: where a file stands already and may not be replaced, or none can be written.
+        """
+        write_whole(path, self.svg, overwrite=overwrite)
 
 
 @contextmanager

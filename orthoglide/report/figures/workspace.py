@@ -1,4 +1,4 @@
-"""The TCP over the workspace: three levels of z, a cell a command."""
+"""The TCP over the workspace: three levels of z, a cell or an arrow a command."""
 
 from __future__ import annotations
 
@@ -63,3 +63,50 @@ def _draw_level(axes: Axes, travel: Array, values: Array, colour: str, most: flo
     style.draw_cells(axes, cells, [signed(v, 0) for v in xs], [signed(v, 0) for v in ys])
     axes.set_xlabel("travel of x, mm", labelpad=2)
     axes.set_ylabel("travel of y, mm", labelpad=3)
+
+
+def draw_vectors(space: Workspace) -> Drawing:
+    """Where the tool goes instead: arrows on three levels of z, as it is and with zeros and lengths
+    set; up and down in colour.
+
+    Args:
+        space: of the result.
+    """
+    travel = space.travel * 1e3
+    levels = np.unique(np.round(travel[:, 2], 6))
+    chosen = levels[[0, len(levels) // 2, -1]]
+    rows = (("now", space.now * 1e3), ("zeros and lengths set", space.left * 1e3))
+    panels = [(*row, level) for row in rows for level in chosen]
+    width, height = style.PANEL[0], 2.7
+    figure, corners = style.sheet(len(panels), height)
+    for (left, top), (what, errors, level) in zip(corners, panels, strict=True):
+        there = np.abs(travel[:, 2] - level) < 1e-3
+        axes = style.place_axes(figure, left + 0.5, top + 0.32, width - 0.6, height - 0.78)
+        most = float(np.linalg.norm(errors[:, :2], axis=1).max())
+        _draw_arrows(axes, travel[there], errors[there], most, float(np.abs(errors[:, 2]).max()))
+        axes.set_title(f"{what}, z {signed(level, 0)} mm")
+        axes.text(0.98, 0.02, f"longest {most:.3g} mm", transform=axes.transAxes, ha="right",
+                  va="bottom", fontsize=6.5, color=style.MUTED)  # fmt: skip
+    title = "Where the tool goes instead: orange up, blue down along z"
+    return style.multiples("vectors", title, figure, corners, height)
+
+
+def _draw_arrows(axes: Axes, travel: Array, errors: Array, most: float, high: float) -> None:
+    """Arrows ``(m, 3)`` of which the longest of all is as long as the cells are wide."""
+    from matplotlib.colors import to_rgba
+
+    xs, ys = (np.unique(np.round(travel[:, k], 6)) for k in (0, 1))
+    step = min(float(np.min(np.diff(v))) for v in (xs, ys) if len(v) > 1)
+    drawn = errors[:, :2] / max(most, 1e-12) * step
+    colours = [
+        to_rgba(style.DATA if z > 0 else style.FIT, 0.25 + 0.75 * abs(z) / max(high, 1e-12))
+        for z in errors[:, 2].tolist()
+    ]
+    axes.quiver(travel[:, 0], travel[:, 1], *drawn.T, color=colours, angles="xy",
+                scale_units="xy", scale=1.0, width=0.012, pivot="tail")  # fmt: skip
+    axes.set_xlim(xs[0] - step, xs[-1] + step)
+    axes.set_ylim(ys[0] - step, ys[-1] + step)
+    axes.set_aspect("equal")
+    axes.set_xlabel("travel of x, mm", labelpad=2)
+    axes.set_ylabel("travel of y, mm", labelpad=3)
+    style.few_ticks(axes)

@@ -1,0 +1,106 @@
+"""What instruments read of a simulated delta: tables of rows that the package reads."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.machine import Machine
+from orthoglide.observations import ToolCampaign, readings_from_rows
+from tests.rig_delta import DeltaRig
+
+Array = NDArray[np.float64]
+
+INSTRUMENTS: dict[str, tuple[str, ...]] = {
+    "probe": ("plate",),
+    "probe and distances": ("plate", "distance"),
+    "probe and level": ("plate", "incline"),
+    "tool coordinates": ("tcp",),
+}
+NOISE = {"plate": 1.8e-5, "distance": 5e-5, "incline": 2e-5, "tcp": 1e-5}
+"""Standard deviation of one reading, metres or radians: a probe's touch and a calliper's distance
+as owners repeat them, a level of 0.02 mm a metre, a measuring arm's best."""
+
+_REACH, _ROUND = 0.12, 0.09
+
+
+def _spots(kind: str) -> tuple[Array, Array | None]:
+    """Places ``(n, 3)`` and, of distances, the others."""
+    t = np.arange(12) * np.pi / 6
+    ring = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    if kind == "plate":
+        side = np.linspace(-_REACH, _REACH, 9)
+        grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        grid = grid[np.hypot(*grid.T) <= _REACH * (1 + 1e-9)]
+        return np.column_stack([grid, np.zeros(len(grid))]), None
+    if kind == "distance":  # neighbours, every other one, opposites; both widths taken off
+        ends = [(a, (a + k) % 12) for k in (2, 4, 6) for a in range(0, 12, 1 if k < 6 else 2)]
+        one, other = np.array(ends).T
+        return _ROUND * ring[one], _ROUND * ring[other]
+    if kind == "incline":
+        return np.concatenate([np.zeros((1, 3)), _REACH * ring]), None
+    high = np.array([0.0, 0.0, 0.06])
+    return np.concatenate([_REACH * ring, _REACH / 2 * ring + high, _REACH * ring + 2 * high]), None
+
+
+def measured(
+    rig: DeltaRig,
+    rng: np.random.Generator | None = None,
+    *,
+    machine: Machine,
+    instrument: str,
+) -> ToolCampaign:
+    """A campaign of one set of instruments.
+
+    Args:
+        rig: the machine.
+        rng: of noise and nuisances; exact readings without.
+        machine: nominal.
+        instrument: of `INSTRUMENTS`.
+    """
+    rows: list[dict[str, str]] = []
+    for kind in INSTRUMENTS[instrument]:
+        rows += _rows(kind, rig, rng, machine)
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    full = [{name: row.get(name, "") for name in columns} for row in rows]
+    (found,) = readings_from_rows(full, machine.spec, name="case")
+    assert isinstance(found, ToolCampaign)
+    return found
+
+
+def _rows(
+    kind: str, rig: DeltaRig, rng: np.random.Generator | None, machine: Machine
+) -> list[dict[str, str]]:
+    noise = rng if rng is not None else np.random.default_rng(0)
+    much = 0.0 if rng is None else 1.0
+    places, others = _spots(kind)
+    command = machine.inverse(places)
+    poses = [rig.pose(s, p) for s, p in zip(command, places, strict=True)]
+    second = None if others is None else machine.inverse(others)
+    tilt, shrunk = much * noise.normal(0, 1e-3, 3), 1 + much * noise.normal(0, 2e-3)
+    rows = []
+    for k, (p, turn) in enumerate(poses):
+        axes: tuple[int, ...] = {"incline": (0, 1), "tcp": (0, 1, 2)}.get(kind, (0,))
+        for axis in axes:
+            if kind == "plate":
+                value = p[2] - rig.plate(p[0], p[1], _REACH) - tilt[:2] @ p[:2]
+            elif kind == "distance":
+                assert second is not None
+                assert others is not None
+                value = shrunk * np.linalg.norm(rig.pose(second[k], others[k])[0] - p)
+            elif kind == "incline":
+                value = turn[axis] + tilt[axis]
+            else:
+                value = p[axis] + np.cross(tilt, p)[axis]
+            value += much * NOISE[kind] * noise.standard_normal()
+            row = {"kind": kind, "setup": {"plate": "bed"}.get(kind, kind)}
+            row |= {"direction": "xyz"[axis]} if len(axes) > 1 else {}
+            for legs, at in (("abc", command[k]), (("a2", "b2", "c2"), second)):
+                if at is not None:
+                    at = at if legs == "abc" else at[k]
+                    row |= {
+                        f"travel_{n}_mm": f"{v * 1e3:.9f}" for n, v in zip(legs, at, strict=True)
+                    }
+            unit = "reading_mrad" if kind == "incline" else "reading_mm"
+            rows.append(row | {unit: f"{value * 1e3:.9f}"})
+    return rows

@@ -1,0 +1,92 @@
+"""The notebooks run from top to bottom, and every value that a cell ends with shows itself.
+
+Their cells are plain Python, so that no kernel is needed to run them here.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
+
+
+def cells(path: Path, kind: str) -> list[str]:
+    document = json.loads(path.read_text(encoding="utf-8"))
+    assert document["nbformat"] == 4
+    return ["".join(c["source"]) for c in document["cells"] if c["cell_type"] == kind]
+
+
+def run(source: str, names: dict[str, Any]) -> Any:
+    """Run a cell; the value of its last expression, as a notebook shows it."""
+    tree = ast.parse(source)
+    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, "<cell>", "exec"), names)
+    if last is None:
+        return None
+    return eval(compile(ast.Expression(last.value), "<cell>", "eval"), names)  # type: ignore[attr-defined]
+
+
+def test_there_are_three() -> None:
+    assert [p.stem for p in NOTEBOOKS] == [
+        "identify_and_diagnose", "plan_and_rehearse", "your_own_effect",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_notebook_is_kept_without_its_output(path: Path) -> None:
+    document = json.loads(path.read_text(encoding="utf-8"))
+    code = [c for c in document["cells"] if c["cell_type"] == "code"]
+    assert all(not c["outputs"] and c["execution_count"] is None for c in code)
+    assert cells(path, "markdown")[0].startswith("# ")
+
+
+def shown(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the cells of a notebook end with, as a notebook shows it."""
+    monkeypatch.chdir(folder)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    found = []
+    for source in cells(path, "code"):
+        value = run(source, names)
+        if value is not None:
+            rich = next((getattr(value, n) for n in ("_repr_html_", "_repr_svg_")
+                         if hasattr(value, n)), None)  # fmt: skip
+            found.append(rich() if rich else repr(value))
+    return found
+
+
+def test_identify_and_diagnose(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = shown(NOTEBOOKS[0], tmp_path, monkeypatch)
+    said = capsys.readouterr().out
+    assert "the path of the y carriage is out of square toward z by 2.5 mrad" in said
+    assert sum("<svg" in value for value in values) == 3
+    assert sum("<table" in value for value in values) >= 3
+
+
+def test_plan_and_rehearse(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = shown(NOTEBOOKS[1], tmp_path, monkeypatch)
+    said = capsys.readouterr().out
+    assert "found from" in said
+    assert "6 campaigns of 54 readings" in said
+    assert "<table" in values[0]
+    assert [p.name for p in tmp_path.iterdir()] == ["sheet.csv"]
+
+
+def test_your_own_effect(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = shown(NOTEBOOKS[2], tmp_path, monkeypatch)
+    said = capsys.readouterr().out
+    assert "located ['rail.x.z/travel'] []" in said  # what the catalogue alone makes of it
+    assert "rail_sag.x.z" in said
+    assert "the rail sags between its feet" in said
+    assert "rail_sag.x.z" in values[-1]
+    assert not list(tmp_path.iterdir())
