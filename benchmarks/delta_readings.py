@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.klipper.corrections import PROBED
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolCampaign, readings_from_rows
 from tests.rig_delta import DeltaRig
@@ -17,6 +18,16 @@ INSTRUMENTS: dict[str, tuple[str, ...]] = {
     "probe and level": ("plate", "incline"),
     "tool coordinates": ("tcp",),
 }
+SEEN = {
+    "seven heights": ("seven",),
+    "seven heights, distances": ("seven", "distance"),
+    "mesh": ("plate",),
+    "mesh, distances": ("plate", "distance"),
+    "mesh, level": ("plate", "incline"),
+    "tool coordinates": ("tcp",),
+}
+"""What the firmware's own calibration reads, and what else there is."""
+
 NOISE = {"plate": 1.8e-5, "distance": 5e-5, "incline": 2e-5, "tcp": 1e-5}
 """Standard deviation of one reading, metres or radians: a probe's touch and a calliper's distance
 as owners repeat them, a level of 0.02 mm a metre, a measuring arm's best."""
@@ -28,6 +39,10 @@ def _spots(kind: str) -> tuple[Array, Array | None]:
     """Places ``(n, 3)`` and, of distances, the others."""
     t = np.arange(12) * np.pi / 6
     ring = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    if kind == "seven":  # one in the centre, and one on a ray every 60 degrees
+        t, ring = np.deg2rad(90.0 + 60.0 * np.arange(6)), _REACH * np.array(PROBED)
+        around = np.stack([ring * np.cos(t), ring * np.sin(t), 0 * t], axis=1)
+        return np.concatenate([np.zeros((1, 3)), around]), None
     if kind == "plate":
         side = np.linspace(-_REACH, _REACH, 9)
         grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -56,10 +71,10 @@ def measured(
         rig: the machine.
         rng: of noise and nuisances; exact readings without.
         machine: nominal.
-        instrument: of `INSTRUMENTS`.
+        instrument: of `INSTRUMENTS` or `SEEN`.
     """
     rows: list[dict[str, str]] = []
-    for kind in INSTRUMENTS[instrument]:
+    for kind in (INSTRUMENTS | SEEN)[instrument]:
         rows += _rows(kind, rig, rng, machine)
     columns = list(dict.fromkeys(name for row in rows for name in row))
     full = [{name: row.get(name, "") for name in columns} for row in rows]
@@ -74,6 +89,7 @@ def _rows(
     noise = rng if rng is not None else np.random.default_rng(0)
     much = 0.0 if rng is None else 1.0
     places, others = _spots(kind)
+    kind = "plate" if kind == "seven" else kind
     command = machine.inverse(places)
     poses = [rig.pose(s, p) for s, p in zip(command, places, strict=True)]
     second = None if others is None else machine.inverse(others)

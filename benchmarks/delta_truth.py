@@ -7,7 +7,7 @@ numpy alone). Each has endstops off by half a millimetre, towers by a few tenths
 hundredths, 1.5 % of a printer's tolerance of everything else, and one cause or none. A run goes on
 where it stopped, from the cache. *Clear* is as in the Orthoglide's table: what shows past the base
 has an rms of three sigma and lies five from the nearest other class; *invisible* is what shows less
-than one sigma, whatever its size, up to three tolerances.
+than three sigma of all readings together, at a size of up to three tolerances.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -42,7 +42,7 @@ from benchmarks.attribution_asked import (
 )
 from benchmarks.attribution_run import Record, metric, rms_of
 from benchmarks.attribution_table import Table
-from benchmarks.delta_readings import INSTRUMENTS, Array, measured
+from benchmarks.delta_readings import INSTRUMENTS, SEEN, Array, measured
 from orthoglide.closing import close_loop
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects import catalogue_of
@@ -57,6 +57,7 @@ from orthoglide.rehearsal.scoring import said
 from tests.rig_delta import LEGS, DeltaRig
 
 BACKGROUND, LARGEST = 0.015, 3.0
+UNSEEN = 3.0
 SIZES = (4.0, 12.0)
 """Wanted rms past the base, in sigmas; never more than `LARGEST` tolerances."""
 
@@ -76,6 +77,15 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
 }
 OUTSIDE = ("wavy rail", "kinked rail", "carriage rolls in waves", "saddle of a bed", "bump")
 SHARES = {"nothing": 6, "effect": 14, "outside": 6, "whole": 4}
+
+
+HEAD = """# The truth table of the linear delta
+
+Printed by `python -m benchmarks.delta_truth --campaigns 40`. Machines are simulated by the tests'
+own delta, a rigid platform on six bars that shares no code with the package: arms of 345 mm, a mesh
+of 49 touches that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a level at 13
+places to 0.02 mrad, 36 places of the tool to 0.01 mm. A few campaigns of each kind are no rate yet;
+`--campaigns 300` takes an hour or two."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +184,12 @@ def _cause(case: Case, rng: np.random.Generator) -> Cause:
     if case.kind == "outside":
         return _strange(case.what, rng)
     name = str(rng.choice(CAUSES[case.what])).replace("@", str(rng.choice(list(LEGS))))
-    family, sign = name.partition(".")[0], float(rng.choice([-1.0, 1.0]))
+    return _named(name, float(rng.choice([-1.0, 1.0])))
+
+
+def _named(name: str, sign: float) -> Cause:
+    """A cause of the catalogue at one tolerance, with a sign."""
+    family = name.partition(".")[0]
     size = sign * machine().tolerance(machine().catalogue.parameter(name, ["bed"]))
     if family.startswith("plate"):
         return Cause(name, family, {name: size})
@@ -291,9 +306,8 @@ def tables(records: Sequence[Record]) -> Iterator[Table]:
     row("  named first and alone", "effect", holds_alone, plain)
     row("  another cause besides", "effect", lambda r: len(r["effects"]) > 1, plain)
     row("fainter ones called by a wrong name", "effect", misnamed, lambda r: not plain(r))
-    row("invisible at three tolerances", "effect", lambda r: r["truth"][0]["rms"] < 1.0)
-    row("  something named all the same", "effect", lambda r: bool(r["effects"]),
-        lambda r: r["truth"][0]["rms"] < 1.0)  # fmt: skip
+    row("invisible at three tolerances", "effect", lambda r: r["truth"][0]["norm"] < UNSEEN)
+    row("  called by a wrong name", "effect", misnamed, lambda r: r["truth"][0]["norm"] < UNSEEN)
     row("outside the catalogue, three sigma or more: explained by a wrong name", "outside",
         wrongly_explained, lambda r: r["truth"][0]["rms"] >= 3.0)  # fmt: skip
     row("whole machines: nothing left unexplained", "whole",
@@ -308,6 +322,32 @@ def tables(records: Sequence[Record]) -> Iterator[Table]:
     yield Table("What is told of simulated deltas", note, rows)
 
 
+def visible() -> Table:
+    """What instruments see of each cause at its tolerance, past the base, without noise."""
+    rows, columns = [["", *SEEN]], list[list[str]]()
+    for instrument in SEEN:
+        given = partial(measured, machine=machine(), instrument=instrument)
+        exact, cells = given(DeltaRig()), list[str]()
+        seen = signatures(identify(exact, machine()))
+        for what in CAUSES:
+            name = CAUSES[what][0].replace("@", "b")
+            cause = _named(name, 1.0)
+            shown = seen.whiten(given(cause.added_to(DeltaRig(), 1.0)).reading - exact.reading)
+            found = metric(shown, seen, cause, np.zeros((0, 0)))
+            others = f", {found['same']} alike" if found["same"] else ""
+            norm = found["norm"]
+            cells.append(f"{norm:.2g}{others}" if norm >= UNSEEN else f"invisible ({norm:.1g})")
+        columns.append(cells)
+    for k, what in enumerate(CAUSES):
+        rows.append([what, *(cells[k] for cells in columns)])
+    note = (
+        "What one cause at a printer's tolerance shows in all readings together, in sigmas, once "
+        "endstops, towers, arms and each instrument's own nuisances are fitted; *alike*: other "
+        "causes within two sigmas of it. Below three it is invisible to that instrument."
+    )
+    return Table("What can be seen at all", note, rows)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run what is missing and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -317,7 +357,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
     options = parser.parse_args(arguments)
     found = collect(cases(options.campaigns), options.seed, options.jobs, options.cache)
-    for table in tables(found):
+    print(HEAD)
+    for table in (visible(), *tables(found)):
         print(table.markdown())
 
 

@@ -55,6 +55,9 @@ TAIL = """
   millimetre the report begins with that.
 - New numbers for the firmware stand beside the old ones, to paste and to undo. Its model holds
   three endstops, one radius, three angles and three arms, and none of the causes above.
+
+Which instrument sees which cause at all, and how often the tool is right on simulated machines:
+[the truth table of the linear delta](linear-delta-truth.md).
 """
 
 

@@ -113,6 +113,11 @@ class Geometry:
         return self.layout.names.legs
 
     @property
+    def dialled(self) -> bool:
+        """Whether dials are set against its legs: those of the Orthoglide, along base axes."""
+        return self.layout == layouts.ORTHOGLIDE
+
+    @property
     def zero(self) -> Array:
         """Command ``(3,)`` at mechanical zero, where p = 0; the Orthoglide's is (L, L, L)."""
         return np.full(3, self.layout.zero(self.L))
@@ -166,7 +171,7 @@ class Geometry:
         """
         if posture == "zero":
             return self.zero
-        if self.layout != layouts.ORTHOGLIDE:
+        if not self.dialled:
             raise InputError(f"a {self.layout.kind} has no posture {posture!r}, only zero")
         if posture[1:] not in ("max", "min"):
             raise InputError(f"there is no posture {posture!r}: zero, or xmax, xmin, ymax ...")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +30,7 @@ class Operator:
         noise: standard deviation of one reading, metres.
         resolution: of the dial, metres.
         placement: standard deviation of a dial's place, metres.
+        rho_of: joint coordinates ``(3,)`` of what the controller shows ``(3,)``, metres.
         command: where the machine stands ``(3,)``, metres.
         approach: last move of each axis ``(3,)``.
         mountings: how often a dial was mounted.
@@ -39,6 +41,7 @@ class Operator:
     noise: float = 5e-6
     resolution: float = 1e-5
     placement: float = 1e-3
+    rho_of: Callable[[Array], Array] = lambda shown: shown
     command: Array = field(default_factory=lambda: np.full(3, np.nan))
     approach: Array = field(default_factory=lambda: np.ones(3))
     mountings: int = 0
@@ -49,7 +52,7 @@ class Operator:
     def hear(self, line: str) -> float | None:
         """Do what a line says; the reading in millimetres where one is asked for."""
         if go := _GO.match(line):
-            self._go(np.array([float(cell) for cell in go.groups()]) * 1e-3)
+            self._go(self.rho_of(np.array([float(cell) for cell in go.groups()]) * 1e-3))
         elif line.startswith("Mount"):
             self.mountings += 1
         elif re.fullmatch(r"  \S+", line):

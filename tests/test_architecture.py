@@ -1,6 +1,7 @@
 """The plan of the house, as code: who may import whom, how large a file may be, what loads when."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -171,3 +172,33 @@ def test_nothing_heavy_is_loaded_early(module: str) -> None:
     loaded = fresh(f"import sys, {module}; print(*sys.modules)").split()
     assert module in loaded
     assert not set(HEAVY) & set(loaded)
+
+
+# What knows that legs lie along base axes, in a cycle: layouts, and what is the Orthoglide's own.
+OF_ONE_LAYOUT = {
+    "layout/": "where legs stand is said here",
+    "geometry.py": "the Orthoglide's legs and named postures, beside the base axes",
+    "reduction/": "the papers' own model of the Orthoglide",
+    "comparison/": "compares with that model, and refuses other layouts",
+    "observations/campaign.py": "dials on legs: an Orthoglide's, relabelled",
+    "planning/pool.py": "mountings of dials against legs",
+    "measuring/page.py": "the same, said to who mounts them",
+    "urdf/solids.py": "boxes of the Orthoglide's drawing keep to the base axes",
+    "urdf/tree.py": "a sentence of the Orthoglide's own file, tested letter by letter",
+    "control/urdf.py": "the same",
+    "effects/wording.py": "the threefold pattern of legs that lie along each other's directions",
+}
+CYCLIC = re.compile(
+    r"\+ *(?:leg|[12])\) *% *3|\brho *- *(?:\w+\.)*L\b|\"xyz\"\[|\(\"x\", \"y\", \"z\"\)"
+)
+
+
+def test_only_layouts_know_where_legs_stand() -> None:
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in modules()
+        if CYCLIC.search(path.read_text(encoding="utf-8"))
+    }
+    assert {f for f in found if not f.startswith(tuple(OF_ONE_LAYOUT))} == set()
+    assert all(any(f.startswith(known) for f in found) or known.endswith("/")
+               for known in OF_ONE_LAYOUT)  # fmt: skip

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from orthoglide.effects import catalogue_of, relabelled
-from orthoglide.effects.wording import cause_words
+from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
-from orthoglide.layout import LinearDelta, Orthoglide
+from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.mechanism import Mechanism
@@ -166,3 +166,75 @@ def test_towers_that_cannot_be_meant_are_refused() -> None:
         LinearDelta((0.2,) * 3, (90.0, 92.0, 210.0))
     with pytest.raises(InputError, match="positive"):
         LinearDelta((0.2, -0.2, 0.2))
+
+
+def freely(geometry: Geometry, names: str = "uvw", turn: np.ndarray | None = None) -> Geometry:
+    """The same legs given one by one, the machine turned about the base frame's origin."""
+    about, tool = np.eye(3) if turn is None else turn, getattr(geometry.layout, "tool", (0, 0, 0))
+    legs = [
+        FreeLeg(name, *map(tuple, (about @ v for v in (leg.carriage, leg.slide, leg.axes[:, 2]))))
+        for name, leg in zip(names, geometry.legs, strict=True)
+    ]
+    layout = FreeLegs((legs[0], legs[1], legs[2]), tuple((about @ np.array(tool)).tolist()))
+    return Geometry(geometry.L, geometry.d, geometry.r, geometry.stroke, layout)
+
+
+@pytest.mark.parametrize("geometry", [Geometry(), DELTA, UNEVEN], ids=["ortho", "delta", "uneven"])
+def test_legs_given_freely_are_the_machine(geometry: Geometry) -> None:
+    one, free = Machine(MachineFile(geometry=geometry)), freely(geometry)
+    other = Machine(MachineFile(geometry=free))
+    rng = np.random.default_rng(2)
+    travel = rng.uniform(-0.02, 0.03, (6, 3))
+    for name in ("axis_tilt.{}.{}", "mount_tilt.{}.b", "leg_length.{}", "rail_tilt.{}.{}"):
+        for k, leg in enumerate(geometry.leg_names):
+            b = geometry.layout.names.across[k][0]
+            ours = one.with_parameters({name.format(leg, b): 2e-4})
+            theirs = other.with_parameters({name.format("uvw"[k], "b"): 2e-4})
+            command = geometry.zero + travel
+            assert np.abs(ours.forward(command) - theirs.forward(travel)).max() < 1e-12
+    p = one.forward(geometry.zero + travel)
+    assert np.abs(other.inverse(p) - travel).max() < 1e-11
+
+
+def test_free_legs_may_be_turned_and_relabelled() -> None:
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+    plain, turned = freely(Geometry()), freely(Geometry(), "wuv", turn)
+    values, travel = (
+        {"axis_tilt.{}.c": 1e-3, "joint_offset.{}": 2e-4},
+        np.array([[0.01, 0.02, -0.01]]),
+    )
+    one, other = (
+        Machine(MachineFile(geometry=g)).with_parameters(
+            {name.format(g.leg_names[1]): v for name, v in values.items()}
+        )
+        for g in (plain, turned)
+    )
+    assert np.abs(other.forward(travel) - one.forward(travel) @ turn.T).max() < 1e-12
+
+
+def test_machine_files_keep_free_legs() -> None:
+    for geometry in (freely(Geometry()), freely(UNEVEN, ("left", "right", "back"))):
+        spec = MachineFile(name="free", geometry=geometry)
+        assert parse_machine_file(machine_text(spec)) == spec
+    text = machine_text(MachineFile(name="free", geometry=freely(DELTA)))
+    assert "[layout.leg.u]" in text
+    for old, new, phrase in (
+        ("[layout.leg.w]", "[layout.leg.'w w']", "cannot be called"),
+        ("[layout.leg.w]", "[layout.other.w]", "no key 'other'"),
+        ("    1.0,\n]", "    -1.0,\n]", "turn it round"),
+        ("L = 345.0", "L = 145.0", "do not reach"),
+        ("origin_mm", "orign_mm", "did you mean 'origin_mm'"),
+    ):
+        assert old in text
+        with pytest.raises(FileError, match=phrase):
+            parse_machine_file(text.replace(old, new).replace("-140.0", "-100.0"))
+
+
+def test_free_legs_say_their_directions() -> None:
+    catalogue = catalogue_of(freely(DELTA).layout.names)
+    said = cause_words(catalogue, "axis_tilt.u.b", {"axis_tilt.u.b": 2e-3})
+    assert "toward b by 2 mrad" in said
+    assert "pivots" in cause_words(catalogue, "mount_tilt.u.b", {"mount_tilt.u.b": 2e-3})
+    assert "toward c" in parameter_words(catalogue.parameter("axis_offset.u.c"))
+    with pytest.raises(InputError, match="across its slide"):
+        FreeLeg("u", (0.3, 0, 0), (1, 0, 0), (1, 0, 1)).axes  # noqa: B018

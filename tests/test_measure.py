@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
+from orthoglide.machine_file import Controller
 from orthoglide.measuring import MOST, SETTLED, End, Record, Session, Stopped, opening
 from orthoglide.measuring.answers import understood
 from orthoglide.measuring.expected import Expected
@@ -196,6 +198,45 @@ def test_a_file_of_something_else_is_refused(machine: og.Machine, tmp_path: Path
     _, _, run = conversation(path, machine, scripted("="))
     with pytest.raises(FileError, match="was not measured with this machine file and sheet"):
         run()
+
+
+def test_it_goes_on_within_a_later_sheet_in_the_controllers_own_coordinates(
+    machine: og.Machine, tmp_path: Path
+) -> None:
+    """Nothing is wrong: dials near the platform, then near the carriages; stopped in between."""
+    controller = Controller(zero=(0.3, 0.1, 0.0), sign=(1, -1, 1))
+    machine = replace(machine, spec=replace(machine.spec, controller=controller))
+    path, count, said = tmp_path / "c.csv", 0, list[str]()
+    operator = Operator(
+        Rig(errors={"joint_offset.x": 0.6e-3}), np.random.default_rng(8),
+        rho_of=lambda shown: controller.to_rho(shown, machine.geometry),
+    )  # fmt: skip
+
+    def answer(question: str) -> str:
+        nonlocal count
+        count += 1
+        return "quit" if count == 60 else f"{operator.hear(question):.2f}"
+
+    def tell(text: str) -> None:
+        said.append(text)
+        for line in text.split("\n"):
+            operator.hear(line)
+
+    def run() -> End:
+        return Session(machine, Record(path, machine.spec), answer, tell).run()
+
+    with pytest.raises(Stopped):
+        run()
+    kept = path.read_text()
+    end = run()
+    assert path.read_text().startswith(kept)
+    assert (end.settled, end.readings, end.verdict.word) == (True, 96, "adequate")
+    assert [text for text in said if "nothing was found yet" in text]
+    campaign = og.read_campaign(path, machine.spec)
+    assert {round(s.gauge / machine.geometry.L, 2) for s in campaign.setups} == {0.25, 0.65}
+    assert "travel_x_mm" in kept
+    offset = og.identify(campaign, machine).values["joint_offset.x"]
+    assert offset == pytest.approx(0.6e-3, abs=0.2e-3)
 
 
 # --- In a process of its own --------------------------------------------------------------------

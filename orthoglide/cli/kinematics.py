@@ -110,7 +110,6 @@ def _run(
         found = solve(machine, _vector(numbers), False, _refuse)
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
-    from orthoglide.geometry import LEGS
     from orthoglide.observations.columns import POINT, RHO, command_names, names_of
     from orthoglide.observations.table import read_table
 
@@ -120,7 +119,7 @@ def _run(
     if solve is _forward:
         names, new = command_names(rows, machine.spec), POINT
     else:
-        names, new = POINT, RHO if legs == LEGS else names_of(legs)[0]
+        names, new = POINT, RHO if machine.geometry.dialled else names_of(legs)[0]
     given, travelled = _columns(rows, names, new), names[0].startswith("travel")
     found = solve(machine, given, travelled, rows.fail)
     if new[0].startswith("travel"):

@@ -11,7 +11,6 @@ from orthoglide import reduction
 from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.layout import ORTHOGLIDE
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import Kind, protocol
@@ -88,10 +87,10 @@ class Comparison:
         plain = (machine or Machine.nominal()).with_only({})
         pitch = plain.spec.screw_pitch or self.circumstances.pitch
         self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
-        if plain.geometry.layout != ORTHOGLIDE:
+        if not plain.geometry.dialled:
             raise InputError(
-                f"the simplified model that is compared here is the Orthoglide's, and this machine "
-                f"is a {plain.geometry.layout.kind}: give the machine file of an Orthoglide"
+                f"the simplified model that is compared here is the Orthoglide's, and this "
+                f"machine's layout is {plain.geometry.layout.kind}: give an Orthoglide's file"
             )
         self.geometry, self.model = plain.geometry, self.machine.model
         side = np.linspace(*cube(self.geometry), self.circumstances.points)

@@ -80,7 +80,7 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
     Returns:
         One check for each drive whose zero moves by what a dial shows.
     """
-    if machine.geometry.layout.hanging:  # whose legs no dial is set against
+    if not machine.geometry.dialled:  # whose legs no dial is set against
         return ()
     sheet = protocol("standard", machine.geometry)
     pairs = [pair for setup in range(len(sheet.setups)) for pair in _pairs(sheet, setup)]

@@ -198,6 +198,11 @@ class Effect:
         return self.dial is not None or bool(self.plate)
 
     @property
+    def sided(self) -> bool:
+        """Whether its parameters have a direction across their leg."""
+        return any(key in _SIDES for key in self.members(0))
+
+    @property
     def shapes(self) -> dict[str, Shape]:
         """Shapes of a plate by what follows the setup in a parameter's name."""
         return dict(self.plate)

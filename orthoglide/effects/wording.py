@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from orthoglide.effects.catalogue import Catalogue
+from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import across, mm, mrad, percent, toward
 from orthoglide.layout import DIRECTIONS
@@ -58,7 +58,7 @@ def cause_short(catalogue: Catalogue, name: str) -> str:
     if parameter is not None and not parameter.member:
         return _short(effect, parameter) + where
     member = parameter.member if parameter is not None else ""
-    return f"{_many(effect)}{_short_pattern(member)}{where}"
+    return f"{_many(effect)}{_short_pattern(effect, member)}{where}"
 
 
 def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
@@ -95,7 +95,7 @@ def parameter_words(parameter: Parameter) -> str:
         return f"{words} of setup {parameter.setup}{part}{where}"
     if parameter.member:
         return f"{words}, {parameter.member.replace('.', ' ')}{where}"
-    if parameter.direction in DIRECTIONS:
+    if _sided(CATALOGUE.by_name.get(parameter.effect), parameter.direction):
         way = toward(parameter.direction, 1.0)
         return f"{words} of leg {parameter.leg} toward {way}{where}"
     tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
@@ -129,22 +129,27 @@ def _short(effect: Effect, parameter: Parameter) -> str:
     if effect.words.short is not None:
         return effect.words.short(parameter)
     place = parameter.setup or f"leg {parameter.leg}"
-    sided = parameter.direction in DIRECTIONS
+    sided = _sided(effect, parameter.direction)
     toward_j = f" toward {toward(parameter.direction, 1.0)}" if sided else ""
     return f"{place}: {effect.sentence}{toward_j}"
+
+
+def _sided(effect: Effect | None, direction: str) -> bool:
+    """Whether a direction lies across a leg, and is none of its axes that something turns about."""
+    return direction in DIRECTIONS or (direction in ("b", "c") and bool(effect and effect.sided))
 
 
 def _many(effect: Effect) -> str:
     return effect.words.many or f"all legs: {effect.sentence}"
 
 
-def _short_pattern(member: str) -> str:
+def _short_pattern(effect: Effect, member: str) -> str:
     if not member:
         return ""
     if member.endswith("symmetric"):
         ways = "opposite ways" if member.endswith("antisymmetric") else "the same way"
         return f" ({member[0]} and {member[1]}, {ways})"
-    if (side := member.partition(".")[0]) in DIRECTIONS:
+    if _sided(effect, side := member.partition(".")[0]):
         return f", all alike in {across(side)}"
     return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
 
@@ -163,7 +168,7 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
         return (
             f"{one} toward {toward(other, value)} and {other} toward {toward(one, back)} by {size}"
         )
-    if (side := member.partition(".")[0]) in DIRECTIONS:
+    if _sided(effect, side := member.partition(".")[0]):
         return f"all by {size} toward {toward(side, value)}"
     about = _ABOUT.get(side, "") if "." in member else ""
     return f"all by {'' if value >= 0 else MINUS}{size}{about}"

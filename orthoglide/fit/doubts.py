@@ -30,7 +30,7 @@ _OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres,
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
-_BUMP = 1e-3  # metres
+_BUMP, _ROLL = 1e-3, 2e-3  # metres, radians
 
 
 def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
@@ -134,11 +134,13 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
 
 
 def _least(problem: Problem, name: tuple[int, int]) -> float:
-    """Least distance that counts, metres: a bed has bumps, and a printed part its pillars."""
+    """Least distance that counts, metres or radians: a bed has bumps, a printed part its pillars,
+    and a rail may roll its carriage in waves that no catalogue knows.
+    """
     points = problem.points[name[0]].points
     if not isinstance(points, ToolCampaign):
         return 0.0
-    return _BUMP if points.setups[points.setup[name[1]]].kind in ("plate", "distance") else 0.0
+    return _ROLL if points.setups[points.setup[name[1]]].kind == "incline" else _BUMP
 
 
 def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:

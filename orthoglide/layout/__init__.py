@@ -4,6 +4,7 @@ A layout says for each leg where its rail starts, which way it slides and where 
 point. Nothing else knows whether a machine is an Orthoglide or a linear delta.
 """
 
+from orthoglide.layout.free import FreeLeg, FreeLegs
 from orthoglide.layout.layout import Layout
 from orthoglide.layout.leg import Leg, LegNames
 from orthoglide.layout.linear_delta import LinearDelta
@@ -12,4 +13,14 @@ from orthoglide.layout.orthoglide import ORTHOGLIDE, Orthoglide
 DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.every | LinearDelta.names.every)
 """All words for directions across a leg."""
 
-__all__ = ["DIRECTIONS", "ORTHOGLIDE", "Layout", "Leg", "LegNames", "LinearDelta", "Orthoglide"]
+__all__ = [
+    "DIRECTIONS",
+    "ORTHOGLIDE",
+    "FreeLeg",
+    "FreeLegs",
+    "Layout",
+    "Leg",
+    "LegNames",
+    "LinearDelta",
+    "Orthoglide",
+]

@@ -12,14 +12,19 @@ class Layout(Protocol):
 
     Attributes:
         kind: its name in machine files.
-        names: of legs and directions.
-        hanging: whether the platform hangs below the carriages, the slides being parallel; else
-            it stands between them and the origin.
     """
 
     kind: ClassVar[str]
-    names: ClassVar[LegNames]
-    hanging: ClassVar[bool]
+
+    @property
+    def names(self) -> LegNames:
+        """Of legs and directions."""
+
+    @property
+    def hanging(self) -> bool:
+        """Whether the platform hangs below the carriages, the slides being parallel; else it stands
+        between them and the origin.
+        """
 
     def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
         """The three legs for bars of length ``L`` and a platform of radius ``r``, metres.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
@@ -13,7 +14,7 @@ from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.places import with_places
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
-from orthoglide.layout import ORTHOGLIDE, Layout, LinearDelta
+from orthoglide.layout import ORTHOGLIDE, FreeLeg, FreeLegs, Layout, LinearDelta
 from orthoglide.machine_file.document import Document, Parser, advice
 from orthoglide.machine_file.model import (
     SCHEMA,
@@ -110,6 +111,14 @@ def _angle(value: Any) -> float:
     return float(_number(value))
 
 
+def _direction(value: Any) -> tuple[float, ...]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError("must be a direction, a list of three numbers")
+    if any(abs(_number(v)) > 1e6 for v in value):
+        raise ValueError("must be a direction of moderate numbers")
+    return tuple(float(v) for v in value)
+
+
 _KEYS: dict[str, dict[str, Parser]] = {
     "geometry_mm": {
         "L": _quantity(1e-3, 5),
@@ -138,6 +147,17 @@ _LAYOUTS: dict[str, dict[str, Parser]] = {
         "r_mm": _quantity(1e-3, 1),
         "tool_mm": _millimetres(3),
     },
+    "legs": {
+        "kind": _text,
+        "r_mm": _quantity(1e-3, 1),
+        "tool_mm": _millimetres(3),
+        "leg": lambda value: value,
+    },
+}
+_LEG: dict[str, Parser] = {
+    "origin_mm": _millimetres(3),
+    "slide": _direction,
+    "link": _direction,
 }
 _INSTRUMENTS = ("tcp", "plate", "distance", "ballbar", "incline")
 _INSTRUMENT: dict[str, Parser] = {
@@ -242,12 +262,38 @@ def _layout(document: Document) -> tuple[Layout, float | None]:
     document.check_keys(_LAYOUTS[kind], "layout")
     if kind == "orthoglide":
         return ORTHOGLIDE, None
+    if kind == "legs":
+        return _free_legs(document)
     found = document.section(_LAYOUTS[kind], ("radius_mm",), "layout")
     given = {name: found[key] for name, key in _DELTA.items() if key in found}
     try:
         return LinearDelta(**given), found.get("r_mm")
     except InputError as error:
         document.fail(str(error), "layout")
+
+
+def _free_legs(document: Document) -> tuple[Layout, float | None]:
+    found, names = document.section(_LAYOUTS["legs"], (), "layout"), document.table("layout", "leg")
+    if len(names) != 3:
+        document.fail(
+            f"has {len(names)} legs: give three tables, [layout.leg.NAME]", "layout", "leg"
+        )
+    legs = []
+    for name in names:
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,19}", name):
+            document.fail(
+                f"a leg cannot be called {brief(name)!r}: take up to 20 letters and digits",
+                "layout", "leg", name,
+            )  # fmt: skip
+        document.check_keys(_LEG, "layout", "leg", name)
+        given = document.section(_LEG, tuple(_LEG), "layout", "leg", name)
+        legs.append(FreeLeg(name, given["origin_mm"], given["slide"], given["link"]))
+    try:
+        return FreeLegs((legs[0], legs[1], legs[2]), found.get("tool_mm", (0.0, 0.0, 0.0))), (
+            found.get("r_mm")
+        )
+    except InputError as error:
+        document.fail(str(error), "layout", "leg")
 
 
 _DELTA = {"radius": "radius_mm", "angles_deg": "angles_deg", "tool": "tool_mm"}

@@ -11,7 +11,7 @@ from orthoglide import files, units
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
-from orthoglide.layout import LinearDelta
+from orthoglide.layout import FreeLegs, LinearDelta
 from orthoglide.machine_file.model import SCHEMA, MachineFile
 from orthoglide.machine_file.posterior import posterior_bytes, posterior_path
 from orthoglide.machine_file.reading import parse_machine_file
@@ -95,6 +95,14 @@ def _mm(value: Any) -> Any:
 
 def _layout(geometry: Geometry) -> dict[str, Any]:
     layout = geometry.layout
+    if isinstance(layout, FreeLegs):
+        tables = {
+            leg.name: {
+                "origin_mm": _mm(leg.origin), "slide": list(leg.slide), "link": list(leg.link)
+            }
+            for leg in layout.free
+        }  # fmt: skip
+        return {"kind": layout.kind, "tool_mm": _mm(layout.tool), "leg": tables}
     if not isinstance(layout, LinearDelta):
         return {}
     return {

@@ -79,7 +79,7 @@ def approach_of(leg_names: tuple[str, str, str]) -> tuple[str, ...]:
 
 def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
     """The three columns that hold the commands: joint coordinates or the controller's values."""
-    if machine is not None and machine.geometry.leg_names != LEGS:
+    if machine is not None and not machine.geometry.dialled:
         return names_of(machine.geometry.leg_names)[0]
     if "travel_a_mm" in table.names:
         table.fail(

@@ -48,9 +48,9 @@ def check_dials(geometry: Geometry) -> None:
     Raises:
         InputError: saying what is read of it instead.
     """
-    if geometry.layout.hanging:
+    if not geometry.dialled:
         raise InputError(
-            f"dials are set against an Orthoglide's legs, and this machine is a "
+            f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
             f"tcp or ballbar)"
         )

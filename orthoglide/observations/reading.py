@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
 from orthoglide.observations.approach import Ints, Moves, derive_approach
@@ -97,9 +97,9 @@ def campaign_of_table(
         FileError: naming the line and what would be right.
     """
     machine = machine_file or nominal_machine_file()
-    if machine.geometry.leg_names != LEGS:
+    if not machine.geometry.dialled:
         table.fail(
-            f"holds dials on the legs, or is read as if it did, and this machine is a "
+            f"holds dials on the legs, or is read as if it did, and this machine's layout is "
             f"{machine.geometry.layout.kind}: name the kind of each reading in column kind "
             f"(plate, distance, incline, tcp, ballbar)"
         )

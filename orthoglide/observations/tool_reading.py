@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.campaign import Campaign
@@ -92,10 +92,10 @@ def _readings(table: Table, name: str, machine_file: MachineFile | None) -> tupl
     legs = any(kinds[k] == "leg" for k in others)
     found: list[Readings] = []
     if legs or not of_tool:
-        if machine.geometry.leg_names != LEGS:
+        if not machine.geometry.dialled:
             row = next((k for k in others if kinds[k] == "leg"), 0)
             table.fail(
-                f"dials on the legs are read on an Orthoglide only, and this machine is a "
+                f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
                 f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
                 f"({', '.join(KINDS)})",
                 row,

@@ -29,7 +29,7 @@ _FIGURES = (
 
 def _places(geometry: Geometry) -> tuple[str, ...]:
     names = geometry.leg_names
-    counted = "rho" if names == LEGS else "travel"
+    counted = "rho" if geometry.dialled else "travel"
     commands = tuple(f"{counted}_{leg}_mm" for leg in names)
     before = ("campaign", "line", "setup", "leg", "direction", "posture")
     return (*before, *commands, "gauge_mm", "repeat", "order")

@@ -257,7 +257,7 @@ class Result:
         if not self.request.searches:
             return ()
         geometry = self.request.machine.geometry
-        if geometry.layout.hanging:
+        if not geometry.dialled:
             return deciding_instruments(self.after, self.effects)
         rivals = [
             (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)

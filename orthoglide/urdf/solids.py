@@ -82,7 +82,7 @@ def leg_solids(geometry: Geometry, leg: int) -> dict[str, tuple[Solid, ...]]:
         platform += [Solid((0.3 * r, 0.9 * r, 0.5 * r), (0.0, -0.45 * r, 0.0), "aluminium")]
     else:
         platform += [Solid((0.75 * r, 0.5 * r, 0.5 * r), (-0.375 * r, 0.0, 0.0), "aluminium")]
-    if leg == 0 and not geometry.layout.hanging:  # what legs share is drawn and weighed once
+    if leg == 0 and geometry.dialled:  # what legs share is drawn and weighed once
         platform += [
             Solid((0.9 * r, 0.9 * r, 0.9 * r), (-r, 0.0, 0.0), "aluminium"),
             Solid((0.7 * r, 0.7 * r, 0.8 * r), (-r, 0.0, -0.85 * r), "frame", along=2),
@@ -106,6 +106,8 @@ def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
     """Rails, drives and a frame that joins them at a corner, on a table under the tool."""
     if geometry.layout.hanging:
         return _towers(geometry)
+    if not geometry.dialled:
+        return _blocks(geometry)
     L, d, r = geometry.L, geometry.d, geometry.r
     low, high = geometry.stroke
     rail, beam = _RAIL * d, 0.4 * d
@@ -144,6 +146,13 @@ def _towers(geometry: Geometry) -> tuple[Solid, ...]:
         solids.append(Solid((0.4 * d, 0.4 * d, top - foot), middle, "frame", along=2))
     plate = (1.2 * reach, 1.2 * reach, 0.1 * d)
     return (*solids, Solid(plate, (0.0, 0.0, -0.05 * d), "table", along=2))
+
+
+def _blocks(geometry: Geometry) -> tuple[Solid, ...]:
+    """Where legs stand freely: a block behind each carriage's place, as boxes have no direction."""
+    d, size = geometry.d, (0.6 * geometry.d,) * 3
+    places = (leg.carriage + _RAIL * d * leg.axes[:, 1] for leg in geometry.legs)
+    return tuple(Solid(size, vector(place), "frame") for place in places)
 
 
 def vector(values: Iterable[float]) -> Vector:

@@ -1,0 +1,140 @@
+"""Three legs given freely: where each carriage stands, which way it slides, how its links lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from orthoglide.errors import InputError
+from orthoglide.layout.leg import Array, Leg, LegNames
+
+Triple = tuple[float, float, float]
+
+_TOUCHING = 1e-12  # of L^2: circles nearer to touching than a third of a micrometre touch
+_SQUARE = 1e-6
+_ALONG = 1e-9
+_WAYS = (("back", "backward along the slide"), ("on", "onward along the slide"))
+
+
+@dataclass(frozen=True)
+class FreeLeg:
+    """One leg at mechanical zero, in the base frame, the tool at the origin.
+
+    Attributes:
+        name: of the leg.
+        origin: the carriage's joint, metres.
+        slide: direction of its travel, away from the platform.
+        link: direction of its short links, across the slide.
+    """
+
+    name: str
+    origin: Triple
+    slide: Triple
+    link: Triple
+
+    @cached_property
+    def axes(self) -> Array:
+        """Rotation ``(3, 3)`` with the leg's axes as columns.
+
+        Raises:
+            InputError: where slide and link are no two directions at right angles.
+        """
+        a, c = np.array(self.slide), np.array(self.link)
+        if min(np.linalg.norm(a), np.linalg.norm(c)) < _SQUARE:
+            raise InputError(f"leg {self.name}: slide and link must be directions, not 0")
+        a, c = a / np.linalg.norm(a), c / np.linalg.norm(c)
+        if abs(a @ c) > _SQUARE:
+            raise InputError(
+                f"leg {self.name}: its link must lie across its slide, and they are "
+                f"{np.rad2deg(np.arccos(np.clip(a @ c, -1, 1))):.4g} degrees apart"
+            )
+        c -= (a @ c) * a
+        c /= np.linalg.norm(c)
+        return np.stack([a, np.cross(c, a), c], axis=1)
+
+
+@dataclass(frozen=True)
+class FreeLegs:
+    """Legs wherever they are; commands are travel from mechanical zero along the slides.
+
+    The bars of a leg lie across its short links at mechanical zero, where the platform is not
+    turned. So its joint at the platform lies in the plane through the carriage's joint across the
+    link, L from that joint and r from the middle of the platform; of the two places the one that
+    lies nearer to the plane across the slide through that middle.
+
+    Attributes:
+        free: the three legs.
+        tool: the tool's tip from the middle of the platform's joints, metres.
+    """
+
+    free: tuple[FreeLeg, FreeLeg, FreeLeg]
+    tool: Triple = (0.0, 0.0, 0.0)
+
+    kind: ClassVar[str] = "legs"
+
+    def __post_init__(self) -> None:
+        names = [leg.name for leg in self.free]
+        if len(set(names)) < 3:
+            raise InputError(f"layout: three legs need three names, not {', '.join(names)}")
+        for leg in self.free:
+            _ = leg.axes  # which says what is wrong
+
+    @cached_property
+    def names(self) -> LegNames:
+        """Of legs as given; directions are ``b`` and ``c``, each leg's own."""
+        one, two, three = (leg.name for leg in self.free)
+        held = ("zero", "bar_length", "place") if self.hanging else ("zero", "bar_length")
+        return LegNames((one, two, three), (("b", "c"),) * 3, held, _WAYS)
+
+    @cached_property
+    def hanging(self) -> bool:
+        """Whether all slides are parallel."""
+        slides = np.stack([leg.axes[:, 0] for leg in self.free])
+        return bool((slides @ slides[0] > 1 - _ALONG).all())
+
+    def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
+        """The three legs, as of any layout."""
+        one, two, three = (self._leg(leg, L, r) for leg in self.free)
+        return one, two, three
+
+    def _leg(self, given: FreeLeg, L: float, r: float) -> Leg:
+        carriage, middle = np.array(given.origin), -np.array(self.tool)
+        a, b, c = (carriage - middle) @ given.axes
+        apart, radius = np.hypot(a, b), np.sqrt(max(r**2 - c**2, 0.0))
+        along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
+        square = radius**2 - along**2
+        if abs(c) > r or square < -_TOUCHING * L**2:
+            raise InputError(
+                f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
+                f"{r * 1e3:g} mm from the platform's middle across its link: correct one of them"
+            )
+        across = np.sqrt(square) if square > _TOUCHING * L**2 else 0.0
+        # In the leg's plane (a, b): toward the carriage, and to either side of that.
+        places = [
+            np.array([along * a - side * across * b, along * b + side * across * a]) / apart
+            for side in (1.0, -1.0)
+        ]
+        joint = min(places, key=lambda place: abs(place[0]))
+        if a - joint[0] <= 0:
+            raise InputError(
+                f"leg {given.name}: its slide points toward the platform: turn it round"
+            )
+        platform = middle + given.axes @ np.array([joint[0], joint[1], c])
+        return Leg(given.name, carriage, platform, given.axes)
+
+    def zero(self, L: float) -> float:
+        """Travel counts from mechanical zero."""
+        return 0.0
+
+    def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
+        """A carriage stays ahead of the tool; on parallel slides it may be as far as it likes."""
+        low, high = stroke
+        return -L < low < 0 < high and (self.hanging or high < L)
+
+    def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
+        """A cube about mechanical zero, half as wide as the shorter way of the stroke."""
+        side = np.linspace(-0.5, 0.5, count) * min(-stroke[0], stroke[1])
+        return np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
