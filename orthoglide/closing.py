@@ -92,7 +92,8 @@ class Verdict(Result):
     def _repr_html_(self) -> str:
         from orthoglide.report.wording import headline
 
-        return html_table(headline(self), self.columns)
+        table = html_table(headline(self), self.columns)
+        return f'<div style="max-width: 30rem">{self.picture.svg()}</div>{table}'
 
 
 def close_loop(

@@ -25,6 +25,7 @@ from orthoglide.machine_file import (
 from orthoglide.mechanism.elastic import Deformation, relief_angles, relief_warnings
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions, Model
+from orthoglide.scene import Posed, drawing
 
 
 @dataclass(frozen=True)
@@ -249,6 +250,22 @@ class Machine:
         return Pose(
             out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3), relief.reshape(*shape, 3, 2)
         )
+
+    def posed(self, rho: ArrayLike | None = None) -> Posed:
+        """The closed machine as pictures show it.
+
+        Args:
+            rho: command ``(3,)``, metres; mechanical zero where absent.
+
+        Raises:
+            ClosureError: where the posture does not close.
+        """
+        command = self.geometry.zero if rho is None else self.geometry.commands(rho)
+        out = self.model.outputs(self._machine_values, self._conditions(command))
+        return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
+
+    def _repr_svg_(self) -> str:
+        return drawing(self.posed(), title=f"The machine {self.spec.name}", alone=True)
 
     def deformation(self, rho: ArrayLike, **seen: ArrayLike) -> Deformation:
         """What the machine fights against: deformation, forces and energy by joint.

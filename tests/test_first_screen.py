@@ -48,7 +48,10 @@ def base() -> Verdict:
 def made_up(word: str, *causes: Cause) -> Verdict:
     request = replace(base().request, command="close-loop")
     verdict = replace(base(), request=request, word=word, effects=causes)
-    kept: dict[str, Any] = {"next_measurements": (), "numbers": base().numbers, "budget": ()}
+    drawn = replace(base().picture, options=())
+    kept: dict[str, Any] = {
+        "next_measurements": (), "numbers": base().numbers, "budget": (), "picture": drawn,
+    }  # fmt: skip
     verdict.__dict__.update(kept)
     return verdict
 
@@ -56,6 +59,7 @@ def made_up(word: str, *causes: Cause) -> Verdict:
 def screen(verdict: Verdict) -> str:
     """What a reader finds on the first screen, folded parts left out."""
     html = rendered("sections/finding.html.j2", data=finding(verdict))
+    html = re.sub(r"<svg.*?</svg>", "", html, flags=re.DOTALL)
     open_parts = re.sub(r"</summary>.*?</details>", "</summary></details>", html, flags=re.DOTALL)
     return words(open_parts)
 
@@ -72,6 +76,8 @@ READ = {
     "axis_offset": rf"the (?P<leg>\w) rail stands {SIZE} beside its place, (?P<way>{TOWARD})",
     "axis_tilt": rf"the (?P<leg>\w) carriage is out of square (?P<way>{TOWARD}) by {SIZE}",
     "rail_tilt": rf"the (?P<leg>\w) rail leans (?P<way>{TOWARD}) by {SIZE}",
+    "rail_torsion": rf"the (?P<leg>\w) rail is twisted: .*? turns by {SIZE} about it, "
+    rf"(?P<way>counter-clockwise|clockwise)",
     "rail_bow": rf"the (?P<leg>\w) rail is bent: its middle stands {SIZE} (?P<way>{TOWARD})",
     "mount_tilt": rf"first hinge of leg (?P<leg>\w) is turned by {SIZE} about (?P<axis>[^,]+|\w, "
     rf"[^,]+), (?P<way>right|left)-handed",
@@ -88,9 +94,11 @@ READ = {
     "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
     rf"(?P<way>\d+) degrees",
 }
-UP = {"out", "more", "gives way", "right", "longer", "wider", "grow", "grows", "bowl"}
+UP = {"out", "more", "gives way", "right", "longer", "wider", "grow", "grows", "bowl",
+      "counter-clockwise"}  # fmt: skip
 SCALES = {"mm": 1e-3, "mrad": 1e-3, "%": 1e-2, "µm": 1e-6}
-PER = {"thermal_drift": 1 / 3600, "gauge_drift": 1 / 3600}  # said for an hour
+# Said for an hour, or from one end of the stroke to the other.
+PER = {"thermal_drift": 1 / 3600, "gauge_drift": 1 / 3600, "rail_torsion": 0.5}
 UNSIGNED = {"screw_error"}  # an amplitude
 OUTWARD = {"the outside": "radial", "the counter-clockwise side": "tangential"}
 INWARD = {"the centre": "radial", "the clockwise side": "tangential"}

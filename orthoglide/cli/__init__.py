@@ -27,6 +27,7 @@ from orthoglide.cli import (
     rerun,
     sheets,
     tolerances,
+    view,
 )
 from orthoglide.cli.completion import completion_option
 from orthoglide.cli.examples import with_examples
@@ -60,6 +61,7 @@ _MODULES = (
     compensate,
     compare,
     kinematics,
+    view,
     importing,
 )
 for _module in _MODULES:

@@ -179,7 +179,7 @@ RAIL_TORSION = Effect(
         ),
         lambda p: f"the {p.leg} rail is twisted along its length",
         "the rails are twisted along their lengths",
-        mrad,
+        lambda v: mrad(2 * v),
         lambda p, v: (
             f"hold a square to carriage {p.leg} at both ends of its stroke: expect it to turn by "
             f"{mrad(2 * v)} about the rail"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -39,10 +41,12 @@ class Said:
     Attributes:
         words: a sentence with part, direction, size and unit.
         sure: how sure it is, and how well its size is known.
+        option: its place among the options of the drawing.
     """
 
     words: str
     sure: str
+    option: int
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,9 @@ def finding(result: Result) -> Data:
         "word": result.word,
         "meaning": sentence(MEANINGS[result.word]),
         "claims": claims(result),
+        "drawing": result.picture.svg(),
+        "options": len(result.picture.options),
+        "dials": bool(result.picture.dials),
         "text": claim(result),
         "more": result.word == "partial",
         "evidence": evidence(result) if searches else "",
@@ -94,30 +101,36 @@ def finding(result: Result) -> Data:
 
 def claims(result: Result) -> list[Claim]:
     """Causes, then places, each with what else it could be."""
-    return [*map(_of_cause, result.effects), *map(_of_place, result.located)]
+    option = itertools.count()
+    causes = [_of_cause(cause, option) for cause in result.effects]
+    return [*causes, *(_of_place(found, option) for found in result.located)]
 
 
-def _of_cause(cause: Cause) -> Claim:
+def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
     names = (cause.chosen, *cause.same)  # share one probability
-    first = _said(cause.chosen, sum(one.probability for one in names))
-    several = [tuple(_said(e, e.probability) for e in part) for part in (cause.same, cause.rivals)]
-    return Claim(first, *several)
+    first = _said(cause.chosen, sum(one.probability for one in names), next(option))
+    same, rivals = (
+        tuple(_said(e, e.probability, next(option)) for e in part)
+        for part in (cause.same, cause.rivals)
+    )
+    return Claim(first, same, rivals)
 
 
-def _said(one: Explanation, probability: float) -> Said:
+def _said(one: Explanation, probability: float, option: int) -> Said:
     sure = sure_words(probability)
     if one.in_unit is not None:
         effect = one.catalogue.effect_of(one.name)
         spread = one.in_unit[1] * effect.unit.si * _SIDES
         sure += f", its size to ± {size_words(effect, spread)}"
-    return Said(sentence(one.words), sure)
+    return Said(sentence(one.words), sure, option)
 
 
-def _of_place(found: Located) -> Claim:
+def _of_place(found: Located, option: Iterator[int]) -> Claim:
     several = tuple(
         Said(
             sentence(f"{c.place.words}, by {curve_size(c)} (root mean square)"),
             sure_words(c.probability),
+            next(option),
         )
         for c in found.members
     )

@@ -16,6 +16,8 @@ from orthoglide import __version__
 from orthoglide.observations import ToolCampaign
 from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed
+from orthoglide.scene import view_html
+from orthoglide.scene.view import view_style
 
 if TYPE_CHECKING:
     from orthoglide.result import Result
@@ -40,7 +42,7 @@ class Section:
     @property
     def folded(self) -> bool:
         """Whether a reader unfolds it first: all but the verdict, what is left and numbers."""
-        return self.template not in ("finding", "left", "firmware", "controller")
+        return self.template not in ("finding", "view", "left", "firmware", "controller")
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
@@ -57,6 +59,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
         title="What is wrong with this machine" if searches else "Calibration report",
         subtitle=_subtitle(result),
         sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
+        view_style=view_style(),
         version=__version__,
         command=result.request.command,
     )
@@ -80,6 +83,8 @@ def rendered(template: str, **data: Any) -> str:
 def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:
     searches = result.request.searches
     yield Section("finding", "", first.finding(result))
+    html = view_html(result.view, result.picture.svg())
+    yield Section("view", "The machine in motion", {"html": html})
     if result.blunders:
         yield Section("faults", "Faults of the data", found.faults(result))
     if result.pattern:

@@ -31,7 +31,9 @@ from orthoglide.posterior import (
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
 from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
+from orthoglide.result.picture import Picture, picture, view_of
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
+from orthoglide.scene import View
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -241,6 +243,16 @@ class Result:
     def rest(self) -> tuple[SetupRest, ...]:
         """What the last fit leaves of every mounting of a dial, largest share first."""
         return rest_by_setup(self.after)
+
+    @cached_property
+    def picture(self) -> Picture:
+        """The machine with what was found."""
+        return picture(self)
+
+    @cached_property
+    def view(self) -> View:
+        """The machine over its workspace, a switch for each explanation."""
+        return view_of(self)
 
     # --- What follows -----------------------------------------------------------------------
 

@@ -1,0 +1,37 @@
+"""``view``: a machine to turn and move in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from orthoglide.cli.options import PATH, effects_option, load_machine
+from orthoglide.cli.terminal import say
+
+
+@click.command()
+@click.argument("machine", type=PATH, required=False)
+@click.option("--out", type=PATH, metavar="FILE", required=True, help="Page to write; a new file.")
+@effects_option
+def view(machine: Path | None, out: Path, effects_file: Path | None) -> None:
+    """Write a page that shows MACHINE in three dimensions; the nominal Orthoglide where absent.
+
+    It moves through its workspace. Each of its errors can be switched on and magnified, and arrows
+    show how far the tool is off. The page needs no network.
+    """
+    from orthoglide.cli.writing import write_texts
+    from orthoglide.pictures import causes_of, option, view as view_of
+    from orthoglide.scene import drawing, view_page
+
+    shown = load_machine(machine, effects_file)
+    causes = causes_of(shown)
+    options = [option(shown, words, values) for words, values in causes[:1]]
+    title = f"The machine {shown.spec.name}"
+    still = drawing(shown.with_only({}).posed(), options, title=title)
+    write_texts({out: view_page(view_of(shown, causes), still, title)})
+    more = f", with {len(causes)} of its errors to switch on" if causes else ", without errors"
+    say(f"{click.format_filename(out)}: the machine to turn and move{more}")
+
+
+COMMANDS = (view,)

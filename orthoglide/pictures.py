@@ -1,0 +1,214 @@
+"""What pictures show of a machine: its dials, and what its parameters move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orthoglide.accuracy import GRID, workspace
+from orthoglide.effects.wording import cause_words, size_words
+from orthoglide.effects.words import more, toward
+from orthoglide.geometry import Array, Geometry
+from orthoglide.machine import Machine
+from orthoglide.mechanism.batch import Outputs
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
+from orthoglide.prediction import Conditions
+from orthoglide.scene import Dial, Mark, Option, Posed, View, Way
+from orthoglide.scene.parts import Part
+from orthoglide.scene.view import MOST_WAYS
+
+Cause = tuple[str, Mapping[str, float]]
+"""Words of a cause, and its parameters, SI."""
+
+_STATIONS = 33  # along the stroke
+_CLEAR = 0.3  # of the largest: what a path does at its outer end shows which way it goes
+_HOUR, _WARMER, _LOAD = 3600.0, 10.0, 10.0  # s, K, N: at which what depends on them is shown
+_SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
+_PARTS: Mapping[str, tuple[Part, int]] = {
+    "travel": ("drive", 0), "lateral_b": ("rail", 1), "lateral_c": ("rail", 2),
+    "turn_a": ("carriage", 0), "turn_b": ("carriage", 1), "turn_c": ("carriage", 2),
+    "stretch1": ("bar", 0), "stretch2": ("bar", 0), "width1": ("link", 2), "width2": ("link", 2),
+}  # fmt: skip
+"""Virtual joints as parts, each with the leg's axis a, b or c along or about which it moves."""
+
+
+def dials(posture: Posed, campaigns: Iterable[Campaign]) -> tuple[Dial, ...]:
+    """Where the dials of campaigns stand on a machine, each name once."""
+    found: dict[str, Dial] = {}
+    for setup in (s for campaign in campaigns for s in campaign.setups):
+        ends = np.einsum("b,bex->ex", np.array(_SHARES[setup.bar]), posture.lines[setup.leg])
+        place = setup.gauge + posture.geometry.r
+        share = (place - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
+        way = np.eye(3)[setup.axis] * setup.sign
+        at = ends[0] + share * (ends[1] - ends[0])
+        found.setdefault(setup.name, Dial(setup.name, at, way, setup.bar))
+    return tuple(found.values())
+
+
+def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
+    """What some parameters, SI, move: structured members by the single ones they stand for.
+
+    What hangs on approach, time, warmth or load is shown as it is after a move outward, an hour
+    later, 10 K warmer, under 10 N.
+    """
+    groups: dict[tuple[str, ...], dict[Parameter, float]] = {}
+    catalogue, marks = machine.catalogue, []
+    for name, value in values.items():
+        effect, p = catalogue.effect_of(name), catalogue.parameter(name)
+        if effect.of_dial:
+            size = size_words(effect, value)
+            part: Part = "plate" if effect.plate else "dial"
+            marks.append(Mark(part, -1, np.zeros(3), size, setup=p.setup))
+            continue
+        for one, weight in catalogue.elementary(name).items():
+            p = catalogue.parameter(one).plain
+            key = (p.effect, p.leg, "" if effect.paired else p.direction)
+            group = groups.setdefault(key, {})
+            group[p] = group.get(p, 0.0) + weight * value
+    marks += [mark for group in groups.values() for mark in _marks(machine, group)]
+    labels = {mark.label for mark in marks}
+    if len(labels) == 1 < len(marks):  # said once for all
+        first, *rest = marks
+        marks = [replace(first, label=f"each {first.label}"), *(replace(m, label="") for m in rest)]
+    return Option(words, tuple(marks))
+
+
+def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
+    """Marks of one leg; a part that several joints move is marked once."""
+    first = next(iter(values))
+    effect, (leg, _) = machine.catalogue.effect_of(first), machine.catalogue.motions[first]
+    size = size_words(effect, math.hypot(*values.values())).partition(" (")[0]
+    travel, moves = _along(machine, leg, {str(n): v for n, v in values.items()})
+    columns = moves[:, leg * len(VIRTUAL_NAMES) :]
+    moving = {n: columns[:, k] for k, n in enumerate(VIRTUAL_NAMES) if columns[:, k].any()}
+    stretched = [moving[n] for n in ("stretch1", "stretch2") if n in moving]
+    alike = len(stretched) == 2 and np.allclose(stretched[0], stretched[1])
+    found: dict[str, Mark] = {}
+    for joint, curve in moving.items():
+        part, _ = _PARTS[joint]
+        which = joint if part == "bar" and not alike else part
+        if which in found or (part == "carriage" and "rail" in found):
+            continue
+        text = "" if found else size
+        both = "approach" in effect.needs
+        found[which] = joint_mark(machine, leg, joint, travel, curve, text, both, alike)
+    return list(found.values())
+
+
+def _along(machine: Machine, leg: int, values: Mapping[str, float]) -> tuple[Array, Array]:
+    """Displacements of all virtual joints as one leg goes through its stroke."""
+    geometry = machine.geometry
+    travel = np.linspace(*geometry.stroke, _STATIONS)
+    command = np.repeat(geometry.zero[None], _STATIONS, axis=0)
+    command[:, leg] += travel
+    return travel, machine.model.displacements(values, _shown(command))
+
+
+def _shown(command: Array) -> Conditions:
+    return Conditions.at(command, approach=1.0, time=_HOUR, warming=_WARMER, load=_LOAD)
+
+
+def joint_mark(
+    machine: Machine,
+    leg: int,
+    joint: str,
+    travel: Array,
+    curve: Array,
+    size: str,
+    both: bool = False,
+    both_bars: bool = False,
+) -> Mark:
+    """The mark of one virtual joint.
+
+    Args:
+        machine: whose leg it is.
+        leg: 0, 1 or 2.
+        joint: its name within the leg.
+        travel: from mechanical zero ``(k,)``, metres.
+        curve: displacement there ``(k,)``, SI.
+        size: in words; the direction is added.
+        both: whether it moves either way.
+        both_bars: whether both bars do the same.
+    """
+    part, axis = _PARTS[joint]
+    k = int(np.argmax(np.abs(curve)))
+    if abs(curve[-1]) > _CLEAR * abs(curve[k]):
+        k = len(curve) - 1
+    largest = float(np.abs(curve).max())
+    sign = math.copysign(1.0, float(curve[k]))
+    here = machine.geometry.legs[leg]
+    way = sign * here.axes[:, axis]
+    label, bar = size, 0
+    if part == "bar":
+        way = sign * (here.carriage - here.platform) / machine.geometry.L
+        bar = 0 if both_bars else int(joint[-1])
+        label = f"{size} {more(sign, 'longer', 'shorter')}" if size else ""
+    elif part == "rail" and size:
+        direction = machine.catalogue.legs.across[leg][axis - 1]
+        label = size if both else f"{size} toward {toward(direction, sign)}"
+    elif part == "link" and size:
+        label = f"{size} {more(sign, 'wider', 'narrower')}"
+    elif part == "drive" and size and not both:
+        label = f"{size} {more(sign, 'outward', 'inward')}"
+    shape = np.stack([travel, curve * sign / largest], axis=1)
+    return Mark(part, leg, way, label, bar, float(travel[k]), shape, both)
+
+
+def causes_of(machine: Machine, most: int = MOST_WAYS) -> tuple[Cause, ...]:
+    """What is wrong with a machine by its parameters, those largest in their tolerances first."""
+    of = machine.catalogue.effect_of
+    values = {n: v for n, v in machine.values.items() if v and not of(n).of_dial}
+    ranked = sorted(values, key=lambda n: -abs(values[n]) / machine.tolerance(n))
+    return tuple((cause_words(machine.catalogue, n, values), {n: values[n]}) for n in ranked[:most])
+
+
+def view(machine: Machine, causes: Sequence[Cause]) -> View:
+    """What a view that moves needs: the machine over its workspace, and what each cause does to it.
+
+    Args:
+        machine: whose nominal posture and legs are shown.
+        causes: each with its words and its parameters, SI; their motions are linear in these.
+    """
+    geometry = machine.geometry
+    where = _shown(workspace(geometry)[_path(geometry)])
+    parts: list[dict[str, float]] = []
+    for _, values in causes:
+        own: dict[str, float] = {}
+        for name, value in values.items():
+            if not machine.catalogue.effect_of(name).of_dial:
+                for part, weight in machine.catalogue.elementary(name).items():
+                    plain = machine.catalogue.parameter(part).plain
+                    own[plain] = own.get(plain, 0.0) + weight * value
+        parts.append(own)
+    names = tuple(dict.fromkeys(name for own in parts for name in own))
+    rest = Conditions.at(where.command)
+    out = machine.model.outputs({}, rest)
+    ways = []
+    _, slopes = machine.model.sensitivities({}, where, names)
+    for (words, _), own in zip(causes, parts, strict=True):
+        moved = slopes @ np.array([own.get(name, 0.0) for name in names])
+        if np.abs(moved).max(initial=0.0) > 0:
+            shown = Outputs(moved)
+            ways.append(Way(words, shown.lines, shown.p))
+    return View(geometry, out.lines, out.p, where.command - geometry.zero, tuple(ways))
+
+
+def _path(geometry: Geometry) -> list[int]:
+    """Order of the points of the workspace in which each is a neighbour of the last."""
+    points = geometry.layout.points(geometry.L, geometry.r, geometry.stroke, GRID)
+    grid = np.round(workspace(geometry) if points is None else points, 9)
+    order: list[int] = []
+    across, along = 1, 1
+    for x in np.unique(grid[:, 0]):
+        plane = np.flatnonzero(grid[:, 0] == x)
+        for y in np.unique(grid[plane, 1])[::across]:
+            row = plane[grid[plane, 1] == y]
+            order += row[np.argsort(grid[row, 2])][::along].tolist()
+            along = -along
+        across = -across
+    return order

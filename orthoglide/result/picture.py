@@ -1,0 +1,102 @@
+"""What pictures of a result show: the machine, its dials, and every explanation on the part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orthoglide.effects.words import toward
+from orthoglide.geometry import LEGS
+from orthoglide.machine import Machine
+from orthoglide.numerals import compact
+from orthoglide.pictures import Cause as Shown, dials, joint_mark, option, view
+from orthoglide.posterior import Curve, Explanation
+from orthoglide.scene import Dial, Mark, Option, Posed, View, drawing
+
+if TYPE_CHECKING:
+    from orthoglide.result.result import Result
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A drawing of what was found.
+
+    Attributes:
+        posed: the nominal machine at mechanical zero.
+        dials: where they stood.
+        options: explanations, found ones in order, each followed by what else it could be.
+        first: which options are the most probable of what was found.
+    """
+
+    posed: Posed
+    dials: tuple[Dial, ...]
+    options: tuple[Option, ...]
+    first: tuple[int, ...]
+
+    def svg(self, alone: bool = False) -> str:
+        """The drawing; ``alone``: as a file of its own."""
+        title = "The machine, what is wrong marked on it" if self.options else "The machine"
+        return drawing(
+            self.posed, self.options, self.dials, title=title, shown=self.first, alone=alone
+        )
+
+
+def picture(result: Result) -> Picture:
+    """The machine with what was found, or with the dial on which most is left."""
+    machine = result.request.machine.with_only({})
+    posed = machine.posed()
+    stand = dials(posed, result.after.problem.campaigns)
+    options: list[Option] = []
+    first = []
+    for cause in result.effects:
+        first.append(len(options))
+        options += [option(machine, one.words, one.values) for one in cause.explanations]
+    for found in result.located:
+        first.append(len(options))
+        options += [_placed(machine, curve) for curve in found.members]
+    if result.word == "unexplained" and result.rest and result.request.searches:
+        first.append(0)
+        options.append(_left(result))
+    return Picture(posed, stand, tuple(options), tuple(first))
+
+
+def _placed(machine: Machine, curve: Curve) -> Option:
+    """A place without a name: the joint that moves, by the curve that was found."""
+    place = curve.place
+    size = f"{compact(curve.size * 1e3, 2)} {'mrad' if place.turns else 'mm'} rms"
+    if place.setup:
+        return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
+    both, along = place.against == "approach", place.against == "travel"
+    bars = len(place.joints) > 1
+    value = curve.value - curve.value.mean() if along else np.full(len(curve.at), curve.size)
+    travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))
+    joint = place.joints[0][0]
+    return Option(
+        place.words, (joint_mark(machine, place.leg, joint, travel, value, size, both, bars),)
+    )
+
+
+def _left(result: Result) -> Option:
+    most = result.rest[0]
+    way = np.eye(3)[most.axis] * np.sign(most.most)
+    size = f"{compact(abs(most.most) * 1e3, 2)} mm toward {toward(LEGS[most.axis], most.most)}"
+    words = f"what nothing explains shows most on leg {LEGS[most.leg]}: {size}"
+    return Option(words, (Mark("dial", most.leg, way, size, setup=most.setup),))
+
+
+def view_of(result: Result) -> View:
+    """The machine over its workspace, with a switch for each explanation and for the base."""
+    machine = result.machine
+    explained: list[Explanation] = [e for c in result.effects for e in c.explanations]
+    causes: list[Shown] = [(one.words, one.values) for one in explained]
+    values, of = result.values_before, result.catalogue.effect_of
+    for place in (curve.place for found in result.located for curve in found.members):
+        own = {n: v for n, v in machine.values.items() if of(n).name == place.effect.name}
+        causes.append((place.words, own))
+    for name in machine.catalogue.base:
+        effect = machine.catalogue[name]
+        own = {n: v for n, v in values.items() if of(n).name == name}
+        causes.append((effect.words.many or effect.sentence, own))
+    return view(machine, causes)

@@ -1,0 +1,206 @@
+"""A machine as inline SVG: parallel projection, far things first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.scene.marks import arrow, marked
+from orthoglide.scene.parts import Dial, Option, Posed
+
+WIDTH = 440.0
+"""Of the drawing, in units in which its letters are 13 high: readable on a phone."""
+
+_HEIGHT, _MARGIN = 400.0, 34.0
+_SPACE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" '
+_STYLE = (
+    "--m-rail:#98a4ad;--m-body:#c3ccd3;--m-bar:#7b8790;--m-ink:#1f2a33;--m-dial:#0072b2;"
+    "--m-mark:#d55e00;--m-paper:#ffffff"
+)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """From the base frame to the paper.
+
+    Attributes:
+        right: unit vector ``(3,)``.
+        up: unit vector ``(3,)``.
+        near: unit vector toward the eye ``(3,)``.
+        scale: paper units a metre.
+        shift: paper coordinates of the base frame's origin ``(2,)``.
+    """
+
+    right: Array
+    up: Array
+    near: Array
+    scale: float = 1.0
+    shift: tuple[float, float] = (0.0, 0.0)
+
+    def __call__(self, point: Array) -> tuple[float, float]:
+        """Paper coordinates of a point ``(3,)``."""
+        return (
+            self.shift[0] + self.scale * float(self.right @ point),
+            self.shift[1] - self.scale * float(self.up @ point),
+        )
+
+
+def projection(posed: Posed, points: Array) -> Projection:
+    """Looks at a machine so that no leg hides another, and fits points ``(n, 3)`` on the paper."""
+    if posed.geometry.layout.hanging:  # from in front, between two towers
+        towers = [math.atan2(*leg.axes[1::-1, 1]) for leg in posed.geometry.legs]
+        azimuth, elevation = min(towers) + math.radians(62), math.radians(22)
+    else:
+        azimuth, elevation = math.radians(52), math.radians(30)
+    ca, sa, ce, se = (
+        math.cos(azimuth), math.sin(azimuth), math.cos(elevation), math.sin(elevation),
+    )  # fmt: skip
+    right, up = np.array([-sa, ca, 0.0]), np.array([-ca * se, -sa * se, ce])
+    near = np.array([ca * ce, sa * ce, se])
+    flat = np.stack([points @ right, -(points @ up)], axis=1)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    room = np.array([WIDTH, _HEIGHT]) - 2 * _MARGIN
+    scale = float(np.min(room / (high - low)))
+    shift = np.array([WIDTH, _HEIGHT]) / 2 - scale * (low + high) / 2
+    return Projection(right, up, near, scale, (float(shift[0]), float(shift[1])))
+
+
+def drawing(
+    posed: Posed,
+    options: Sequence[Option] = (),
+    dials: Sequence[Dial] = (),
+    *,
+    title: str = "The machine",
+    shown: Sequence[int] = (0,),
+    alone: bool = False,
+) -> str:
+    """The machine as one inline ``<svg>``.
+
+    Each option is a group of class ``option`` and ``option-k``; those in ``shown`` are of class
+    ``first`` too, and the only ones that show where no style sheet says otherwise.
+
+    Args:
+        posed: the posture.
+        options: what may be wrong.
+        dials: where dials stand.
+        title: what a reader who cannot see the drawing is told first; the options follow.
+        shown: which options show at first.
+        alone: as a file of its own; else as part of a page.
+    """
+    ends = [end for leg in range(3) for end in posed.rail(leg)]
+    points = np.array([*ends, *posed.lines.reshape(-1, 3), posed.p])
+    project = projection(posed, points)
+    bodies = sorted(_bodies(posed, project), key=lambda body: body[0])
+    groups = [
+        f'<g class="option option-{k}{" first" if k in shown else ""}"'
+        f"{'' if k in shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
+        f"<title>{escape(option.words)}</title>"
+        f"{''.join(marked(mark, posed, dials, project) for mark in option.marks)}</g>"
+        for k, option in enumerate(options)
+    ]
+    told = "; or ".join(option.words for option in options)
+    return (
+        f'<svg class="machine" viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" role="img" '
+        f'{_SPACE if alone else ""}style="{_STYLE}" font-size="13">'
+        f"<title>{escape(title)}</title><desc>{escape(_told(posed, dials, told))}</desc>"
+        f"{''.join(text for _, text in bodies)}"
+        f'<g class="dials">{"".join(_dial(dial, project) for dial in dials)}</g>'
+        f"{''.join(groups)}{''.join(_names(posed, project))}</svg>"
+    )
+
+
+def _told(posed: Posed, dials: Sequence[Dial], options: str) -> str:
+    names = ", ".join(posed.geometry.leg_names)
+    where = f" Dials: {', '.join(dial.name for dial in dials)}." if dials else ""
+    said = f" Marked: {options}." if options else ""
+    legs = f"Three legs {names}, each a carriage on its rail and two bars to the platform."
+    return f"{legs}{where}{said}"
+
+
+def _bodies(posed: Posed, project: Projection) -> list[tuple[float, str]]:
+    """Everything solid with its depth, larger nearer."""
+    d, found = posed.geometry.d, []
+    for leg in range(3):
+        axes = posed.geometry.legs[leg].axes
+        start, end = posed.rail(leg)
+        half = float(np.linalg.norm(end - start)) / 2
+        found += _box((start + end) / 2, axes, (half, 0.12 * d, 0.16 * d), "rail", project)
+        at = posed.carriage(leg) + 0.2 * d * axes[:, 1]
+        found += _box(at, axes, (0.34 * d, 0.2 * d, 0.42 * d), "body", project)
+        for bar in range(2):
+            a, b = posed.lines[leg, bar]
+            found.append((float(project.near @ (a + b)) / 2, line(a, b, project, "bar", 4.0)))
+        for k in range(2):
+            a, b = posed.lines[leg, :, k]
+            found.append((float(project.near @ a) + 0.01, line(a, b, project, "bar", 3.0)))
+    corners = np.array([posed.platform(leg) for leg in range(3)])
+    middle = corners.mean(axis=0)
+    depth = float(project.near @ middle)
+    found.append((depth - 0.02, polygon(corners, project, "body", 0.9)))
+    found.append((depth, line(middle, posed.p, project, "ink", 3.0)))
+    x, y = project(posed.p)
+    found.append((depth + 0.02, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="var(--m-ink)"/>'))
+    return found
+
+
+def _box(
+    centre: Array, axes: Array, half: tuple[float, ...], colour: str, project: Projection
+) -> list[tuple[float, str]]:
+    """The three faces of a box that the eye sees, as one body."""
+    faces = []
+    for k in range(3):
+        side = 1.0 if axes[:, k] @ project.near > 0 else -1.0
+        u, v = (axes[:, j] * half[j] for j in range(3) if j != k)
+        middle = centre + side * half[k] * axes[:, k]
+        corners = np.array([middle + u + v, middle + u - v, middle - u - v, middle - u + v])
+        light = 0.55 + 0.45 * abs(float(axes[2, k]))
+        faces.append(polygon(corners, project, colour, light))
+    return [(float(project.near @ centre), "".join(faces))]
+
+
+def polygon(corners: Array, project: Projection, colour: str, opacity: float = 1.0) -> str:
+    """A filled polygon on paper that is lighter where it faces aside."""
+    at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(project, corners))
+    return (
+        f'<polygon points="{at}" fill="var(--m-paper)"/><polygon points="{at}" '
+        f'fill="var(--m-{colour})" fill-opacity="{opacity:.2f}" stroke="var(--m-bar)" '
+        f'stroke-width=".7" stroke-linejoin="round"/>'
+    )
+
+
+def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> str:
+    """A thick line from a to b ``(3,)``."""
+    (x1, y1), (x2, y2) = project(a), project(b)
+    return (
+        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" '
+        f'stroke="var(--m-{colour})" stroke-width="{width:g}" stroke-linecap="round"/>'
+    )
+
+
+def _dial(dial: Dial, project: Projection) -> str:
+    """A dial: its stem to the touched point, and an arrow in the way that it counts."""
+    x, y = project(dial.at - 0.035 * dial.way)
+    tip = dial.at + 0.022 * dial.way
+    return (
+        f"<g><title>dial {escape(dial.name)}</title>"
+        f"{arrow(dial.at - 0.035 * dial.way, tip, project, 'dial', 1.3)}"
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="var(--m-paper)" '
+        f'stroke="var(--m-dial)" stroke-width="1.3"/></g>'
+    )
+
+
+def _names(posed: Posed, project: Projection) -> list[str]:
+    found = []
+    for leg, name in enumerate(posed.geometry.leg_names):
+        start, end = posed.rail(leg)
+        x, y = project(end + 0.09 * (end - start))
+        found.append(
+            f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle" font-weight="600" '
+            f'fill="var(--m-ink)">{escape(name)}</text>'
+        )
+    return found

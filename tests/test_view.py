@@ -1,0 +1,272 @@
+"""Pictures of a machine: the part that is wrong, its direction and size; and a view that moves."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import subprocess
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.effects import Catalogue
+from orthoglide.machine_file import MachineFile
+from orthoglide.parameters import Parameter
+from orthoglide.pictures import causes_of, dials, option, view
+from orthoglide.scene import Dial, Mark, Posed, drawing, view_page
+from tests.test_first_screen import PER, SCALES
+from tests.test_layout import DELTA
+from tests.test_report import browser, words
+from tests.test_report_verdict import files_of, verdict_of
+
+MOST = 1_500_000  # bytes of a page
+
+
+@cache
+def machine(kind: str) -> og.Machine:
+    if kind == "delta":
+        return og.Machine(MachineFile(geometry=DELTA))
+    return og.Machine(replace(og.Machine.nominal().spec, screw_pitch=0.02))
+
+
+@cache
+def posed(kind: str) -> Posed:
+    return machine(kind).posed()
+
+
+PARTS = {
+    "joint_offset": "drive", "encoder_scale": "drive", "screw_error": "drive", "backlash": "drive",
+    "drive_compliance": "drive", "axis_offset": "rail", "axis_tilt": "rail", "rail_tilt": "rail",
+    "rail_bow": "rail", "rail_torsion": "carriage", "mount_tilt": "carriage",
+    "leg_length": "bar", "bar_mismatch": "bar",
+    "parallelogram_width": "link", "thermal_growth": "bar", "thermal_drift": "bar",
+}  # fmt: skip
+AGAINST = {"rail_bow", "backlash"}  # u^2 - 1 between the ends; half of it behind a move outward
+
+
+def expected(catalogue: Catalogue, p: Parameter, posture: Posed) -> np.ndarray:
+    """Direction in which the part moves, or about which it turns, for a positive value."""
+    leg = posture.geometry.legs[catalogue.legs.index(p.leg)]
+    across = dict(zip(catalogue.legs.across[catalogue.legs.index(p.leg)], leg.axes.T[1:],
+                      strict=True))  # fmt: skip
+    if PARTS[p.effect] == "bar":
+        return (leg.carriage - leg.platform) / posture.geometry.L
+    if PARTS[p.effect] == "link":
+        return leg.axes[:, 2]
+    sign = -1.0 if p.effect in AGAINST else 1.0
+    return sign * across.get(p.direction, leg.axes[:, 1] if p.direction == "b" else leg.axes[:, 0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(k, p) for k in ("orthoglide", "delta") for p in machine(k).catalogue.parameters],
+)
+def test_every_effect_is_marked_on_its_part_with_direction_and_size(
+    kind: str, name: Parameter, sign: float
+) -> None:
+    own = machine(kind)
+    if name.effect == "screw_error" and own.spec.screw_pitch is None:
+        pytest.skip("a printer's belts have no pitch")
+    value = sign * 2 * own.tolerance(name)
+    marks = option(own, "words", {name: value}).marks
+    mark: Mark = marks[0]
+    assert mark.part == PARTS[name.effect]
+    assert own.geometry.leg_names[mark.leg] == name.leg
+    if name.effect not in ("drive_compliance", "screw_error"):  # which way hangs on the load
+        along = float(mark.way @ expected(own.catalogue, name, posed(kind)))
+        assert along * sign > 0.99
+    found = re.search(r"([\d.]+) (mm|mrad|%|µm)", mark.label)
+    assert found
+    if name.effect not in ("thermal_drift", "screw_error"):
+        size = float(found[1]) * SCALES[found[2]] * PER.get(name.effect, 1.0)
+        assert size == pytest.approx(abs(value), rel=0.06)
+    assert mark.both == (name.effect == "backlash")
+    text = drawing(posed(kind), [option(own, "words", {name: value})])
+    assert mark.label in html.unescape(text)
+
+
+def test_what_is_the_same_on_all_legs_is_labelled_once() -> None:
+    marks = option(machine("orthoglide"), "", {"backlash.common": 5e-5}).marks
+    assert [m.leg for m in marks] == [0, 1, 2]
+    assert [m.label for m in marks] == ["each 0.05 mm", "", ""]
+
+
+def test_a_dial_stands_where_it_touches_and_points_the_way_it_counts() -> None:
+    posture = posed("orthoglide")
+    sheet = og.protocol("sweep")
+    turned = replace(sheet, setups=(replace(sheet.setups[0], sign=-1, bar=2), *sheet.setups[1:]))
+    one, other = (dials(posture, [c])[0] for c in (turned, sheet))
+    setup = sheet.setups[0]
+    assert other.at[setup.leg] == pytest.approx(setup.gauge + posture.geometry.r)
+    assert one.at[2] == pytest.approx(other.at[2] - posture.geometry.d / 2)  # bar 2, under bar 1
+    assert one.way[setup.axis] == -1.0
+    assert other.way[setup.axis] == 1.0
+
+
+@pytest.mark.parametrize("kind", ["orthoglide", "delta"])
+def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> None:
+    own, base = machine(kind), machine(kind).catalogue["axis_tilt"].motions
+    several = [option(own, f"cause {k} <&", {p: 3e-3}) for k, p in enumerate(base)]
+    marked = (Dial("left", posed(kind).p, np.array([0.0, 1.0, 0.0])),)
+    text = drawing(posed(kind), several, marked, title="A & B", shown=(1,))
+    root = ET.fromstring(text)
+    assert root.get("role") == "img"
+    assert root.findtext("title") == "A & B"
+    said = root.findtext("desc") or ""
+    assert all(f"cause {k} <&" in said for k in range(len(several)))
+    assert "Dials: left" in said
+    hidden = [g.get("style") for g in root.iter("g") if "option" in (g.get("class") or "")]
+    assert hidden == [None if k == 1 else "display:none" for k in range(len(several))]
+    _, _, width, height = map(float, (root.get("viewBox") or "").split())
+    for element in root.iter("text"):
+        half = 7.6 * len(element.text or "") / 2
+        assert float(element.get("x", 0)) - half * (len(element.text or "") > 2) >= -1
+        assert float(element.get("x", 0)) + half * (len(element.text or "") > 2) <= width + 1
+        assert 8 <= float(element.get("y", 0)) <= height
+
+
+def test_a_machine_shows_itself_in_a_notebook() -> None:
+    root = ET.fromstring(og.Machine.nominal()._repr_svg_())
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+
+
+# --- The view that moves --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["orthoglide", "delta"])
+def test_the_view_moves_the_machine_as_the_mechanism_does(kind: str) -> None:
+    own = machine(kind)
+    leg = own.geometry.leg_names[1]
+    way = own.catalogue.legs.across[1][0]
+    values = {f"axis_tilt.{leg}.{way}": 2e-4, f"leg_length.{leg}": 1e-4}
+    shown = view(own, [("one", values), ("dials alone", {"gauge_scale.left": 0.1})])
+    assert [w.words for w in shown.ways] == ["one"]
+    rho = own.geometry.zero + shown.travel
+    np.testing.assert_allclose(shown.p, own.forward(rho), atol=1e-12)
+    exact = own.with_parameters(values).forward(rho) - shown.p
+    assert np.abs(shown.ways[0].p - exact).max() < 0.01 * np.abs(exact).max()
+    steps = np.linalg.norm(np.diff(shown.p, axis=0), axis=1)
+    assert steps.max() < 3 * np.median(steps)  # it goes from neighbour to neighbour
+    kept = shown.data()
+    assert np.array(kept["frames"])[:, 36:] * 1e-5 == pytest.approx(shown.p, abs=6e-6)
+
+
+DRIVE = """<script>
+addEventListener("load", () => {
+  const view = document.querySelector("div.view"), canvas = view.querySelector("canvas");
+  const shots = [], seen = () => { const s = canvas.toDataURL(); shots.push(s); return s; };
+  const set = (e, act) => { act(e); e.dispatchEvent(new Event("input")); return seen(); };
+  const first = seen(), way = view.querySelector(".way");
+  const off = set(way, e => { e.checked = !e.checked; });
+  const back = set(way, e => { e.checked = !e.checked; });
+  const larger = set(view.querySelector(".times"), e => { e.value = "1000"; });
+  const moved = set(view.querySelector(".place"), e => { e.value = 3; });
+  const place = view.querySelector(".place").value;
+  const shown = k => getComputedStyle(document.querySelector(`.drawn .option-${k}`)).display;
+  const pick = document.querySelector("#pick-1"), before = pick && [shown(0), shown(1)];
+  if (pick) pick.click();
+  view.querySelector(".play").click();
+  setTimeout(() => {
+    const run = seen();
+    document.title = JSON.stringify({
+      off: off !== first, back: back === first, larger: larger !== back, moved: moved !== larger,
+      run: run !== moved && view.querySelector(".place").value !== place,
+      picked: pick && [...before, shown(0), shown(1)], hidden: view.hidden,
+      asked: performance.getEntriesByType("resource").map(e => e.name),
+      readout: view.querySelector(".readout").textContent });
+  }, 400);
+});
+</script></body>"""
+
+
+def driven(page: str, folder: Path) -> dict[str, object]:
+    (folder / "page.html").write_text(page.replace("</body>", DRIVE), encoding="utf-8")
+    command = [
+        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+        "--disable-background-networking", "--virtual-time-budget=4000", "--window-size=900,900",
+        f"--user-data-dir={folder / 'profile'}", "--dump-dom", f"file://{folder / 'page.html'}",
+    ]  # fmt: skip
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    found = re.search(r"<title>(\{.*?\})</title>", shown, flags=re.DOTALL)
+    assert found, shown[-500:]
+    told: dict[str, object] = json.loads(html.unescape(found[1]))
+    return told
+
+
+@pytest.mark.parametrize("which", ["report", "delta"])
+def test_the_switch_moves_the_drawing_and_nothing_is_asked_of_a_network(
+    which: str, tmp_path: Path
+) -> None:
+    page = files_of("explained")["report.html"]
+    if which == "delta":
+        own = machine("delta").with_parameters({"mount_tilt.b.a": 8e-3, "leg_length.a": 1e-3})
+        page = view_page(view(own, causes_of(own)), drawing(own.posed()), "A delta")
+    told = driven(page, tmp_path)
+    assert all(told[name] for name in ("off", "back", "larger", "moved", "run"))
+    assert not told["hidden"]
+    assert told["asked"] == []
+    assert told["picked"] == (None if which == "delta" else ["inline", "none", "none", "inline"])
+    assert re.search(r"off by -?\d+\.\d{3}, .* mm in x, y, z", str(told["readout"]))
+
+
+@pytest.mark.parametrize("which", ["explained", "partial", "unexplained"])
+def test_the_page_is_small_and_asks_nothing_of_a_network(which: str) -> None:
+    page = files_of(which)["report.html"]
+    assert len(page.encode()) < MOST
+    assert "default-src 'none'" in page
+    assert not re.search(r"\b(fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon)\b", page)
+    still = re.search(r"<noscript>(.*?)</noscript>", page, flags=re.DOTALL)
+    assert still
+    assert still[1].startswith('<svg class="machine"')
+
+
+def test_the_first_screen_draws_what_it_says() -> None:
+    """The words beside the drawing and in it are the same, and each can be shown."""
+    verdict = verdict_of("explained")
+    page = files_of("explained")["report.html"]
+    drawn = re.search(r'<figure class="drawn">(.*?)</figure>', page, flags=re.DOTALL)
+    assert drawn
+    titles = re.findall(r"<g class=\"option[^>]*><title>(.*?)</title>", drawn[1])
+    said = [one.words for one in verdict.effects[0].explanations]
+    assert [html.unescape(title) for title in titles] == said
+    assert "2.4 mrad toward z" in words(drawn[1])
+    for k in range(len(said)):
+        assert f'id="pick-{k}"' in page
+        assert f'for="pick-{k}"' in page
+    most = verdict_of("unexplained").rest[0]
+    left = verdict_of("unexplained").picture.options[0].marks[0]
+    assert (left.part, left.setup) == ("dial", most.setup)
+    assert left.way[most.axis] == np.sign(most.most)
+
+
+# --- On the command line --------------------------------------------------------------------
+
+
+def test_view_writes_a_page_of_a_machine(tmp_path: Path) -> None:
+    worn = og.Machine.nominal().with_parameters({"axis_tilt.y.z": 2e-3, "joint_offset.x": 1e-3})
+    worn.save(tmp_path / "worn.toml")
+    out = tmp_path / "worn.html"
+    asked = ["view", str(tmp_path / "worn.toml"), "--out", str(out)]
+    told = CliRunner().invoke(cli, asked)
+    assert told.exit_code == 0
+    assert "with 2 of its errors to switch on" in told.output
+    page = out.read_text()
+    assert "the path of the y carriage is out of square toward z by 2 mrad" in words(page)
+    assert len(page.encode()) < 300_000
+    again = CliRunner().invoke(cli, asked)
+    assert again.exit_code == 2
+    assert out.read_text() == page
+    plain = CliRunner().invoke(cli, ["view", "--out", str(tmp_path / "plain.html")])
+    assert (plain.exit_code, "without errors" in plain.output) == (0, True)
+    missing = CliRunner().invoke(cli, ["view", "nowhere.toml", "--out", str(tmp_path / "x.html")])
+    assert missing.exit_code == 2
+    assert not (tmp_path / "x.html").exists()
