@@ -569,6 +569,7 @@ def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
     assert code == 0, text
     assert {p.name for p in out.iterdir()} == {
         "controller.txt", "controller.json", "orthoglide.urdf", "orthoglide.closures.toml",
+        "robot.urdf", "robot.yaml",
     }  # fmt: skip
     numbers = json.loads((out / "controller.json").read_text())
     assert numbers["drives"]["x"]["add_to_command_mm"] == pytest.approx(-1.1)

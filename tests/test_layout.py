@@ -219,7 +219,7 @@ def test_machine_files_keep_free_legs() -> None:
     text = machine_text(MachineFile(name="free", geometry=freely(DELTA)))
     assert "[layout.leg.u]" in text
     for old, new, phrase in (
-        ("[layout.leg.w]", "[layout.leg.'w w']", "cannot be called"),
+        ("[layout.leg.w]", "[layout.leg.w_w]", "cannot be called"),
         ("[layout.leg.w]", "[layout.other.w]", "no key 'other'"),
         ("    1.0,\n]", "    -1.0,\n]", "turn it round"),
         ("L = 345.0", "L = 145.0", "do not reach"),

@@ -10,9 +10,11 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 import yourdfpy
 
 from orthoglide import urdf
+from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS, Geometry, base_from_leg, leg_axes
 from orthoglide.urdf import solids
 
@@ -284,3 +286,82 @@ def test_drawn_solids_overlap_only_where_links_share_a_pivot() -> None:
             data.joint(joint).qpos = q[tree.joints[tree.getJointId(joint)].idx_q]
         mujoco.mj_kinematics(model, data)
         assert solids_that_touch(model, data) == shared
+
+
+# --- The convention of parallel robots ------------------------------------------------------
+
+
+def constraints_of(robot: urdf.ParallelRobot, model: pin.Model) -> list[pin.RigidConstraintModel]:
+    """As loaders of that convention build them."""
+    found = []
+    for loop in robot.closures:
+        first, second = (model.frames[model.getFrameId(n)] for n in (loop.frame_1, loop.frame_2))
+        kind = pin.ContactType.CONTACT_3D if loop.rows == 3 else pin.ContactType.CONTACT_6D
+        found.append(
+            pin.RigidConstraintModel(
+                kind, model, first.parentJoint, first.placement, second.parentJoint,
+                second.placement, pin.ReferenceFrame.LOCAL,
+            )
+        )  # fmt: skip
+    return found
+
+
+@GEOMETRIES
+def test_a_parallel_robot_closes_when_loaded_back(geometry: Geometry, tmp_path: Path) -> None:
+    for name, text in urdf.parallel_robot_files(geometry).items():
+        (tmp_path / name).write_text(text)
+    told = yaml.safe_load((tmp_path / "robot.yaml").read_text())
+    assert set(told) >= {"closed_loop", "type", "name_mot", "joint_name", "joint_type"}
+    robot = urdf.read_parallel_robot(tmp_path)
+    assert [(c.kind, c.frame_1, c.frame_2) for c in robot.closures] == [
+        (c.kind, c.frame_1, c.frame_2) for c in urdf.closures(geometry)
+    ]
+    assert robot.motors == ("x_slide", "y_slide", "z_slide")
+    model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
+    constraints, data = constraints_of(robot, model), model.createData()
+    travel = np.array([0.01, -0.02, 0.03])
+    for q in (pin.neutral(model), closed_configuration(geometry, travel, model)):
+        pin.framesForwardKinematics(model, data, q)
+        for loop, constraint in zip(robot.closures, constraints, strict=True):
+            one = data.oMi[constraint.joint1_id] * constraint.joint1_placement
+            other = data.oMi[constraint.joint2_id] * constraint.joint2_placement
+            assert np.abs(one.translation - other.translation).max() < 1e-12
+            assert loop.rows == 3 or np.abs(one.rotation - other.rotation).max() < 1e-12
+    jacobian = pin.getConstraintsJacobian(
+        model, data, constraints, [c.createData() for c in constraints]
+    )
+    assert jacobian.shape == (21, model.nv)
+
+
+BROKEN = {
+    "no such frame": ("'x_tcp'", "'x_tip'", "no two frames"),
+    "a kind too few": ("'6d', '6d'", "'6d'", "kinds for 5 loops"),
+    "no such kind": ("'6d'", "'5d'", "neither 3d nor 6d"),
+    "no such motor": ("'y_slide'", "'y_motor'", "no joint"),
+    "no list": ("name_mot: [", "name_mot: ", "no list in brackets"),
+    "missing": ("closed_loop", "closedloop", "is missing"),
+    "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "replaces joints"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_parallel_robots_that_cannot_be_meant_are_refused(kind: str, tmp_path: Path) -> None:
+    old, new, phrase = BROKEN[kind]
+    written = urdf.parallel_robot_files(NOMINAL)
+    assert old in written["robot.yaml"]
+    (tmp_path / "robot.urdf").write_text(written["robot.urdf"])
+    (tmp_path / "robot.yaml").write_text(written["robot.yaml"].replace(old, new))
+    with pytest.raises(FileError, match=phrase):
+        urdf.read_parallel_robot(tmp_path)
+
+
+def test_other_spellings_of_the_convention_are_read(tmp_path: Path) -> None:
+    urdf_text = urdf.to_urdf(NOMINAL)
+    (tmp_path / "robot.urdf").write_text(urdf_text)
+    (tmp_path / "robot.yaml").write_text(
+        "# loops\nname_mot: ['x_slide',\n  'y_slide']\n"
+        'closed_loop: [["x_tcp", "y_tcp"]]  # platform\ntype: ["6D"]\n'
+    )
+    robot = urdf.read_parallel_robot(tmp_path)
+    assert robot.closures == (urdf.Closure("loop1", "frame", "x_tcp", "y_tcp"),)
+    assert robot.motors == ("x_slide", "y_slide")

@@ -16,7 +16,7 @@ from orthoglide.machine import Machine
 from orthoglide.observations.columns import MM, POINT, approach_of, names_of
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.text import csv_text
-from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text
+from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_robot_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +68,17 @@ def export_files(
     machine: Machine, *, zeros_only: bool = False, force: bool = False
 ) -> dict[str, str]:
     """What other programs take of a machine, by file name: numbers for the controller, as text
-    and as JSON, the calibrated URDF and its loop closures; options as for ``controller_numbers``.
+    and as JSON, the calibrated URDF and its loop closures, our way and as ``robot.urdf`` with
+    ``robot.yaml``; options as for ``controller_numbers``.
     """
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
+    tree = calibrated_urdf(machine)
     return {
         "controller.txt": numbers.text(),
         "controller.json": json.dumps(numbers.as_dict(), indent=2) + "\n",
-        URDF_FILE: calibrated_urdf(machine),
+        URDF_FILE: tree,
         CLOSURES_FILE: closures_text(machine.geometry),
+        **parallel_robot_files(machine.geometry, tree),
     }
 
 

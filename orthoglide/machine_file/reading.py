@@ -280,7 +280,7 @@ def _free_legs(document: Document) -> tuple[Layout, float | None]:
         )
     legs = []
     for name in names:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,19}", name):
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,19}", name):
             document.fail(
                 f"a leg cannot be called {brief(name)!r}: take up to 20 letters and digits",
                 "layout", "leg", name,

@@ -11,6 +11,7 @@ that is the closed machine at mechanical zero, p = 0. The kinematics are the pap
 al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not measured.
 """
 
+from orthoglide.urdf.parallel import ParallelRobot, parallel_robot_files, read_parallel_robot
 from orthoglide.urdf.tree import (
     CLOSURES_FILE,
     URDF_FILE,
@@ -25,8 +26,11 @@ __all__ = [
     "CLOSURES_FILE",
     "URDF_FILE",
     "Closure",
+    "ParallelRobot",
     "closures",
     "closures_text",
+    "parallel_robot_files",
+    "read_parallel_robot",
     "to_urdf",
     "write",
 ]
