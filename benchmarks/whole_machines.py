@@ -13,7 +13,7 @@ import argparse
 import json
 import multiprocessing
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,13 @@ def covered(verdict: Verdict, rig: Rig) -> list[bool]:
     return found
 
 
-def records(cases: Sequence[Case], seed: int, jobs: int, cache: Path | None) -> Iterator[Record]:
+def records(
+    cases: Sequence[tuple[Any, ...]],
+    seed: int,
+    jobs: int,
+    cache: Path | None,
+    run: Callable[..., Record] = run,
+) -> Iterator[Record]:
     """Records of all cases, those of an earlier run first."""
     lines = cache.read_text().splitlines() if cache and cache.exists() else []
     known = [r for r in map(json.loads, lines) if r["seed"] == seed]

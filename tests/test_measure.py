@@ -69,7 +69,7 @@ def test_readings_of_a_machine_within_its_tolerances_are_never_doubted(
     machine: og.Machine,
 ) -> None:
     sheet = opening(machine)
-    expected = Expected(sheet, machine)
+    expected = Expected.of(sheet, machine)
     for seed in range(5):
         rng = np.random.default_rng(seed)
         names = machine.catalogue.expand([n for n, e in machine.catalogue.items() if not e.needs])
@@ -85,7 +85,7 @@ def test_readings_of_a_machine_within_its_tolerances_are_never_doubted(
 
 def test_a_slip_is_out_of_step_with_its_repeats(machine: og.Machine) -> None:
     sheet = og.protocol("sweep")
-    expected = Expected(sheet, machine)
+    expected = Expected.of(sheet, machine)
     shown = og.simulate(machine, sheet, seed=1).reading.tolist()
     row = next(k for k in range(len(sheet)) if sheet.repeat[k] == 2 and sheet.posture[k] == "+20")
     taken = dict(enumerate(shown[:row]))

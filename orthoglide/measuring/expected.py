@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -35,33 +35,26 @@ class Expected:
 
     Attributes:
         sheet: the readings to take.
-        machine: as it is believed to be.
+        linear: by everything in the catalogue, in tolerances.
+        nominal: of the machine as it is believed to be ``(n,)``, metres.
+        covariance: of all readings ``(n, n)``, square metres.
     """
 
     sheet: Campaign
-    machine: Machine
+    linear: LinearReadings
+    nominal: Array
+    covariance: Array
 
-    @cached_property
-    def _linear(self) -> LinearReadings:
-        names = shown_names(self.machine, self.sheet, ())
-        return LinearReadings.of(self.machine, self.sheet, names)
-
-    @cached_property
-    def _covariance(self) -> Array:
-        """Of all readings of the sheet ``(n, n)``, square metres; zero apart across mountings but
-        for the machine.
-        """
-        linear, setup = self._linear, self.sheet.setup
-        rows = np.arange(len(setup))
-        same = np.equal.outer(setup, setup)
+    @classmethod
+    def of(cls, sheet: Campaign, machine: Machine) -> Self:
+        """Readings of a machine within some tolerances of what its file says."""
+        linear = LinearReadings.of(machine, sheet, shown_names(machine, sheet, ()))
+        rows = np.arange(len(sheet))
+        same = np.equal.outer(sheet.setup, sheet.setup)
         of_dials = np.where(same, linear.covariance(rows, rows) + _DATUM**2, 0.0)
-        step = self.machine.spec.dial.resolution
-        noise = np.diag(linear.sigma**2 + step**2)
-        return np.asarray(_WIDE**2 * linear.columns @ linear.columns.T + of_dials + noise)
-
-    @cached_property
-    def _nominal(self) -> Array:
-        return self.machine.readings(self.sheet)
+        noise = np.diag(linear.sigma**2 + machine.spec.dial.resolution**2)
+        spread = _WIDE**2 * linear.columns @ linear.columns.T + of_dials + noise
+        return cls(sheet, linear, machine.readings(sheet), np.asarray(spread))
 
     def doubt(self, row: int, reading: float, taken: Mapping[int, float]) -> str:
         """What speaks against a reading, a clause; empty where nothing does.
@@ -75,14 +68,14 @@ class Expected:
         if not own:
             return ""
         done = np.array(list(taken))
-        across = self._covariance[row, done]
-        weights = np.linalg.solve(self._covariance[np.ix_(done, done)], across)
-        seen = np.array([taken[k] for k in done]) - self._nominal[done]
-        mean = self._nominal[row] + weights @ seen
-        sd = float(np.sqrt(self._covariance[row, row] - weights @ across))
+        across = self.covariance[row, done]
+        weights = np.linalg.solve(self.covariance[np.ix_(done, done)], across)
+        seen = np.array([taken[k] for k in done]) - self.nominal[done]
+        mean = self.nominal[row] + weights @ seen
+        sd = float(np.sqrt(self.covariance[row, row] - weights @ across))
         if abs(reading - mean) <= _BEYOND * sd:
             return ""
-        station = self._linear.station
+        station = self.linear.station
         before = [taken[k] for k in own if station[k] == station[row]]
         if before:
             told = ", ".join(f"{v * 1e3:.3f}" for v in before)

@@ -10,6 +10,8 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Setup
 from orthoglide.observations.writing import Row, campaign_rows
+from orthoglide.pictures import dials
+from orthoglide.scene import drawing
 
 
 @dataclass(frozen=True)
@@ -41,13 +43,13 @@ class Page:
         title: names of its setups.
         dials: sentences on each dial.
         steps: in order.
-        drawing: where the dials stand, SVG; empty where none is drawn.
+        drawing: where the dials stand and which way they count, SVG.
     """
 
     title: str
     dials: tuple[tuple[str, tuple[str, ...]], ...]
     steps: tuple[Step, ...]
-    drawing: str = ""
+    drawing: str
 
 
 def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
@@ -124,10 +126,14 @@ def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
     commands = command_columns(rows[0])
     together = mounted_together(rows)
     by_name = {s.name: s for s in sheet.setups}
+    posed = machine.with_only({}).posed()
+    stand = {dial.name: dial for dial in dials(posed, [sheet])}
     numbered = enumerate(rows, start=2)
     for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
         told = tuple((n, dial_words(by_name[n], machine, _turned(by_name[n]))) for n in names)
-        yield Page(" and ".join(names), told, tuple(_steps(list(lines), names, commands)))
+        title = " and ".join(names)
+        here = drawing(posed, dials=[stand[n] for n in names], title=f"Where to mount {title}")
+        yield Page(title, told, tuple(_steps(list(lines), names, commands)), here)
 
 
 def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:

@@ -110,8 +110,9 @@ class Session:
             step = self._read(sheet, number)
             if step.sheet is None:
                 self.tell("\nComputing the verdict.")
-                verdict = self._verdict(self.record.rows)
-                step = following(verdict, number, self.most - self.record.readings)
+                rows = self.record.rows[: self._at]  # the file may hold later sheets already
+                verdict = self._verdict(rows)
+                step = following(verdict, number, self.most - _readings(rows))
                 if step.sheet is None:
                     return End(verdict, step.settled, step.reason, self.record.readings)
             self.tell(f"\nNot settled yet, {step.reason}: {len(step.sheet)} readings more.")
@@ -121,7 +122,7 @@ class Session:
         """Take the readings of one sheet that the file has not yet; what follows from all."""
         for running in self._ahead.values():
             running.wait()  # the mechanism serves one at a time
-        plan, expected = self.record.plan(sheet), Expected(sheet, self.machine)
+        plan, expected = self.record.plan(sheet), Expected.of(sheet, self.machine)
         lead = [k for k, row in enumerate(plan) if row["kind"] == "leg"][-_LEAD:]
         taken, reading, ahead = dict[int, float](), 0, None
         for k, planned in enumerate(plan):
@@ -167,7 +168,7 @@ class Session:
         rows = tuple(self.record.rows[: self._at])
         key = f"{number} {rows}"
         if key not in self._ahead:
-            room = self.most - left - sum(bool(r["reading_mm"]) for r in rows)
+            room = self.most - left - _readings(rows)
             self._ahead[key] = Ahead(lambda: self._after(rows, number, room))
         return self._ahead[key]
 
@@ -258,3 +259,7 @@ class Session:
         if self._told[1:] != (place,):
             self.tell(f"{what:<7}  {place}  {why}")
         self._told = (*self._told[:1], place)
+
+
+def _readings(rows: Sequence[Row]) -> int:
+    return sum(bool(row["reading_mm"]) for row in rows)

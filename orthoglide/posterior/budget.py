@@ -7,17 +7,20 @@ posterior, so that causes which these readings cannot part are counted jointly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from orthoglide.accuracy import tcp_slopes, without_place
+from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.geometry import Array
+from orthoglide.machine import Machine
 from orthoglide.posterior.causes import Cause
 from orthoglide.posterior.everything import FullPosterior
 
 _DRAWS = 400
+_STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
 @dataclass(frozen=True)
@@ -61,21 +64,27 @@ def budget(posterior: FullPosterior, causes: Sequence[Cause]) -> tuple[BudgetIte
         causes: found, each counted for itself; what is left of an effect is counted together.
     """
     machine = posterior.machine
-    known, catalogue = machine.posterior, machine.catalogue
-    slopes = without_place(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
+    known, catalogue, values = machine.posterior, machine.catalogue, machine.values
     base = np.array([catalogue.effect_of(n).name in catalogue.base for n in known.names])
-    slopes = _past(slopes[:, base], slopes)
-    drawn = known.mean + np.random.default_rng(0).standard_normal(
-        (_DRAWS, len(known.names))
-    ) @ known.root.T  # fmt: skip
-    total = _mean_length(drawn @ slopes.T)
+    controller = _Controller.of(machine)
+    slopes = without_place(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
+    slopes = controller.past(slopes)
+    # A translation of the whole makes no shape: what it leaves open is no cause's part.
+    _, _, weights = posterior.machine_with(posterior.mean)
+    spread = replace(known, covariance=weights @ posterior.known.covariance @ weights.T)
+    draws = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names)))
+    off, now = draws @ spread.root.T, controller.left(values)
+    drawn = now + off @ slopes.T
+    total = _mean_length(drawn)
     found = []
     for cause, names in _members(posterior, causes, known.names, base):
         at = [known.names.index(n) for n in names]
-        part = drawn[:, at] @ slopes[:, at].T
-        gain = total - _mean_length(drawn @ slopes.T - part)
+        # Exact at the mean: a bar off by millimetres turns the platform by more than its slope.
+        mended = controller.left({n: v for n, v in values.items() if n not in names})
+        part = now - mended + off[:, at] @ slopes[:, at].T
+        gain = total - _mean_length(drawn - part)
         tolerance = np.array([machine.tolerance(n) for n in names])
-        size, single = np.abs(drawn[:, at]) / tolerance, len(at) == 1
+        size, single = np.abs(known.mean[at] + off[:, at]) / tolerance, len(at) == 1
         length = _mean_length(part)
         found.append(
             BudgetItem(
@@ -122,11 +131,46 @@ def _members(
     return [*found, *by_effect.items()]
 
 
-def _past(base: Array, slopes: Array) -> Array:
-    """Slopes past what zeros and lengths can take."""
-    scale = np.linalg.norm(base, axis=0)
-    basis, _ = np.linalg.qr(base / np.where(scale > 0, scale, 1.0))
-    return np.asarray(slopes - basis @ (basis.T @ slopes))
+@dataclass(frozen=True, eq=False)
+class _Controller:
+    """A controller that takes the best zeros and bar lengths, and what it leaves.
+
+    Attributes:
+        machine: whose workspace it is.
+        held: zeros and lengths to start from, SI.
+        slopes: TCP's shape over the workspace by these ``(3 g, B)``, metres.
+    """
+
+    machine: Machine
+    held: Mapping[str, float]
+    slopes: Array
+
+    @classmethod
+    def of(cls, machine: Machine) -> _Controller:
+        names = machine.catalogue.expand(machine.catalogue.base)
+        held = {str(n): machine.values.get(n, 0.0) for n in names}
+        slopes = without_place(tcp_slopes(machine.with_only(held), names))
+        return cls(machine, held, slopes.reshape(-1, len(names)))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """From errors ``(3 g,)`` to the settings that make up for them ``(B, 3 g)``."""
+        sd = np.array([self.machine.tolerance(n) for n in self.held])
+        return np.asarray(sd[:, None] * np.linalg.pinv(self.slopes * sd, rcond=1e-6))
+
+    def past(self, errors: Array) -> Array:
+        """Errors ``(3 g, ...)`` that no setting makes up for, to first order."""
+        return np.asarray(errors - self.slopes @ (self.inverse @ errors))
+
+    def left(self, values: Mapping[str, float]) -> Array:
+        """What the best settings leave of a machine's error over the workspace ``(3 g,)``."""
+        where, settings = workspace(self.machine.geometry), np.array([*self.held.values()])
+        goal = self.machine.with_only(values).forward(where)
+        for _ in range(_STEPS):
+            taken = self.machine.with_only(dict(zip(self.held, settings.tolist(), strict=True)))
+            apart = without_place(goal - taken.forward(where)).ravel()
+            settings = settings + self.inverse @ apart
+        return self.past(apart)
 
 
 def _mean_length(errors: Array) -> Array:

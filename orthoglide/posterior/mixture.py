@@ -27,6 +27,7 @@ from orthoglide.geometry import Array
 from orthoglide.posterior.linear import SOUND, STRANGE, Linear, Scale, scales
 
 _MOST = 6  # groups that stand out together
+_FEW = 2  # coefficients of one cause: more are an effect whole
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
 _KEPT = 60  # of them at most
 
@@ -89,7 +90,23 @@ class Mixture:
             child = self._best_child(state)
             if child is None or self._total(child) < self._total(state):
                 break
-            state = self._exchanged(child)
+            state = self._split(self._exchanged(child))
+        return state
+
+    def _split(self, state: State) -> State:
+        """Two lesser causes in place of an effect whole, where that is better.
+
+        An effect whole costs no more than one cause and may draw what two make: then neither of
+        them alone is better than it, and no exchange finds the two.
+        """
+        for out in state:
+            group = self.linear.groups[out[0]]
+            if group.free or out[0] in self._known or group.size <= _FEW:
+                continue
+            one = self._best_child(tuple(s for s in state if s is not out), _FEW)
+            two = one and self._best_child(one, _FEW)
+            if two:
+                return max(state, self._exchanged(two), key=self._total)
         return state
 
     def _exchanged(self, state: State) -> State:
@@ -112,8 +129,13 @@ class Mixture:
         top = weights.max()
         return float(top + np.log(np.exp(weights - top).sum()))
 
-    def _best_child(self, state: State) -> State | None:
-        """Let one more group out: all of them at all scales, the best returned."""
+    def _best_child(self, state: State, most: int | None = None) -> State | None:
+        """Let one more group out: all of them at all scales, the best returned.
+
+        Args:
+            state: what is out already.
+            most: size of what is added; free functions are left out then.
+        """
         if state not in self.children:
             self.children[state] = self._expand(state)
         table = self.children[state]  # (scales, groups, taus)
@@ -121,6 +143,8 @@ class Mixture:
             return None
         top = table.max()
         pooled = np.exp(table - top).sum(axis=0)
+        if most is not None:
+            pooled[[g.free or g.size > most for g in self.linear.groups]] = 0.0
         group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
         return self._child(state, int(group), int(tau))
 

@@ -1,0 +1,166 @@
+"""What the budget says that mending gains, against what mending the machine gains.
+
+    python benchmarks/gains.py --machines 40 --jobs 2 --cache gains.jsonl
+
+Machines are simulated by the tests' own (`tests/rig.py`): everything is off by 0.01, 0.03 or 0.1 of
+its tolerance in the rig's machine file, and one to three effects stand out at 0.5 to 2. The loop is
+closed on a machine's readings; each item of its error budget is then mended on the machine itself:
+*repaired*, its parameters set to zero, or *compensated*, the values found taken away. The error is
+the mean over the workspace that the best zeros, lengths and translation leave. A run goes on where
+it stopped, from the cache.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import attribution_cases as ac, whole_machines
+from benchmarks.attribution_run import campaign, machine
+from orthoglide.accuracy import workspace
+from orthoglide.closing import close_loop
+from orthoglide.errors import OrthoglideError
+from orthoglide.posterior import BudgetItem
+from tests import rig_campaigns as rc
+from tests.rig import LEGS, Rig, parameter_names
+
+EFFECTS = ("axis_tilt", "axis_offset", "rail_bow", "encoder_scale", "screw_error", "bar_mismatch",
+           "parallelogram_width")  # fmt: skip
+"""What moves the tool past the best zeros and lengths."""
+
+SHARES = (0.01, 0.03, 0.1)
+"""Of their tolerances by which everything is off."""
+
+SIZES = (0.5, 2.0)
+"""Tolerances of what stands out."""
+
+COUNTS = (1, 2, 3)
+PROTOCOLS = ("sweep", "two-gauges")
+STEP = 1e-6  # metres, of derivatives
+BASE = [f"{family}.{leg}" for family in ("joint_offset", "leg_length") for leg in LEGS]
+
+Record = dict[str, Any]
+Case = tuple[int, str, int]
+Array = np.ndarray
+
+
+def rig_of(case: Case, seed: int) -> tuple[Rig, np.random.Generator]:
+    """A machine of which everything is off by a share, and that many effects stand out."""
+    count, _, number = case
+    rng = np.random.default_rng([seed, number])
+    rig = whole_machines.rig_of(SHARES[number // 2 % len(SHARES)], rng)
+    for family in rng.choice(EFFECTS, count, replace=False).tolist():
+        cause = ac.effect(family, machine().tolerance(family), [], rng, False)
+        rig = cause.added_to(rig, float(rng.uniform(*SIZES)))
+    return rig, rng
+
+
+class Tool:
+    """The tool's error of a rig that the best zeros, lengths and translation leave."""
+
+    def __init__(self) -> None:
+        self.commands = workspace(machine().geometry)
+
+    def _shape(self, rig: Rig) -> Array:
+        p = rig.pose(self.commands).p
+        return np.asarray((p - p.mean(axis=0)).ravel())
+
+    def error(self, rig: Rig) -> float:
+        """Mean over the workspace, millimetres: zeros and lengths by Gauss and Newton."""
+        settings = np.array([rig.error(n) for n in BASE])
+        for _ in range(3):
+            here = Rig(errors=dict(zip(BASE, settings.tolist(), strict=True)))
+            now = self._shape(here)
+            slopes = [self._shape(here.with_errors({n: here.error(n) + STEP})) - now for n in BASE]
+            apart = self._shape(rig) - now
+            found = np.linalg.lstsq(np.transpose(slopes) / STEP, apart, rcond=1e-6)[0]
+            settings = settings + found
+        left = (apart - np.transpose(slopes) / STEP @ found).reshape(-1, 3)
+        return 1e3 * float(np.linalg.norm(left, axis=1).mean())
+
+
+def run(case: Case, seed: int) -> Record:
+    """One machine: gains predicted and realised."""
+    began, (rig, rng) = time.perf_counter(), rig_of(case, seed)
+    rows = rc.simulate(rig, rc.protocol_rows(case[1]), rng)
+    record: Record = {"case": list(case), "seed": seed}
+    try:
+        verdict = close_loop([campaign(rows)], machine())
+        items = verdict.budget
+    except OrthoglideError as error:
+        return record | {"word": "error", "message": str(error)}
+    assert verdict.posterior is not None
+    found, tool = verdict.posterior.machine.values, Tool()
+    now, named = tool.error(rig), {e.name for e in verdict.effects}
+    mended = [
+        {
+            "cause": item.cause,
+            "named": item.cause in named,
+            "gain": 1e3 * item.gain,
+            "sigma": 1e3 * item.gain_sigma,
+            "repaired": now - tool.error(rig.with_errors(dict.fromkeys(_on_rig(item), 0.0))),
+            "compensated": now
+            - tool.error(
+                rig.with_errors({n: rig.error(n) - found.get(n, 0.0) for n in _on_rig(item)})
+            ),
+        }
+        for item in items
+    ]
+    seconds = round(time.perf_counter() - began, 2)
+    return record | {"word": verdict.word, "error": now, "items": mended, "seconds": seconds}
+
+
+def _on_rig(item: BudgetItem) -> list[str]:
+    """Its parameters that a rig has: those of places it has not."""
+    return sorted(set(item.members) & set(parameter_names()))
+
+
+def table(found: Sequence[Record]) -> Iterator[str]:
+    """The table, in Markdown."""
+    yield "| mended | | items | predicted | realised | ratio | within 1.96 sigma |"
+    yield "|---" * 7 + "|"
+    of_rig = {n.partition(".")[0] for n in parameter_names()}  # a place cannot be mended on a rig
+    items = [
+        item
+        for r in found
+        for item in r.get("items", ())
+        if item["cause"].partition(".")[0] in of_rig
+    ]
+    for how in ("repaired", "compensated"):
+        for what, named in (("causes named", True), ("the rest of an effect", False)):
+            chosen = [i for i in items if i["named"] is named]
+            if not chosen:
+                continue
+            gain, sigma, real = (np.array([i[k] for i in chosen]) for k in ("gain", "sigma", how))
+            within = np.abs(gain - real) <= 1.96 * sigma + LEAST
+            yield (
+                f"| {how} | {what} | {len(chosen)} | {gain.mean():.4f} | {real.mean():.4f} | "
+                f"{gain.mean() / real.mean():.3f} | {100 * within.mean():.1f} % |"
+            )
+
+
+LEAST = 5e-4
+"""Millimetres: gains that differ by less, a tenth of a reading's noise, are the same."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--machines", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    options = parser.parse_args()
+    every = [(COUNTS[k // 6 % len(COUNTS)], PROTOCOLS[k % 2], k) for k in range(options.machines)]
+    began = time.perf_counter()
+    found = list(whole_machines.records(every, options.seed, options.jobs, options.cache, run))
+    print("\n".join(table(found)))
+    print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s; gains in mm.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""The error budget: what mending is said to gain is what mending gains."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from benchmarks import gains
+from benchmarks.attribution_run import machine
+from orthoglide.posterior.budget import _Controller
+from orthoglide.posterior.linear import Group, Linear, whole
+from orthoglide.posterior.mixture import Mixture
+
+SEED = 1
+
+
+def test_a_cause_gains_what_was_said() -> None:
+    record = gains.run((1, "two-gauges", 1), SEED)
+    (item,) = [i for i in record["items"] if i["named"]]
+    for how in ("repaired", "compensated"):
+        assert item["gain"] == pytest.approx(item[how], rel=0.1)
+        assert abs(item["gain"] - item[how]) <= 1.96 * item["sigma"] + gains.LEAST
+    assert "| repaired | causes named | 1 |" in "\n".join(gains.table([record]))
+
+
+def test_a_sound_machine_has_nothing_to_gain() -> None:
+    """What moves the machine as a whole is open, and is no cause's part of the tool's error."""
+    drawn = og.Machine.nominal().with_parameters({"joint_offset.x": 1e-3, "leg_length.y": 5e-5})
+    campaign = og.simulate(drawn, "sweep", seed=3)
+    verdict = og.close_loop([campaign])
+    assert verdict.word == "adequate"
+    for item in verdict.budget:
+        assert abs(item.gain) < 3e-6, item
+        assert item.tcp_mean < 1e-5, item
+
+
+def test_the_best_zeros_and_lengths_leave_nothing_of_zeros_and_lengths() -> None:
+    worn = machine().with_parameters({"joint_offset.x": 2e-3, "bar_mismatch.z": 2e-3})
+    controller = _Controller.of(worn)
+    plain = {"joint_offset.x": 4e-3, "joint_offset.y": -3e-3, "leg_length.z": 2e-4}
+    assert np.abs(controller.left(plain)).max() < 1e-6  # of millimetres
+    left = np.linalg.norm(controller.left(dict(worn.values)).reshape(-1, 3), axis=1).mean()
+    other = gains.Tool().error(gains.Rig(errors=dict(worn.values)))
+    assert 1e3 * left == pytest.approx(other, rel=1e-3)
+
+
+def test_two_causes_are_found_that_an_effect_whole_could_draw() -> None:
+    rng, sound = np.random.default_rng(0), 30
+    basis = np.linalg.qr(rng.standard_normal((60, 4 + sound)))[0]
+    whole_effect = 3e4 * basis[:, :3]
+    other = whole_effect.sum(axis=1, keepdims=True) / np.sqrt(3) + 2.0 * basis[:, 3:4]
+    # The rest of the machine is seen to be sound: no background draws anything.
+    columns = np.hstack([whole_effect, other, 3e4 * basis[:, 4:]])
+    groups: list[Group] = [whole(f"single.{k}", [k], free=False) for k in range(4 + sound)]
+    groups.append(whole("single", [0, 1, 2], free=False))
+    noise = rng.standard_normal(60)
+    noise -= basis[:, :4] @ (basis[:, :4].T @ noise)
+    residual = 2.0 * columns[:, 0] - 1.7 * columns[:, 3] + noise
+    count = columns.shape[1]
+    linear = Linear(
+        columns, residual, np.full(count, np.nan), np.zeros(count, bool), tuple(groups),
+        np.zeros((60, 1)),
+    )  # fmt: skip
+    mixture = Mixture(linear)
+    assert {groups[k].name for k, _ in mixture.best} == {"single.0", "single.3"}
