@@ -124,7 +124,13 @@ def table(found: Sequence[Record]) -> Iterator[str]:
     """The table, in Markdown."""
     yield "| mended | | items | predicted | realised | ratio | within 1.96 sigma |"
     yield "|---" * 7 + "|"
-    items = [item for r in found if "items" in r for item in r["items"]]
+    of_rig = {n.partition(".")[0] for n in parameter_names()}  # a place cannot be mended on a rig
+    items = [
+        item
+        for r in found
+        for item in r.get("items", ())
+        if item["cause"].partition(".")[0] in of_rig
+    ]
     for how in ("repaired", "compensated"):
         for what, named in (("causes named", True), ("the rest of an effect", False)):
             chosen = [i for i in items if i["named"] is named]

@@ -1,12 +1,15 @@
 """The commands as the owner of a linear delta uses them, from what a firmware stored."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from orthoglide.cli import cli
+from orthoglide.machine import Machine
+from orthoglide.planning import owned_instruments
 from tests.klipper_files import DATA
 
 
@@ -67,3 +70,26 @@ def test_absurd_rods_are_told_whatever_is_asked(tmp_path: Path) -> None:
     run("import", "klipper", DATA / "v400-april.cfg", "--out", folder)
     for command in (("forward", 0, 0, 0), ("inverse", 0, 0, 1)):
         assert run(*command, "--machine", folder / "machine.toml").startswith("warning: The arms")
+
+
+def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) -> None:
+    machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
+    told = run("design", "--owns", "plate,incline", "--machine", machine, "--out", sheet)
+    assert "with a probe on a plate (29), a level on the platform (26):" in told
+    assert "not visible, which is not absent: encoder_scale.a" in told
+    assert re.search(r"- a tracker at the tool would show encoder_scale, ", told)
+    assert "dials on the legs would" not in told
+    assert sheet.read_text().count("\n") == 1 + 29 + 26
+    told = run("close-loop", sheet, "--machine", machine, "--out", tmp_path / "o", code=2)
+    assert "the reading is empty" in told
+    assert "is one of leg, tcp" in run("design", "--owns", "ruler", "--machine", machine, code=2)
+    assert "linear-delta" in run("design", "--owns", "leg", "--machine", machine, code=2)
+
+
+def test_a_ball_bar_tells_what_dials_cannot() -> None:
+    found = owned_instruments(Machine.nominal(), ["leg"])
+    assert "encoder_scale.x" in found.tells.invisible
+    gains = {gain.kind: gain for gain in found.gains}
+    assert "encoder_scale" in gains["ballbar"].shown
+    assert not gains["plate"].shown
+    assert "mount_tilt.x.a" in gains["incline"].shown

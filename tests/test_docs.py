@@ -94,6 +94,15 @@ def test_every_verdict_is_explained(word: str) -> None:
     assert f"`{word}`" in read("docs/files.md")
 
 
+def test_the_gallery_has_every_verdict_with_its_drawing() -> None:
+    found = re.findall(r"^## (\w+):.*?\]\(images/(gallery-\w+)\.svg\)", read("docs/gallery.md"),
+                       re.MULTILINE | re.DOTALL)  # fmt: skip
+    assert {word.lower() for word, _ in found} == set(get_args(Word))
+    assert all(name == f"gallery-{word.lower()}" for word, name in found)
+    for _, name in found:
+        assert "<desc>" in read(f"docs/images/{name}.svg")
+
+
 def test_the_mobility_is_what_the_mechanism_says() -> None:
     mobility = og.Mechanism(compile=False).mobility(Geometry().zero)
     assert f"> {mobility}\n" in read("docs/mechanism.md")

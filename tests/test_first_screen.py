@@ -229,6 +229,7 @@ def test_where_something_is_left_nothing_is_to_be_changed() -> None:
         assert "Enter new zeros" not in text
         assert not re.search(r"\bgains\b", text)
         assert len(finding(verdict)["tiles"]) == 2
+        assert ("among the causes known 9" in text) == (which == "partial")
 
 
 def test_what_is_left_is_found_where_it_is() -> None:

@@ -241,11 +241,12 @@ def test_they_agree_without_priors(free: tuple[str, ...]) -> None:
     )
 
 
-def test_many_postures_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("limit", ["NLP_POSTURES", "NLP_UNKNOWNS"])
+def test_many_postures_or_unknowns_are_nested(limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from orthoglide.fit import solving
 
     assert identify(measured("standard once"), MACHINE).method == "nlp"
-    monkeypatch.setattr(solving, "NLP_POSTURES", 3)
+    monkeypatch.setattr(solving, limit, 3)
     assert identify(measured("standard once"), MACHINE).method == "nested"
 
 

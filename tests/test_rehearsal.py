@@ -292,3 +292,13 @@ def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     assert last.startswith("orthoglide: interrupted:")
     assert "goes on" in last
     assert kept.read_text().count("\n") > 1
+
+
+def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("orthoglide.rehearsal.rehearsing.try_one", _end_this_process)
+    with pytest.raises(og.NumericsError, match="ended from outside"):
+        og.rehearse(og.Machine.load(MACHINE), "standard", 2, jobs=2, out=tmp_path / "out")
+
+
+def _end_this_process(*_: Any) -> None:
+    os._exit(1)

@@ -1,5 +1,6 @@
 """A calibrated machine measured again: its file is a prior; verdicts speak of its total error."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -60,3 +61,35 @@ def test_zeros_entered_in_the_controller_are_changes(calibrated: og.Machine) -> 
     assert abs(again.values["joint_offset.x"]) < 2e-4
     assert again.word == "adequate"
     assert tilt_of(again.values) == pytest.approx(1.5e-3, abs=1e-4)
+
+
+def test_the_sentences_of_a_second_visit_name_what_changed(tmp_path: Path) -> None:
+    from orthoglide.report.wording import headline
+
+    first = og.close_loop(measured({**ERRORS, TILT: 1.5e-3}, 1, "first"), SHEET)
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    text = headline(og.close_loop(measured({**ERRORS, TILT: 0.3e-3}, 2, "second"), known))
+    assert "Nothing else is wrong that these readings could show beyond the errors cal" in text
+    assert "the axis tilt of leg y toward z" in text or "the rail tilt of leg y toward z" in text
+    said = re.search(r"changed from ([−\d.]+) to ([−\d.]+) mrad \(± ([\d.]+)\)", text)
+    assert said is not None, text
+    before, after, sigma = (float(v.replace("−", "-")) for v in said.groups())
+    assert before == pytest.approx(1.5, abs=0.15)
+    assert after == pytest.approx(0.3, abs=3 * sigma)
+    assert "backlash" not in text
+
+
+def test_what_changed_is_said_first(tmp_path: Path) -> None:
+    from orthoglide.report.wording import claim
+
+    first = og.close_loop(measured(ERRORS, 3, "first"), SHEET)
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    text = claim(og.close_loop(measured({**ERRORS, "backlash.x": 6e-5}, 4, "second"), known))
+    between = "Between calibrated.toml and second the backlash of leg x changed from "
+    assert text.startswith(between), text
+    said = re.match(r"\S+ to ([\d.]+) mm", text.removeprefix(between))
+    assert said is not None, text
+    assert float(said[1]) == pytest.approx(0.06, abs=0.01)
+    assert "Nothing else is wrong" in text

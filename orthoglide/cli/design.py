@@ -10,7 +10,7 @@ import click
 from orthoglide.cli.options import PATH, Names, load_machine, machine_option, noise_metres
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say
-from orthoglide.cli.writing import write_sheet
+from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
 from orthoglide.progress import Progress, Step
 
@@ -50,6 +50,9 @@ KINDS = ("standard", "sweep", "two-gauges")
 @click.option("--want", type=Names(), default=(), metavar="NAME=SIGMA,...",
               help="Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
                    "repeat.")  # fmt: skip
+@click.option("--owns", type=Names(), default=(), metavar="KIND,...",
+              help="Instruments that you have (leg, tcp, plate, distance, ballbar, incline): what "
+                   "they would tell together, and what each of the others would add.")  # fmt: skip
 @click.option("--detect", is_flag=True, help="Also tell the smallest effects found and named.")
 @click.option("--noise", "noise_mm", type=float, metavar="MM",
               help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
@@ -63,6 +66,7 @@ def design(
     count: int,
     criterion: str,
     want: tuple[str, ...],
+    owns: tuple[str, ...],
     detect: bool,
     noise_mm: float | None,
     seed: int,
@@ -82,6 +86,9 @@ def design(
         check_new(out)
     noise = noise_metres(noise_mm)
     machine = load_machine(machine_path)
+    if owns:
+        _of_owned(machine, owns, out, seed, quiet)
+        return
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
@@ -114,6 +121,35 @@ def design(
 
 
 COMMANDS = (design,)
+
+
+def _of_owned(
+    machine: Machine, kinds: tuple[str, ...], out: Path | None, seed: int, quiet: bool
+) -> None:
+    """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
+    from orthoglide.observations import csv_text, tool_rows
+    from orthoglide.planning import INSTRUMENTS, owned_instruments
+    from orthoglide.planning.owning import to_fill_in
+    from orthoglide.planning.wording import detectable_rows
+
+    with progress(quiet) as step:
+        step(Step("computing", "what each instrument would tell"))
+        found = owned_instruments(machine, kinds, seed=seed)
+        listed = ", ".join(f"{INSTRUMENTS[k]} ({len(s)})" for k, s in found.sheets.items())
+        lines = [f"with {listed}:", *detectable_rows(found.tells), "", "besides:"]
+        lines += [f"- {gain}." for gain in found.gains]
+        if out is not None:
+            sheets = to_fill_in(found.sheets.values())
+            rows = [row for sheet in sheets for row in tool_rows(sheet, machine.spec)]
+            if not rows:
+                raise InputError("dials alone have sheets of their own: orthoglide protocol")
+            names = dict.fromkeys(name for row in rows for name in row)
+            filled = [{name: row.get(name, "") for name in names} for row in rows]
+            write_texts({out: csv_text(filled)})
+            lines += ["", f"{click.format_filename(out)}: {len(rows)} readings of the tool, to be "
+                          f"filled in"]  # fmt: skip
+    if not quiet:
+        say("\n".join(lines), needed=out is None)
 
 
 def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:

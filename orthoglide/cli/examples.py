@@ -29,6 +29,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "design": (
         "design --machine machine.toml --count 24 --out sheet.csv",
         "design sheet.csv --want TCP=0.02 --detect",
+        "design --owns plate,distance --machine machine.toml --out sheet.csv",
     ),
     "rehearse": (
         "rehearse --machine machine.toml --sheet sheet.csv --out rehearsal",

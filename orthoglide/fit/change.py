@@ -7,9 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
 from orthoglide.numerals import compact, decimals_for, plain
+from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
 
 SIGNIFICANT = 3.0
@@ -33,8 +35,8 @@ class Change:
         sigma_after: standard deviation of the value after the change, SI.
     """
 
-    parameter: str
-    members: tuple[str, ...]
+    parameter: Parameter
+    members: tuple[Parameter, ...]
     since: str
     between: tuple[str, str]
     evidence: float
@@ -52,9 +54,10 @@ class Change:
             si, unit = 1e-3, "mrad"
         decimals = decimals_for(self.sigma / si)
         before, after = (plain(v / si, decimals) for v in (self.before, self.after))
-        others = f" (or {', '.join(self.members[1:])})" if len(self.members) > 1 else ""
+        said, *more = (f"the {parameter_words(name)}" for name in self.members)
+        others = f" (or {', or '.join(more)})" if more else ""
         return (
-            f"between {_file(self.between[0])} and {_file(self.between[1])} {self.parameter}"
+            f"between {_file(self.between[0])} and {_file(self.between[1])} {said}"
             f"{others} changed from {before} to {after} {unit} (± {compact(self.sigma / si, 2)})"
         )
 

@@ -65,7 +65,8 @@ def identify(
             setup's first posture, which takes that posture's reading and the dials' places for
             exact.
         method: ``"nlp"``, ``"nested"``, ``"reduction"`` (the analytic PSS model); ``"auto"`` takes
-            the programme up to ``NLP_POSTURES`` postures, and nests the closure beyond.
+            the programme up to ``NLP_POSTURES`` postures and ``NLP_UNKNOWNS`` unknowns, and nests
+            the closure beyond.
         frame: how the instrument of TCP points may stand to the machine: ``"none"``: not at all,
             ``"translation"``, or ``"rigid"``.
 

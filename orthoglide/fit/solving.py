@@ -33,6 +33,9 @@ _MANY, _SOME = 20_000, 2_000  # readings from which a fit starts from a fit of s
 NLP_POSTURES = 200
 """Up to this many distinct postures the programme carries the closures as constraints."""
 
+NLP_UNKNOWNS = 30
+"""Up to this many unknowns: the time to build its exact Hessian grows with their square."""
+
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
 
@@ -157,7 +160,7 @@ def _solved(
         raise InputError("the programme closes unloaded loops: take the nested method under load")
     if tool and method == "nlp":
         raise InputError("the programme reads dials and coordinates only: take the nested method")
-    large = posture_count(problem) > NLP_POSTURES
+    large = posture_count(problem) > NLP_POSTURES or len(problem.names) > NLP_UNKNOWNS
     if method == "nested" or (method == "auto" and (large or elastic or tool)):
         nested = solve_nested(problem, nuisance, near)
         return nested.at, nested.iterations + 1, "nested"

@@ -4,6 +4,7 @@ from orthoglide.planning.designs import Design, design
 from orthoglide.planning.detectable import Detectability, SmallestEffect, smallest_effects
 from orthoglide.planning.linear import expected_noise
 from orthoglide.planning.observability import Observability, observability
+from orthoglide.planning.owning import INSTRUMENTS, Owned, owned_instruments
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.repeats import Repeats, repeats_needed
 from orthoglide.planning.suggestions import (
@@ -16,10 +17,12 @@ from orthoglide.planning.tolerances import NeededTolerances, needed_tolerances
 from orthoglide.planning.tracing import tracing
 
 __all__ = [
+    "INSTRUMENTS",
     "Design",
     "Detectability",
     "NeededTolerances",
     "Observability",
+    "Owned",
     "Repeats",
     "SmallestEffect",
     "Suggestion",
@@ -30,6 +33,7 @@ __all__ = [
     "next_measurements",
     "next_sheet",
     "observability",
+    "owned_instruments",
     "reading_pool",
     "repeats_needed",
     "smallest_effects",

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
-from orthoglide.fit import Estimate, build_problem, solve
+from orthoglide.fit import Estimate, assemble, build_problem, solve
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, Readings
 from orthoglide.planning.linear import expected_noise
 from orthoglide.units import Unit
 
@@ -66,7 +68,7 @@ class Detectability:
 
 def smallest_effects(
     machine: Machine,
-    campaign: Campaign,
+    campaign: Campaign | Sequence[Readings],
     *,
     names: Sequence[str] = (),
     level: float = 0.01,
@@ -83,7 +85,7 @@ def smallest_effects(
 
     Args:
         machine: as it is believed to be.
-        campaign: stations and setups; readings do not count.
+        campaign: stations and setups, of several instruments too; readings do not count.
         names: effects or parameters to report; all where empty. The catalogue competes whole in
             any case.
         level: family-wise probability of a false alarm.
@@ -125,12 +127,29 @@ def smallest_effects(
     return Detectability(tuple(found), tuple(hidden), threshold)
 
 
-def _as_expected(machine: Machine, campaign: Campaign, noise: float | None) -> Estimate:
+def _as_expected(
+    machine: Machine, campaign: Campaign | Sequence[Readings], noise: float | None
+) -> Estimate:
     """Zeros and lengths identified from the readings predicted for them."""
+    if not isinstance(campaign, Campaign):
+        spec = machine.spec
+        known = spec.dial.repeatability or PUBLISHED_REPEATABILITY
+        dial = replace(spec.dial, repeatability=known)
+        careful = replace(machine, spec=replace(spec, dial=dial))
+        several = [_predicted(machine, one) for one in campaign]
+        base = machine.catalogue.base
+        return solve(assemble(several, careful, base, noise=noise), method="nested")
     predicted = campaign.with_readings(machine.readings(campaign))
     level = expected_noise(machine, predicted, noise)
     problem = build_problem(machine, [predicted], machine.catalogue.base, level)
     return solve(problem, method="nested")
+
+
+def _predicted(machine: Machine, one: Readings) -> Readings:
+    if isinstance(one, Campaign):
+        return one.with_readings(machine.readings(one))
+    factor = ToolReadings.of(one, machine)
+    return replace(one, reading=factor.predict(machine.model, machine.values))
 
 
 def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:

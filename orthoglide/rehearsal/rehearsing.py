@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import time
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import get_args
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, NumericsError
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, protocol, read_campaign
 from orthoglide.observations.protocols import Kind, check_dials
@@ -50,6 +51,7 @@ def rehearse(
 
     Raises:
         InputError: for a machine or sheet that cannot be used, or a folder of another rehearsal.
+        NumericsError: where a process is ended from outside.
     """
     progress = progress or silent
     for name, value, least in (("campaigns", campaigns, 1), ("seed", seed, 0)):
@@ -87,13 +89,19 @@ def _all(
     show(Step("computing", _left(before, campaigns, 0, 0.0), 100 * before / campaigns))
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
     tasks = (delayed(try_one)(scope, k, seed) for k in missing)
-    for tried in parallel(tasks) if missing else ():
-        done[tried.number] = tried
-        if kept:
-            kept.add(tried)
-        count = sum(k in done for k in range(campaigns))
-        told = _left(count, campaigns, count - before, time.monotonic() - began)
-        show(Step("computing", told, 100 * count / campaigns))
+    try:
+        for tried in parallel(tasks) if missing else ():
+            done[tried.number] = tried
+            if kept:
+                kept.add(tried)
+            count = sum(k in done for k in range(campaigns))
+            told = _left(count, campaigns, count - before, time.monotonic() - began)
+            show(Step("computing", told, 100 * count / campaigns))
+    except BrokenExecutor as error:
+        raise NumericsError(
+            "a process of the rehearsal was ended from outside, perhaps for want of memory: give "
+            "fewer --jobs"
+        ) from error
     return tuple(done[k] for k in range(campaigns))
 
 

@@ -83,6 +83,7 @@ def finding(result: Result) -> Data:
         "word": result.word,
         "meaning": sentence(MEANINGS[result.word]),
         "claims": claims(result),
+        "among": "among the causes known " if result.word == "partial" else "",
         "drawing": result.picture.svg(),
         "options": len(result.picture.options),
         "dials": bool(result.picture.dials),

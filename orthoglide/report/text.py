@@ -37,7 +37,6 @@ def summary(result: Result, ranked: bool = False) -> str:
         Text(f"Verdict {result.word}: {MEANINGS[result.word]}.\n"),
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
-    parts += [Text(f"- changed: {c.message}") for c in result.changed]
     if result.effects:
         parts.append(_causes(result))
     if result.located:

@@ -54,13 +54,15 @@ def claim(result: Result) -> str:
         return f"{_causes(result)}{more}"
     if result.word == "unexplained":
         return f"{_nothing_explains(result)}{where_left(result)}"
+    changed = _changed(result)
     if result.improved:
         return (
-            f"No single cause stands out: everything is off by a little, about "
+            f"{changed}No single cause stands out: everything is off by a little, about "
             f"{compact(result.share, 1)} of its tolerance."
         )
+    nothing = "Nothing else is" if changed else "Nothing is"
     base = effects_named(result.before)
-    return f"Nothing is wrong that these readings could show beyond the {base}."
+    return f"{changed}{nothing} wrong that these readings could show beyond the {base}."
 
 
 def evidence(result: Result) -> str:
@@ -71,7 +73,13 @@ def evidence(result: Result) -> str:
     if count:
         faults = f"{count} fault{'s' if count > 1 else ''}"
         said.append(f"{faults} in the data had to be dealt with first.")
-    return " ".join([*said, *(sentence(change.message) for change in result.changed)])
+    if result.word != "adequate":  # there a change is the first that is said
+        said.append(_changed(result))
+    return " ".join(said).strip()
+
+
+def _changed(result: Result) -> str:
+    return "".join(f"{sentence(change.message)} " for change in result.changed)
 
 
 # --- Of a closed loop -----------------------------------------------------------------------
@@ -256,10 +264,16 @@ def _rest(fit: Estimate) -> str:
 
 
 def effects_named(fit: Estimate) -> str:
-    """The effects that were free, in the plural."""
+    """The effects that were free, in the plural; all of them where they were calibrated before."""
+    if fit.problem.earlier is not None:
+        return "errors calibrated before"
     of = fit.problem.machine.catalogue.effect_of
     names = dict.fromkeys(of(name).name for name in fit.names)
-    return listed([f"{name.replace('_', ' ')}s" for name in names])
+    return listed([_plural(name.replace("_", " ")) for name in names])
+
+
+def _plural(name: str) -> str:
+    return f"{name}es" if name.endswith(("sh", "ch", "ss", "x")) else f"{name}s"
 
 
 def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]:

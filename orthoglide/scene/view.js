@@ -104,7 +104,7 @@ for (const view of document.querySelectorAll("div.view:not([data-ready])")) {
     const [x, y] = to(now.p);
     pen.beginPath(); pen.arc(x, y, 4 * wide, 0, 7); pen.fill();
     readout.textContent = `Tool at ${now.p.map((v, k) => (v - by * now.error[k]).toFixed(0)).join(", ")} mm, ` +
-      `off by ${now.error.map(v => v.toFixed(3)).join(", ")} mm in x, y, z. Drag to turn, wheel to come nearer.`;
+      `off by ${now.error.map(v => v.toFixed(3)).join(", ")} mm in x, y, z. Drag to turn; Ctrl and the wheel to come nearer.`;
   }
 
   function step() {
@@ -120,7 +120,7 @@ for (const view of document.querySelectorAll("div.view:not([data-ready])")) {
     turn -= e.movementX / 150; tilt = Math.max(-1.5, Math.min(1.5, tilt + e.movementY / 150)); draw();
   };
   canvas.onpointerdown = e => canvas.setPointerCapture(e.pointerId);
-  canvas.addEventListener("wheel", e => { e.preventDefault(); zoom *= Math.exp(-e.deltaY / 600); draw(); }, { passive: false });
+  canvas.addEventListener("wheel", e => { if (!e.ctrlKey) return; e.preventDefault(); zoom *= Math.exp(-e.deltaY / 600); draw(); }, { passive: false });
   addEventListener("resize", draw);
   place.value = Math.floor(count / 2);
   /* The magnification at which what is switched on is seen and the machine still known. */

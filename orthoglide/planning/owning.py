@@ -1,0 +1,212 @@
+"""What the instruments that one owns would tell of a machine, and what others would add."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.errors import InputError, UnreachableError
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import Readings, ToolCampaign, ToolSetup, protocol
+from orthoglide.observations.tool import KINDS, Kind
+from orthoglide.planning.detectable import Detectability, smallest_effects
+
+INSTRUMENTS: dict[str, str] = {
+    "leg": "dials on the legs",
+    "tcp": "a tracker at the tool",
+    "plate": "a probe on a plate",
+    "distance": "distances between holes or pillars",
+    "ballbar": "a ball bar",
+    "incline": "a level on the platform",
+}
+"""Kinds of readings, and what takes them."""
+
+LARGEST = 3.0
+"""Tolerances: an effect that is found only from more on counts as not shown."""
+
+_AROUND, _HALVINGS, _SIDE = 12, 12, 7
+_DIRECTIONS: dict[Kind, tuple[int, ...]] = {"tcp": (0, 1, 2), "incline": (0, 1)}
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What an instrument would add to those that one owns.
+
+    Attributes:
+        kind: of its readings.
+        shown: effects or parameters found within three tolerances, and not yet.
+        named: those found already that could be told from all other effects, and not yet.
+    """
+
+    kind: str
+    shown: tuple[str, ...]
+    named: tuple[str, ...]
+
+    def __str__(self) -> str:
+        told = []
+        if self.shown:
+            told.append(f"show {', '.join(self.shown)}")
+        if self.named:
+            told.append(f"tell {', '.join(self.named)} from all else")
+        return f"{INSTRUMENTS[self.kind]} would {' and '.join(told) or 'tell nothing more'}"
+
+
+@dataclass(frozen=True)
+class Owned:
+    """What instruments tell together, each by a sheet of its own.
+
+    Attributes:
+        sheets: by kind, the readings they would take.
+        tells: smallest effects found and named.
+        gains: of the instruments that are not among them.
+    """
+
+    sheets: dict[str, Readings]
+    tells: Detectability
+    gains: tuple[Gain, ...]
+
+
+def owned_instruments(machine: Machine, kinds: Sequence[str], *, seed: int = 0) -> Owned:
+    """What one's instruments would tell of a machine.
+
+    Args:
+        machine: as it is believed to be; its instruments say how well they read.
+        kinds: of readings that one can take: ``leg``, ``tcp``, ``plate`` ...
+        seed: of the bootstrap on noise.
+
+    Raises:
+        InputError: for a kind that there is not, or that this machine does not take.
+    """
+    for kind in kinds:
+        if kind not in INSTRUMENTS:
+            raise InputError(f"there is no instrument {kind!r}: it is one of "
+                             f"{', '.join(INSTRUMENTS)}")  # fmt: skip
+    sheets = {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
+    tells = smallest_effects(machine, list(sheets.values()), seed=seed)
+    gains = []
+    for kind in INSTRUMENTS:
+        if kind not in sheets and (kind != "leg" or machine.geometry.dialled):
+            more = [*sheets.values(), sheet_of(machine, kind)]
+            gains.append(_gain(kind, tells, smallest_effects(machine, more, seed=seed)))
+    return Owned(sheets, tells, tuple(gains))
+
+
+def _gain(kind: str, before: Detectability, after: Detectability) -> Gain:
+    def within(found: Detectability, what: str) -> dict[str, str]:
+        return {
+            s.name.partition("@")[0]: s.effect
+            for s in found.smallest
+            if s.elementary and getattr(s, what) <= LARGEST * s.tolerance
+        }
+
+    members: dict[str, set[str]] = {}
+    for s in (*before.smallest, *after.smallest):
+        if s.elementary:
+            members.setdefault(s.effect, set()).add(s.name.partition("@")[0])
+
+    def new(now: dict[str, str], earlier: dict[str, str]) -> tuple[str, ...]:
+        """Names, an effect's own where all its parameters are among them."""
+        found = {n: e for n, e in now.items() if n not in earlier}
+        whole = {e for e in found.values() if members[e] <= found.keys()}
+        return tuple(dict.fromkeys(e if e in whole else n for n, e in found.items()))
+
+    found = within(before, "detectable")
+    named = {n: e for n, e in within(after, "nameable").items() if n in found}
+    return Gain(kind, new(within(after, "detectable"), found),
+                new(named, within(before, "nameable")))  # fmt: skip
+
+
+def sheet_of(machine: Machine, kind: str) -> Readings:
+    """Readings that an instrument would take of a machine, as its file predicts them.
+
+    Raises:
+        InputError: where dials cannot be set against the machine's legs.
+    """
+    if kind == "leg":
+        return protocol("sweep", machine.geometry)
+    (own,) = (k for k in KINDS if k == kind)
+    points, others, ball = _places(machine, own)
+    axes = np.array(_DIRECTIONS.get(own, (0,)))
+    n = len(points) * len(axes)
+    command = np.repeat(machine.with_only({}).inverse(points), len(axes), axis=0)
+    second = np.full((n, 3), np.nan)
+    if others is not None:
+        second = machine.with_only({}).inverse(others)
+    reading = np.linalg.norm(points - ball, axis=1) if own == "ballbar" else np.zeros(n)
+    nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
+    return ToolCampaign(
+        name=kind,
+        setups=(ToolSetup(kind, own),),
+        setup=np.zeros(n, dtype=np.int64),
+        axis=np.tile(axes, len(points)),
+        sign=np.ones(n),
+        command=command,
+        second=second,
+        approach=np.full((n, 3), -1.0 if own == "plate" else 0.0),
+        time=nothing,
+        temperature=nothing,
+        load=np.zeros(n),
+        repeat=np.ones(n, dtype=np.int64),
+        order=count,
+        posture=tuple(" ".join(f"{v * 1e3:.0f}" for v in p) for p in np.repeat(
+            points, len(axes), axis=0)),
+        reading=reading,
+        sigma=nothing,
+        line=count + 1,
+    )  # fmt: skip
+
+
+def to_fill_in(sheets: Iterable[Readings]) -> list[ToolCampaign]:
+    """The sheets of the tool's readings without these, in one sequence."""
+    found, first = [], 0
+    for sheet in sheets:
+        if isinstance(sheet, ToolCampaign):
+            blank = np.full(len(sheet), np.nan)
+            found.append(replace(sheet, reading=blank, order=sheet.order + first))
+            first += len(sheet)
+    return found
+
+
+def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:
+    """Points ``(n, 3)``, the others of distances, and the centre of a ball."""
+    ring = _ring()
+    flat = _widest(machine, lambda r: r * ring)
+    if kind == "plate":
+        side = np.linspace(-1.0, 1.0, _SIDE)
+        grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        grid = grid[np.hypot(*grid.T) <= 1 + 1e-9]
+        return flat * np.column_stack([grid, np.zeros(len(grid))]), None, np.zeros(3)
+    if kind == "distance":
+        ends = np.array([(a, (a + k) % _AROUND) for k in (2, 4, 6) for a in range(_AROUND)
+                         if k < 6 or a < 6])  # fmt: skip
+        return flat * ring[ends[:, 0]], flat * ring[ends[:, 1]], np.zeros(3)
+    if kind == "incline":
+        return np.concatenate([np.zeros((1, 3)), flat * ring]), None, np.zeros(3)
+    up = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else np.zeros(3)
+    circles = np.concatenate([ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]])
+    round_ = _widest(machine, lambda r: r * (circles + up))
+    points = round_ * (circles + up)
+    return points, None, round_ * up
+
+
+def _ring() -> Array:
+    t = np.arange(_AROUND) * 2 * np.pi / _AROUND
+    return np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+
+
+def _widest(machine: Machine, points: Callable[[float], Array]) -> float:
+    """Nine tenths of the largest size at which all points lie within the stroke, metres."""
+    low, high = 0.0, machine.geometry.L
+    for _ in range(_HALVINGS):
+        size = (low + high) / 2
+        try:
+            commands = machine.with_only({}).inverse(points(size))
+        except UnreachableError:
+            fits = False
+        else:
+            fits = bool(machine.geometry.in_stroke(commands).all())
+        low, high = (size, high) if fits else (low, size)
+    return 0.9 * low
