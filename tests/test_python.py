@@ -10,6 +10,7 @@ import pkgutil
 import sys
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,7 @@ def test_the_frame_of_a_campaign_reads_back(kind: Any) -> None:
     assert og.Campaign.from_frame(frame, name=filled.name).same_as(filled)
     sheet = og.protocol(kind).with_moves()
     again = og.Campaign.from_frame(sheet.to_frame(), name=sheet.name, require_readings=False)
-    assert again.same_as(sheet)
+    assert again.same_as(replace(sheet, time=np.full(len(sheet), np.nan)))  # none was taken
 
 
 def test_frames_say_what_they_need(estimate: og.Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
