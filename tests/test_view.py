@@ -23,7 +23,7 @@ from orthoglide.parameters import Parameter
 from orthoglide.pictures import causes_of, dials, option, view
 from orthoglide.scene import Dial, Mark, Posed, drawing, view_page
 from tests.test_first_screen import PER, SCALES
-from tests.test_layout import DELTA
+from tests.test_layout import DELTA, freely
 from tests.test_report import browser, words
 from tests.test_report_verdict import files_of, verdict_of
 
@@ -32,8 +32,8 @@ MOST = 1_500_000  # bytes of a page
 
 @cache
 def machine(kind: str) -> og.Machine:
-    if kind == "delta":
-        return og.Machine(MachineFile(geometry=DELTA))
+    if kind != "orthoglide":
+        return og.Machine(MachineFile(geometry=DELTA if kind == "delta" else freely(DELTA)))
     return og.Machine(replace(og.Machine.nominal().spec, screw_pitch=0.02))
 
 
@@ -112,7 +112,7 @@ def test_a_dial_stands_where_it_touches_and_points_the_way_it_counts() -> None:
     assert other.way[setup.axis] == 1.0
 
 
-@pytest.mark.parametrize("kind", ["orthoglide", "delta"])
+@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
 def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> None:
     own, base = machine(kind), machine(kind).catalogue["axis_tilt"].motions
     several = [option(own, f"cause {k} <&", {p: 3e-3}) for k, p in enumerate(base)]
@@ -142,7 +142,7 @@ def test_a_machine_shows_itself_in_a_notebook() -> None:
 # --- The view that moves --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["orthoglide", "delta"])
+@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
 def test_the_view_moves_the_machine_as_the_mechanism_does(kind: str) -> None:
     own = machine(kind)
     leg = own.geometry.leg_names[1]
@@ -227,6 +227,19 @@ def test_the_page_is_small_and_asks_nothing_of_a_network(which: str) -> None:
     still = re.search(r"<noscript>(.*?)</noscript>", page, flags=re.DOTALL)
     assert still
     assert still[1].startswith('<svg class="machine"')
+
+
+def test_what_is_folded_is_printed(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(files_of("explained")["report.html"], encoding="utf-8")
+    paper = tmp_path / "page.pdf"
+    command = [
+        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+        f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={paper}",
+        f"file://{tmp_path / 'page.html'}",
+    ]  # fmt: skip
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    sheets = re.findall(rb"/Type\s*/Page[^s]", paper.read_bytes())
+    assert len(sheets) > 8  # folded it is four
 
 
 def test_the_first_screen_draws_what_it_says() -> None:

@@ -105,7 +105,7 @@ def _weighed(result: Result) -> str:
 
 def where_left(result: Result) -> str:
     """Where what nothing explains lives: which leg, which direction, at which station most."""
-    if not result.rest or _too_few(result):
+    if not result.rest:
         return ""
     most = result.rest[0]
     leg, way = LEGS[most.leg], toward(LEGS[most.axis], most.most)
@@ -113,7 +113,7 @@ def where_left(result: Result) -> str:
     alike = most.share < 2 / len(result.rest)
     spread = ", though all dials show some" if alike else ""
     return (
-        f" The largest part of it ({most.share:.0%}) shows on leg {leg} read along "
+        f" The largest part of what is left ({most.share:.0%}) shows on leg {leg} read along "
         f"{LEGS[most.axis]}{spread}: there the dial is off by up to "
         f"{compact(abs(most.most) * 1e3, 2)} mm, toward {way}{at}."
     )
