@@ -159,11 +159,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", choices=SHARES, default="")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    parser.add_argument("--finished", action="store_true", help="tables of the cache as it is")
     parser.add_argument("--markdown", action="store_true")
     parser.add_argument("--failures", action="store_true", help="list what went wrong")
     parser.add_argument("--quiet", action="store_true")
     options = parser.parse_args(arguments)
     wanted = cases(options.campaigns, options.only)
+    if options.finished:
+        before = known(options.cache, options.seed, options.background)
+        wanted = [c for c in wanted if c.key in before]
     found = collect(wanted, options)
     for table in tables(found):
         print(table.markdown() if options.markdown else table.text())

@@ -159,10 +159,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
     options = parser.parse_args()
     every = [
         (f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(options.machines) for f in SHARES
     ]
+    if options.finished:
+        lines = map(json.loads, options.cache.read_text().splitlines())
+        there = {tuple(r["case"]) for r in lines if r["seed"] == options.seed}
+        every = [c for c in every if c in there]
     began = time.perf_counter()
     found = list(records(every, options.seed, options.jobs, options.cache))
     print("\n".join(table(found)))

@@ -41,6 +41,13 @@ def test_undeclared_effect_is_named(family: str, protocol: str) -> None:
     assert record["tcp"]["inside"] >= 0.93
 
 
+def test_a_pattern_is_named_of_which_one_part_has_two_names() -> None:
+    # Readings and tool cannot tell the x rail's lean toward y from its axis' tilt, but both rails'.
+    record = run(Case("structured", "rail_tilt", "standard", 15.0, 0), 2026)
+    assert record["truth"][0]["name"] == "rail_tilt.xy.symmetric"
+    assert [e["name"] for e in record["effects"]] == ["rail_tilt.xy.symmetric"]
+
+
 def test_what_is_in_no_catalogue_is_not_explained() -> None:
     record = ended(Case("outside", "wavy_rail", "sweep", 20.0, 0))
     assert record["truth"][0]["rms"] > 10

@@ -219,7 +219,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         matrix = np.pad(known[0], [(0, 0), (0, len(scale) - known[0].shape[1])]) * scale
         columns = np.vstack([columns, matrix])
         residual = np.concatenate([residual, known[1]])
-    groups, causes, hidden = _groups(wide, free, columns, found)
+    stands = {o.plain.at(n.campaign): (n, 1 / f) for n, others in same.items() for o, f in others}
+    groups, causes, hidden = _groups(wide, free, columns, found, stands)
     tolerance = wide.machine.tolerance
     by_name: dict[str, tuple[tuple[str, float], ...]] = {
         n: tuple((o, f * tolerance(o) / tolerance(n)) for o, f in others)
@@ -295,27 +296,42 @@ def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Arr
 
 
 def _groups(
-    wide: Problem, free: int, columns: Array, found: Sequence[Place]
+    wide: Problem,
+    free: int,
+    columns: Array,
+    found: Sequence[Place],
+    stands: Mapping[Parameter, tuple[Parameter, float]],
 ) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[Parameter, ...]]:
-    """Causes and places that the readings could show, and the parameters that they could not."""
+    """Causes and places that the readings could show, and the parameters that they could not.
+
+    A parameter for which another stands has no coefficient: a cause moves that of the other, and
+    one that consists of such parameters alone is a name of another cause.
+    """
     names, catalogue = [u.name for u in wide.unknowns], wide.machine.catalogue
     excited = {e.name for e in excited_effects(wide)}
     seen = np.linalg.norm(columns, axis=0) > _VISIBLE
     asked = [n for n in names[free:] if n.effect in excited]
     index = {n: k for k, n in enumerate(names)}
-    visible = [n for n in asked if seen[index[n]]]
+    own = {n: (n, 1.0) for n in names} | {n: s for n, s in stands.items() if n in index}
+    visible = [n for n in asked if seen[index[own[n][0]]]]
     effects = [e for e in catalogue.effects if e.name in excited]
-    causes = candidates(visible, effects, catalogue)
-    groups = []
-    for cause in causes:
+    moved = np.array([index[own[n][0]] for n in visible], dtype=np.intp)
+    factor = np.array([own[n][1] for n in visible])
+    named = np.array([n not in stands for n in visible], dtype=bool)
+    causes, groups = [], []
+    for cause in candidates(visible, effects, catalogue):
         matrix = cause.columns(visible)
-        rows = np.flatnonzero(matrix.any(axis=1))
-        places = np.array([index[visible[k]] for k in rows], dtype=np.intp)
-        groups.append(Group(cause.name, places, matrix[rows], False))
+        if not matrix[named].any():
+            continue
+        rows = np.zeros((len(names), cause.size))
+        np.add.at(rows, moved, matrix * factor[:, None])
+        places = np.flatnonzero(rows.any(axis=1))
+        causes.append(cause)
+        groups.append(Group(cause.name, places, rows[places], False))
     start = len(names)
     for place in found:
         members = range(start, start + place.kernel.count)
         start += place.kernel.count
         if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
             groups.append(whole(place.name, members, free=True))
-    return tuple(groups), causes, tuple(n for n in asked if n not in set(visible))
+    return tuple(groups), tuple(causes), tuple(n for n in asked if n not in set(visible))

@@ -173,7 +173,8 @@ class _Reader:
         own = np.linalg.pinv(group.weights)
         value = own @ mean[group.places]
         spread = own @ covariance @ own.T
-        unit = np.array([self._tolerance(group, c) for c in range(group.size)])
+        machine = about.problem.machine
+        unit = np.array([machine.tolerance(name) for name in candidate.parameters])
         names, values, _ = posterior.machine_with(mean)
         return Explanation(
             candidate.name,
@@ -187,10 +188,6 @@ class _Reader:
             self._shown(about.rows[:, group.places] @ group.weights @ value),
             about.problem.machine.catalogue,
         )
-
-    def _tolerance(self, group: Group, column: int) -> float:
-        moved = group.places[np.flatnonzero(group.weights[:, column])]
-        return float(self.posterior.about.scale[moved].max())
 
     def _shown(self, rows: Array) -> Array:
         return np.asarray(rows - self.nuisance.fitted(rows))
