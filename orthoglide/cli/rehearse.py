@@ -14,8 +14,6 @@ from orthoglide.cli.run import keep_on_interrupt
 from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
 
-TABLE = "rehearsal.txt"
-
 
 @click.command()
 @machine_option
@@ -46,7 +44,6 @@ def rehearse(
     zeros and lengths, with one effect at 3 to 10 tolerances, with something that no catalogue
     knows, and with everything off by a share f of its tolerance.
     """
-    from orthoglide.files import write_whole
     from orthoglide.rehearsal import rehearse as run
 
     if jobs is not None and dask is not None:
@@ -60,8 +57,6 @@ def rehearse(
             machine, sheet or "sweep", campaigns, seed=seed, out=out, progress=step,
             jobs=-1 if jobs is None and dask is None else jobs,
         )  # fmt: skip
-    if out is not None:
-        write_whole(out / TABLE, f"{found}\n", overwrite=True)
     if not quiet:
         say(str(found), needed=out is None)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from orthoglide import __version__
 from orthoglide.errors import FileError
-from orthoglide.files import read_bytes, sha256, writing
+from orthoglide.files import read_bytes, sha256, write_whole, writing
 from orthoglide.machine_file.writing import machine_text
 from orthoglide.observations import campaign_text
 from orthoglide.rehearsal.drawing import Scope
@@ -18,6 +18,9 @@ from orthoglide.text import shown
 
 FILE = "campaigns.jsonl"
 """Within the folder: the request in its first line, then a campaign a line."""
+
+TABLE = "rehearsal.txt"
+"""Beside it: the table of what is finished."""
 
 
 def asked(scope: Scope, seed: int) -> dict[str, str]:
@@ -57,6 +60,10 @@ class Kept:
                 )
         with writing(self.path), self.path.open("x", encoding="utf-8") as file:
             file.write(json.dumps(dict(request)) + "\n")
+
+    def conclude(self, table: str) -> None:
+        """Write the table of all campaigns, in place of an earlier one."""
+        write_whole(self.path.with_name(TABLE), table, overwrite=True)
 
     def _read(self, request: Mapping[str, str]) -> None:
         content = read_bytes(self.path)

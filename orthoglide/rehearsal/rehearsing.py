@@ -46,7 +46,7 @@ def rehearse(
         seed: of every random draw; the same seed gives the same answer, whatever the jobs.
         jobs: processes, -1 for all processors; where absent as ``joblib.parallel_config`` says,
             which may be a cluster (``parallel_config(backend="dask")``), else one.
-        out: folder in which finished campaigns are kept: a run that was stopped goes on from there.
+        out: folder for finished campaigns and the table: a run that was stopped goes on from there.
         progress: called with each step; any callable will do.
 
     Raises:
@@ -66,7 +66,10 @@ def rehearse(
     kept = None if out is None else Kept(Path(out), asked(scope, seed))
     weak = weak_spots(scope, seed)
     tried = _all(scope, campaigns, seed, jobs, kept, progress)
-    return Rehearsal(machine.spec.name, len(scope.sheet), seed, tried, weak)
+    found = Rehearsal(machine.spec.name, len(scope.sheet), seed, tried, weak)
+    if kept is not None:
+        kept.conclude(f"{found}\n")
+    return found
 
 
 def _sheet(machine: Machine, sheet: Campaign | str | os.PathLike[str]) -> Campaign:
