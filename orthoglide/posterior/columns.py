@@ -312,7 +312,9 @@ def _groups(
     seen = np.linalg.norm(columns, axis=0) > _VISIBLE
     asked = [n for n in names[free:] if n.effect in excited]
     index = {n: k for k, n in enumerate(names)}
-    own = {n: (n, 1.0) for n in names} | {n: s for n, s in stands.items() if n in index}
+    # Where campaigns have the other for themselves, no single coefficient stands for it.
+    by_other = {n: s for n, s in stands.items() if n in index and s[0] in index}
+    own = {n: (n, 1.0) for n in names} | by_other
     visible = [n for n in asked if seen[index[own[n][0]]]]
     effects = [e for e in catalogue.effects if e.name in excited]
     moved = np.array([index[own[n][0]] for n in visible], dtype=np.intp)
