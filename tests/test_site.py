@@ -11,15 +11,19 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import orthoglide as og
+import orthoglide.report.figures.style as style
 from orthoglide.cli import cli
+from orthoglide.effects import CATALOGUE
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "docs" / "site"))
 
 import reference  # noqa: E402
+import signatures  # noqa: E402
 from build import stage  # noqa: E402
 from links import faults  # noqa: E402
 
@@ -119,3 +123,48 @@ def test_the_reference_has_every_public_name_and_command() -> None:
     directives = "\n".join(pages.values())
     assert all(f":: orthoglide.{name}\n" in directives for name in og.__all__)
     assert all(f"\n## {name}\n" in pages["docs/commands"] for name in cli.commands)
+
+
+# --- The pictures of effects --------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sheet() -> signatures.Sheet:
+    return signatures.Sheet()
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_has_a_mark_and_shows_in_the_sheet_of_its_picture(
+    name: str, sheet: signatures.Sheet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+    monkeypatch.setattr(signatures, "panels", lambda _, *drawn: seen.append(drawn) or "")
+    words, stem = signatures.draw(CATALOGUE[name], sheet, tmp_path)
+    ((change, left),) = seen
+    assert np.abs(change).max() > 1e-7
+    assert (np.linalg.norm(left) < 1e-2 * np.linalg.norm(change)) == (name in CATALOGUE.base)
+    drawn = (tmp_path / f"{stem}-machine.svg").read_text(encoding="utf-8")
+    assert words in drawn
+    assert 'stroke="var(--m-mark)"' in drawn
+
+
+def test_the_page_of_the_site_shows_every_effect(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "effects.md"
+    (tmp_path / "images").mkdir()
+    page.write_text((ROOT / "docs" / "effects.md").read_text("utf-8"), encoding="utf-8")
+    monkeypatch.setattr(signatures, "panels", lambda *_: "<svg/>")
+    signatures.illustrate(page)
+    shown = re.findall(r"\]\((images/\S+)\)", page.read_text(encoding="utf-8"))
+    assert len(shown) == 2 * len(CATALOGUE)
+    assert all((tmp_path / picture).is_file() for picture in shown)
+
+
+def test_panels_draw_every_dial(sheet: signatures.Sheet) -> None:
+    with style.applied():
+        change = sheet.change("backlash.x", 1e-4)
+        svg = signatures.panels(sheet, change, sheet.left("backlash.x", 1e-4))
+    titles = re.findall(r"leg (.), along (.), mm", svg)
+    assert titles == [tuple(pair) for pair in ("xy", "xz", "yx", "yz", "zx", "zy")]
+    assert svg.count(style.BEFORE) == svg.count(style.FIT) == len(titles)

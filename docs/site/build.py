@@ -19,6 +19,7 @@ sys.path[:0] = [str(ROOT), str(HERE)]
 
 import reference  # noqa: E402
 from links import faults  # noqa: E402
+from signatures import illustrate  # noqa: E402
 
 _TOCTREE = "\n```{{toctree}}\n:hidden:\n:caption: {}\n\n{}\n```\n"
 
@@ -68,6 +69,7 @@ def build(out: Path) -> int:
         source, made = Path(folder) / "pages", Path(folder) / "site"
         source.mkdir()
         stage(source)
+        illustrate(source / "docs" / "effects.md")
         words = ["-q", "-W", "--keep-going", "-c", str(HERE), "-d", f"{folder}/kept"]
         if sphinx([*words, str(source), str(made)]):
             return 1
