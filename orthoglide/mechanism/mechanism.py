@@ -214,7 +214,7 @@ class Mechanism:
     # Batches, by CasADi --------------------------------------------------------------------
 
     def given(self, commands: Array, displacements: ArrayLike | None = None) -> Array:
-        """``[drives; virtual]`` ``(..., 33)`` for commands ``(..., 3)`` and displacements
+        """``[drives; virtual]`` ``(..., 33)`` for ``commands`` ``(..., 3)`` and ``displacements``
         ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
         """
         given = np.zeros((*commands.shape[:-1], 3 + VIRTUAL_COUNT))
@@ -268,7 +268,8 @@ class Mechanism:
     def inverse(self, p: ArrayLike, displacements: ArrayLike | None = None) -> Array:
         """Commands rho ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.
 
-        Newton on the closed mechanism with its velocity Jacobian.
+        Newton on the closed mechanism with its velocity Jacobian, under ``displacements`` as for
+        :meth:`given`.
 
         Raises:
             UnreachableError: naming the leg that is too short, and by how much.
