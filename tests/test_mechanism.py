@@ -375,6 +375,26 @@ def test_compiled_equals_not_compiled() -> None:
         assert np.abs(by_given - by_given_expected).max() < 1e-11
 
 
+def test_one_compiled_posture_equals_pinocchios() -> None:
+    fast, slow = compiled_mechanism(), mechanism()
+    for rho, moves in zip(commands(30, 26), displacements(30, 26), strict=True):
+        for mode in ("machine", "other"):
+            own, other = fast.close(rho, moves, mode=mode), slow.close(rho, moves, mode=mode)
+            assert np.abs(own.p - other.p).max() < 1e-12
+            assert np.abs(own.R - other.R).max() < 1e-12
+            assert np.abs(own.q - other.q).max() < 1e-11
+            assert own.residual.keys() == other.residual.keys()
+            assert max(own.residual.values()) < 1e-13
+        again = fast.close(rho + 1e-3, moves, guess=own)
+        assert again.iterations <= own.iterations
+    told = []
+    for one in (fast, slow):
+        with pytest.raises(ClosureError) as caught:
+            one.close(commands(1, 26)[0] + [1.0, 0.0, 0.0])
+        told.append((str(caught.value), caught.value.residuals))
+    assert told[0] == told[1]
+
+
 def test_compiled_postures_do_not_see_their_neighbours() -> None:
     """Several postures are solved at once: each gets what it gets alone, wherever it stands."""
     batch = compiled_mechanism().batch
