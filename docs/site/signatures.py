@@ -74,10 +74,9 @@ def illustrate(page: Path) -> None:
     for effect in sheet.machine.catalogue.values():
         begin, title, body = text.partition(f"\n### {effect.name}\n")
         said, shown = draw(effect, sheet, page.parent / "images")
-        images = (
-            f"![{said}](images/{shown}-machine.svg)\n![The readings](images/{shown}-readings.svg)"
-        )
-        text = f"{begin}{title}\n{images}\n{body}"
+        machine, readings = (f"images/{shown}-{part}.svg" for part in ("machine", "readings"))
+        pictures = f"![{said}]({machine})\n![What it does to the readings]({readings})"
+        text = f"{begin}{title}\n{pictures}\n\nAt one tolerance: {said}.\n{body}"
     page.write_text(text, encoding="utf-8")
 
 
