@@ -10,13 +10,16 @@ import re
 import shutil
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path[:0] = [str(ROOT), str(HERE)]
 
+import reference  # noqa: E402
 from links import faults  # noqa: E402
+from signatures import illustrate  # noqa: E402
 
 _TOCTREE = "\n```{{toctree}}\n:hidden:\n:caption: {}\n\n{}\n```\n"
 
@@ -30,19 +33,30 @@ def stage(source: Path) -> None:
         shutil.copy(page, source)
     readme = (source / "README.md").read_text(encoding="utf-8")
     (source / "README.md").unlink()
-    (source / "index.md").write_text(readme + navigation(readme), encoding="utf-8")
+    made = reference.pages()
+    for name, text in made.items():
+        (source / f"{name}.md").write_text(text, encoding="utf-8")
+    tree = navigation(readme, {"Reference": ["docs/commands", "docs/python"]})
+    (source / "index.md").write_text(readme + tree, encoding="utf-8")
     for page in source.rglob("*.md"):
         text = page.read_text(encoding="utf-8")
         page.write_text(text.replace("(../README.md", "(../index.md"), encoding="utf-8")
 
 
-def navigation(readme: str) -> str:
-    """Trees of contents, one for each list of pages that the README has."""
-    pages = readme.partition("\n## Pages\n")[2].partition("\n## ")[0]
-    return "".join(
-        _TOCTREE.format(group.partition("\n")[0], "\n".join(re.findall(r"\]\((\S+)\.md\)", group)))
-        for group in pages.split("\n### ")[1:]
-    )
+def navigation(readme: str, made: Mapping[str, Sequence[str]]) -> str:
+    """Trees of contents, one for each list of pages that the README has.
+
+    Args:
+        readme: its text.
+        made: pages that only the site has, by the heading of the list that they follow.
+    """
+    lists = readme.partition("\n## Pages\n")[2].partition("\n## ")[0].split("\n### ")[1:]
+    trees = []
+    for text in lists:
+        name = text.partition("\n")[0]
+        pages = [*re.findall(r"\]\((\S+)\.md\)", text), *made.get(name, ())]
+        trees.append(_TOCTREE.format(name, "\n".join(pages)))
+    return "".join(trees)
 
 
 def build(out: Path) -> int:
@@ -55,6 +69,7 @@ def build(out: Path) -> int:
         source, made = Path(folder) / "pages", Path(folder) / "site"
         source.mkdir()
         stage(source)
+        illustrate(source / "docs" / "effects.md")
         words = ["-q", "-W", "--keep-going", "-c", str(HERE), "-d", f"{folder}/kept"]
         if sphinx([*words, str(source), str(made)]):
             return 1
