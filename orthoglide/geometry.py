@@ -107,6 +107,18 @@ class Geometry:
         """The legs at mechanical zero."""
         return self.layout.legs(self.L, self.r)
 
+    @cached_property
+    def slides(self) -> Array:
+        """Directions of the legs' rails ``(leg, 3)``."""
+        return np.stack([leg.slide for leg in self.legs])
+
+    @cached_property
+    def centres(self) -> Array:
+        """Where each leg's bars begin at mechanical zero if all are carried to the tool
+        ``(leg, 3)``, metres.
+        """
+        return np.stack([leg.carriage - leg.platform for leg in self.legs])
+
     @property
     def leg_names(self) -> tuple[str, str, str]:
         """Names of the legs."""

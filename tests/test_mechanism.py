@@ -17,6 +17,7 @@ from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS, ROTATION, TCP
 from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.mechanism import Mode
 from orthoglide.mechanism.tree import (
     RELIEF_NAMES,
     VIRTUAL_NAMES,
@@ -373,6 +374,30 @@ def test_compiled_equals_not_compiled() -> None:
         assert np.abs(own.outputs(x, given).values - expected.values).max() < 1e-14
         assert np.abs(outputs.values - expected.values).max() < 1e-14
         assert np.abs(by_given - by_given_expected).max() < 1e-11
+
+
+@pytest.mark.parametrize(("mode", "count"), [("machine", 30), ("other", 5)])
+def test_one_compiled_posture_equals_pinocchios(mode: Mode, count: int) -> None:
+    fast, slow = compiled_mechanism(), mechanism()
+    for rho, moves in zip(commands(count, 26), displacements(count, 26), strict=True):
+        own, other = fast.close(rho, moves, mode=mode), slow.close(rho, moves, mode=mode)
+        assert np.abs(own.p - other.p).max() < 1e-12
+        assert np.abs(own.R - other.R).max() < 1e-12
+        assert np.abs(own.q - other.q).max() < 1e-11
+        assert own.residual.keys() == other.residual.keys()
+        assert max(own.residual.values()) < 1e-13
+        again = fast.close(rho + 1e-3, moves, mode=mode, guess=own)
+        assert again.iterations <= own.iterations
+
+
+def test_one_compiled_posture_that_does_not_close_is_told_as_before() -> None:
+    fast, slow = compiled_mechanism(), mechanism()
+    told = []
+    for one in (fast, slow):
+        with pytest.raises(ClosureError) as caught:
+            one.close(commands(1, 26)[0] + [1.0, 0.0, 0.0])
+        told.append((str(caught.value), caught.value.residuals))
+    assert told[0] == told[1]
 
 
 def test_compiled_postures_do_not_see_their_neighbours() -> None:

@@ -138,10 +138,30 @@ class BatchClosure:
         return int(self._plain["close"].size1_out(0))
 
     def _call(self, name: str, x: Array, known: Array) -> list[Array]:
-        self._asked += len(known)
+        self._count(len(known))
+        return self._functions[name](x, known)
+
+    def _count(self, postures: int) -> None:
+        self._asked += postures
         if self._pending and self._asked >= _WORTH_COMPILING:
             self._compile(build=True)
-        return self._functions[name](x, known)
+
+    def single(self, start: Array, given: Array) -> tuple[Array, Array, int, Outputs] | None:
+        """One posture by compiled code, closed or not.
+
+        Args:
+            start: unknowns ``(n,)`` to start from.
+            given: ``(3 + m,)``.
+
+        Returns:
+            Unknowns, their residual, Newton's steps and what the posture shows; ``None`` where
+            nothing is compiled.
+        """
+        self._count(1)
+        if not self.compiled:
+            return None
+        x, residual, steps, shown = self._functions["posture"](start, given[None])
+        return x[0], residual[0], int(steps[0, 0]), Outputs(shown[0])
 
     def _solved(self, start: Array, known: Array) -> tuple[Array, Array]:
         """Unknowns where Newton's method ends, and the residual of each row."""

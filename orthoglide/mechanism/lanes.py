@@ -85,7 +85,7 @@ def lanes(
     build: bool,
 ) -> dict[str, Lanes] | None:
     """Functions by the names of ``ClosureFunctions``, compiled; ``close`` finds the unknowns, their
-    residual and the number of Newton's steps.
+    residual and the number of Newton's steps, ``posture`` also the outputs.
 
     Args:
         residual: SX function of (free, known), as many rows as are free.
@@ -105,6 +105,7 @@ def lanes(
         return None
     shapes: dict[str, list[tuple[int, ...]]] = {
         "close": [(n,), (n,), (1,)],
+        "posture": [(n,), (n,), (1,), (count,)],
         "residual": [(n,)],
         "outputs": [(count,)],
         "tangent": [(count,), (count, m)],
@@ -129,8 +130,10 @@ def _source(residual: Any, outputs: Any, samples: tuple[Array, Array]) -> str:
         "step": [ca.densify(solve(by_x, g, order))],
         "tangent": [out, ca.vec(by_known.T)],
     }
+    close = 2 * x.numel() + 1
     sizes = {
-        "close": 2 * x.numel() + 1,
+        "close": close,
+        "posture": close + out.numel(),
         **{k: sum(p.numel() for p in v) for k, v in written.items()},
     }
     head = files("orthoglide.mechanism").joinpath("lanes.c").read_text("utf-8")
