@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect, LegConditions
-from orthoglide.effects.places import Place, Session, dial_places, places
+from orthoglide.effects.places import BUILD_UP, Place, Session, dial_places, places
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.factors import ByJoints
+from orthoglide.fit.factors import ByJoints, DialReadings
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
 from orthoglide.fit.tool import ToolReadings
@@ -142,9 +142,13 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
                 sessions.append(Session(float(time.min()), float(time.max()), leg))
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
-    one_sided = np.ptp(approach, axis=0) == 0  # which shows no difference between sides
+    never, one_sided = (
+        np.zeros(len(LEGS), bool),
+        np.ptp(approach, axis=0) == 0,
+    )  # which shows no difference between sides
     found = places(sessions, problem.machine.catalogue.legs)
-    return tuple(p for p in found if p.against != "approach" or not one_sided[p.leg])
+    hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.points)}
+    return tuple(p for p in found if not hidden.get(p.against, never)[p.leg])
 
 
 def _of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
@@ -279,6 +283,10 @@ def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
         values = problem.values(k, x)
         by_joints = factor.by_joints(model, values)
         legs = model.leg_conditions(values, factor.conditions())
+        if isinstance(factor, DialReadings):
+            half = np.ptp(model.geometry.stroke) / 2
+            after = factor.campaign.built_up([half * length for length in BUILD_UP.lengths])
+            legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
         for place in kept:
             blocks.setdefault(place.name, []).append(_column(place, by_joints, legs[place.leg]))
     if not kept:

@@ -81,7 +81,9 @@ class Scope:
         wide = with_everything(build_problem(bare, [exact], bare.catalogue.base, noise))
         beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
         kept = tuple(bare.catalogue.parameter(n, [s.name for s in sheet.setups]) for n in beyond)
-        return cls(bare, sheet, kept, places_of(wide))
+        # A machine's model knows commands and conditions, not the way that led there.
+        known = tuple(p for p in places_of(wide) if p.against != "reversal")
+        return cls(bare, sheet, kept, known)
 
 
 @dataclass(frozen=True, eq=False)
