@@ -242,7 +242,7 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
         "loosening_bar": (f"bar.{own}.{bar + 1}/time",
                           lambda v: rc.loosening_bar(leg, bar, v, began, ended),
                           "extra_length"),
-        "platform_play": (f"rail.{own}.{other}/approach",
+        "platform_play": (f"platform.{own}.{other}/approach",
                           lambda v: rc.platform_play(leg, across, v), "extra_platform"),
         "dial_curve": (f"dial.{setup}/reading", lambda v: {setup: rc.dial_curve(v)}, "extra_dial"),
     }  # fmt: skip

@@ -22,7 +22,7 @@ from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
 
 Against = Literal["travel", "approach", "reversal", "command", "time", "reading"]
-Part = Literal["drive", "rail", "carriage", "bar", "dial"]
+Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
 Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
 Functions = Kernel | BuildUp
@@ -76,10 +76,24 @@ class Place:
 
     @property
     def of_machine(self) -> bool:
-        """Whether a calibrated machine keeps it: what changes with time is the campaign's, and how
-        far a drive has gone since it turned is not known of a command.
+        """Whether a calibrated machine keeps it: what changes with time is the campaign's."""
+        return self.in_model and self.against != "time"
+
+    @property
+    def in_model(self) -> bool:
+        """Whether the machine's own model can have it: it knows commands and conditions, not the
+        way that led there, and no joints at the platform that move.
         """
-        return self.against not in ("time", "reversal") and not self.setup
+        return self.against != "reversal" and not (self.setup or self.moves_lines)
+
+    @property
+    def moves_lines(self) -> bool:
+        """Whether the bars of its leg move along with it, as a dial on them shows.
+
+        The leg's end on the platform moves by as much as the joints, which are the carriage's, move
+        the other way: to the rest of the machine it is the same.
+        """
+        return self.part == "platform"
 
     def interval(self, stroke: Range) -> Range:
         """First and last of its variable.
@@ -128,6 +142,8 @@ class Place:
             "bar": f"bar {self.direction} of leg {leg} changes its length"
             if self.direction
             else f"both bars of leg {leg} change their length",
+            "platform": f"the end of leg {leg} moves on the platform toward "
+            f"{toward(self.direction, 1.0)}",
         }[self.part]
         return f"{what} {how}"
 
@@ -142,6 +158,7 @@ class Place:
             "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
             "carriage": f"the carriage of axis {leg}: its bearings and preload",
             "bar": f"the bars of leg {leg}, their pivots and their warmth",
+            "platform": f"the joint of leg {leg} at the platform: its pins and their fit",
         }[self.part]
 
     def functions(self, conditions: LegConditions) -> list[Any]:
@@ -245,6 +262,8 @@ def places(
             sideways = ((f"lateral_{axis}", 1.0),)
             add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
             add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
+            end = ((f"lateral_{axis}", -1.0),)
+            add("platform", end, letter, "approach", _travel, _COARSE, 50 * _UM)
         for axis, letter in {"a": own, **across}.items():
             add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
         for bar in "12":
