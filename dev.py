@@ -39,7 +39,8 @@ def main() -> int:
         epilog="What follows the task is handed on: dev.py test -k closure.",
     )
     tasks = {
-        "demo": demo, "test": test, "lint": lint, "check": check, "bench": bench, "mutate": mutate,
+        "demo": demo, "test": test, "lint": lint, "docs": docs, "check": check, "bench": bench,
+        "mutate": mutate,
     }  # fmt: skip
     parser.add_argument("task", choices=tasks, help=", ".join(f"{n}: {hint(t)}" for n, t in
                                                                tasks.items()))  # fmt: skip
@@ -83,9 +84,15 @@ def lint(rest: list[str]) -> int:
     return max(python("-m", *words, *rest) for words in checks)
 
 
+def docs(rest: list[str]) -> int:
+    """Build the site of the documents in site-out, or in the folder named; links are checked."""
+    environment("docs")
+    return python(str(ROOT / "docs" / "site" / "build.py"), *rest)
+
+
 def check(rest: list[str]) -> int:
-    """Lint, then test."""
-    return lint([]) or test(rest)
+    """Lint, build the site, then test."""
+    return lint([]) or docs([]) or test(rest)
 
 
 def bench(rest: list[str]) -> int:

@@ -82,20 +82,22 @@ def rows(geometry: Geometry) -> list[Row]:
 
     many = commands(geometry, 100_000)
     add("analytic reduction, batch", "none", len(many), lambda: reduction.forward(many))
-    _add_single(geometry, add)
     for with_compiler in (False, True):
+        _add_single(geometry, add, with_compiler)
         _add_batches(geometry, add, with_compiler)
     _add_mujoco(geometry, add)
     return found
 
 
-def _add_single(geometry: Geometry, add: Callable[..., None]) -> None:
-    mechanism, rho = Mechanism(geometry, compile=False), commands(geometry, 200)
+def _add_single(geometry: Geometry, add: Callable[..., None], with_compiler: bool) -> None:
+    mechanism, rho = Mechanism(geometry, compile=with_compiler), commands(geometry, 200)
+    if with_compiler and not mechanism.batch.compiled:
+        return
     moves = 3e-3 * np.random.default_rng(1).standard_normal((len(rho), 3, 10))
     near = [mechanism.close(r + 1e-3) for r in rho]
     pairs = list(zip(rho, near, strict=True))
     displaced = list(zip(rho, moves, strict=True))
-    one = "one posture, Pinocchio"
+    one = f"one posture, {'C compiler' if with_compiler else 'Pinocchio'}"
     add(f"{one}, relieved legs", "cold", 200, lambda: [mechanism.close(r) for r in rho])
     add(
         f"{one}, relieved legs",
@@ -109,7 +111,9 @@ def _add_single(geometry: Geometry, add: Callable[..., None]) -> None:
         200,
         lambda: [mechanism.close(r, m) for r, m in displaced],
     )
-    add(f"{one}, rigid legs", "cold", 200, lambda: [mechanism.close(r, legs="rigid") for r in rho])
+    if not with_compiler:
+        rigid = lambda: [mechanism.close(r, legs="rigid") for r in rho]  # noqa: E731
+        add(f"{one}, rigid legs", "cold", 200, rigid)
 
 
 def _add_batches(geometry: Geometry, add: Callable[..., None], with_compiler: bool) -> None:

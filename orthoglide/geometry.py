@@ -107,6 +107,18 @@ class Geometry:
         """The legs at mechanical zero."""
         return self.layout.legs(self.L, self.r)
 
+    @cached_property
+    def slides(self) -> Array:
+        """Directions of the legs' rails ``(leg, 3)``."""
+        return np.stack([leg.slide for leg in self.legs])
+
+    @cached_property
+    def centres(self) -> Array:
+        """Where each leg's bars begin at mechanical zero if all are carried to the tool
+        ``(leg, 3)``, metres.
+        """
+        return np.stack([leg.carriage - leg.platform for leg in self.legs])
+
     @property
     def leg_names(self) -> tuple[str, str, str]:
         """Names of the legs."""
@@ -123,10 +135,11 @@ class Geometry:
         return np.full(3, self.layout.zero(self.L))
 
     def commands(self, values: ArrayLike, name: str = "rho") -> Array:
-        """Commands ``(..., 3)``, metres, checked as by :func:`vectors`.
+        """``values`` as commands ``(..., 3)``, metres; a message calls them ``name``.
 
         Raises:
-            InputError: also where they lie so far from any reach that they must be millimetres.
+            InputError: where they are no numbers, have another shape, or lie so far from any reach
+                that they must be millimetres.
         """
         rho = vectors(values, name)
         largest = float(np.abs(rho).max(initial=0.0))
@@ -178,6 +191,9 @@ class Geometry:
         return self.command_on_axis(axis_index(posture[:1]), self.stroke[posture[1:] == "max"])
 
     def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
-        """Which commands ``(..., 3)`` lie within the stroke, by axis: booleans ``(..., 3)``."""
+        """Which commands ``rho`` ``(..., 3)`` lie within the stroke: booleans ``(..., 3)``.
+
+        Both limits are wider by ``slack``, metres.
+        """
         travel = np.asarray(rho, dtype=float) - self.layout.zero(self.L)
         return (travel >= self.stroke[0] - slack) & (travel <= self.stroke[1] + slack)

@@ -93,7 +93,7 @@ class Machine:
         return cls(spec)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the machine file; :meth:`load` reads back the same machine.
+        """Write the machine file at ``path``; :meth:`load` reads back the same machine.
 
         The covariance of its parameters goes beside it, ``machine.npz`` to ``machine.toml``.
 
@@ -159,7 +159,9 @@ class Machine:
     def with_only(
         self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Machine:
-        """The same machine with these parameters and no others; see :meth:`with_parameters`."""
+        """The same machine with these parameters and no others; arguments as for
+        :meth:`with_parameters`.
+        """
         return self._with({}, values, sigmas or {})
 
     def with_posterior(self, values: Mapping[str, float], posterior: Posterior) -> Machine:
@@ -288,7 +290,10 @@ class Machine:
         return self.pose(rho, **seen).p
 
     def jacobian(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
-        """dp/drho ``(..., 3, 3)``: how the TCP follows the command, all errors included."""
+        """dp/drho ``(..., 3, 3)``: how the TCP follows the command, all errors included.
+
+        Arguments as for :meth:`pose`.
+        """
         commands = self.geometry.commands(rho)
         conditions = self._conditions(commands, **seen)
         found = self.model.jacobian(self._machine_values, conditions)
@@ -298,7 +303,7 @@ class Machine:
         """Commands ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)`` given all its effects.
 
         What an effect does depends on the command, so the drives are corrected until the predicted
-        TCP is the wanted one.
+        TCP is the wanted one. Metres; ``seen`` as for :meth:`pose`.
 
         Raises:
             UnreachableError: naming the leg that is too short.

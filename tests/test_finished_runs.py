@@ -335,6 +335,27 @@ def test_the_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert compiled.compiled([]) is None
 
 
+@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+def test_another_kind_of_computer_has_a_library_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compiled for one processor's instructions, code can be wrong for another: a shared cache."""
+    from orthoglide.mechanism import compiled
+
+    monkeypatch.setenv("ORTHOGLIDE_CACHE", str(tmp_path))
+
+    def made(build: bool) -> Path | None:
+        code, flags = "int f(void) { return 1; }", ("-O1", "-march=native")
+        return compiled.library("f", lambda: code, flags, build=build)
+
+    own = made(build=True)
+    assert own is not None
+    assert made(build=False) == own
+    monkeypatch.setattr(compiled, "_target", lambda *_: "#define __of_another_kind__ 1")
+    assert made(build=False) is None
+    assert made(build=True) not in (None, own)
+
+
 @pytest.mark.parametrize("name", ["../theirs.csv", "a/../../theirs.csv", "/theirs.csv"])
 def test_a_folder_holds_what_is_written_into_it(name: str, here: Path) -> None:
     with pytest.raises(FileError, match="no place within"):

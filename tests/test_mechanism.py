@@ -17,6 +17,7 @@ from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS, ROTATION, TCP
 from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.mechanism import Mode
 from orthoglide.mechanism.tree import (
     RELIEF_NAMES,
     VIRTUAL_NAMES,
@@ -351,13 +352,89 @@ def test_order_and_size_of_a_batch_do_not_matter() -> None:
     assert mechanism().forward(np.empty((0, 3))).shape == (0, 3)
 
 
-def test_compiled_equals_not_compiled() -> None:
-    fast = Mechanism(NOMINAL, compile=True)
-    if not fast.batch.compiled:
+@cache
+def compiled_mechanism() -> Mechanism:
+    found = Mechanism(NOMINAL, compile=True)
+    if not found.batch.compiled:
         pytest.skip("no C compiler here")
-    rho, moves = commands(300, 19), displacements(300, 19)
-    assert np.abs(fast.forward(rho, moves) - mechanism().forward(rho, moves)).max() < 1e-13
-    assert np.abs(fast.forward(rho) - mechanism().forward(rho)).max() < 1e-13
+    return found
+
+
+def test_compiled_equals_not_compiled() -> None:
+    fast, slow = compiled_mechanism(), mechanism()
+    rho, moves = commands(301, 19), displacements(301, 19)
+    for own, other, given in (
+        (fast.batch, slow.batch, slow.given(rho, moves)),
+        (fast.nominal_batch, slow.nominal_batch, slow.given(rho)[:, :3]),
+    ):
+        x = own.close(given)
+        assert np.abs(x - other.close(given)).max() < 1e-12
+        outputs, by_given = own.tangent(x, given)
+        expected, by_given_expected = other.tangent(x, given)
+        assert np.abs(own.outputs(x, given).values - expected.values).max() < 1e-14
+        assert np.abs(outputs.values - expected.values).max() < 1e-14
+        assert np.abs(by_given - by_given_expected).max() < 1e-11
+
+
+@pytest.mark.parametrize(("mode", "count"), [("machine", 30), ("other", 5)])
+def test_one_compiled_posture_equals_pinocchios(mode: Mode, count: int) -> None:
+    fast, slow = compiled_mechanism(), mechanism()
+    for rho, moves in zip(commands(count, 26), displacements(count, 26), strict=True):
+        own, other = fast.close(rho, moves, mode=mode), slow.close(rho, moves, mode=mode)
+        assert np.abs(own.p - other.p).max() < 1e-12
+        assert np.abs(own.R - other.R).max() < 1e-12
+        assert np.abs(own.q - other.q).max() < 1e-11
+        assert own.residual.keys() == other.residual.keys()
+        assert max(own.residual.values()) < 1e-13
+        again = fast.close(rho + 1e-3, moves, mode=mode, guess=own)
+        assert again.iterations <= own.iterations
+
+
+def test_one_compiled_posture_that_does_not_close_is_told_as_before() -> None:
+    fast, slow = compiled_mechanism(), mechanism()
+    told = []
+    for one in (fast, slow):
+        with pytest.raises(ClosureError) as caught:
+            one.close(commands(1, 26)[0] + [1.0, 0.0, 0.0])
+        told.append((str(caught.value), caught.value.residuals))
+    assert told[0] == told[1]
+
+
+def test_compiled_postures_do_not_see_their_neighbours() -> None:
+    """Several postures are solved at once: each gets what it gets alone, wherever it stands."""
+    batch = compiled_mechanism().batch
+    given = mechanism().given(commands(37, 23), displacements(37, 23))
+    together = batch.close(given)
+    alone = np.concatenate([batch.close(given[k : k + 1]) for k in range(len(given))])
+    assert np.array_equal(together, alone)
+    assert np.array_equal(together[::-1], batch.close(given[::-1]))
+
+
+def test_compiled_postures_that_do_not_close_are_named_as_before() -> None:
+    given = mechanism().given(commands(40, 24), displacements(40, 24))
+    given[[13, 29], 0] += 1.0  # a carriage a metre away
+    told = []
+    for batch in (compiled_mechanism().batch, mechanism().batch):
+        with pytest.raises(ClosureError) as caught:
+            batch.close(given)
+        told.append((str(caught.value), caught.value.index))
+    assert told[0] == told[1]
+    assert told[0][1] == (13,)
+
+
+def test_turns_of_any_size_close_compiled() -> None:
+    """Starts many turns away end where those nearby do, whole turns apart."""
+    batch = compiled_mechanism().batch
+    given = mechanism().given(commands(16, 25), displacements(16, 25))
+    x = batch.close(given)
+    turns = 2 * np.pi * np.random.default_rng(25).integers(-50, 50, x.shape)
+    assert np.abs(batch.close(given, x + turns) - x - turns).max() < 1e-12
+
+
+@pytest.mark.parametrize("shape", [(2, 32), (2, 34), (33,)])
+def test_compiled_closure_refuses_other_shapes(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="33"):
+        compiled_mechanism().batch.close(np.zeros(shape))
 
 
 def test_without_a_compiler_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:

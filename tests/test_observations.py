@@ -387,6 +387,15 @@ def test_partly_recorded_conditions_are_warnings_and_count_as_none(tmp_path: Pat
     assert campaign.temperature_rise[:4].tolist() == [0, 0, 0, 2]
 
 
+def test_warming_counts_from_the_first_temperature_whatever_the_lowest(tmp_path: Path) -> None:
+    rows = chained(added("temperature_C", "21"), *(
+        cell("temperature_C", str(value), line) for line, value in ((3, 18.5), (4, 24), (5, 20))
+    ))(good_rows())  # fmt: skip
+    campaign = read_campaign(write(tmp_path / "c.csv", as_text(rows)))
+    assert campaign.temperature_rise[:5].tolist() == [0, -2.5, 3, -1, 0]
+    assert campaign.subset(np.arange(1, 4)).temperature_rise.tolist() == [-2.5, 3, -1]
+
+
 def test_travel_columns_go_through_the_controller(tmp_path: Path) -> None:
     geometry = Geometry()
     controller = Controller(zero=(0.5, -0.2, 0.0), sign=(1, -1, 1))

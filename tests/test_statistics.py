@@ -11,6 +11,7 @@ from scipy import stats
 import orthoglide as og
 from orthoglide.accuracy import Map, without_place
 from orthoglide.diagnosis import pattern, significance
+from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.repeat_faults import Scatter
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import StationMeans
@@ -21,6 +22,7 @@ from orthoglide.fit.scores import deviation_rms, tail
 from orthoglide.fit.unknowns import build_unknowns
 from orthoglide.machine_file import Dial
 from orthoglide.observations import protocol
+from orthoglide.planning import smallest_effects
 from orthoglide.simulation import simulate
 
 NOISE = 5e-6
@@ -86,6 +88,17 @@ def test_drawn_noise_is_as_large_as_the_noise_of_a_reading(resolution: float) ->
     total = np.sqrt(NOISE**2 + resolution**2 / 12)
     assert np.std(drawn) == pytest.approx(total, rel=0.02)
     assert found.problem.noise.typical == pytest.approx(total)
+
+
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_what_is_to_be_detected_stands_above_noise_as_often_as_stated(level: float) -> None:
+    """The best evidence of the catalogue on other draws of noise than the threshold's own."""
+    made, sheet = machine(repeatability=NOISE), protocol("standard")
+    told = smallest_effects(made, sheet, level=level)
+    seen = signatures(fitted(repeatability=NOISE))
+    drawn = significance.noise_residuals(seen, np.random.default_rng(7), 2000)
+    best = Scoring.of(seen, seen.candidates).evidences(drawn).max(axis=0)
+    assert np.mean(best > told.threshold) == pytest.approx(level, abs=0.018)
 
 
 # -- lack of fit ----------------------------------------------------------------------------------

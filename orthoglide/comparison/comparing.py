@@ -221,6 +221,14 @@ def compare_machine(
 ) -> tuple[Row, ...]:
     """Compare for a calibrated machine: all of its parameters together, then each alone.
 
+    Args:
+        machine: with the parameters to compare for.
+        circumstances: load, warmth, time, pitch and grid of the comparison; usual ones where
+            absent.
+
+    Raises:
+        InputError: for a machine that is no Orthoglide.
+
     Returns:
         Row ``"machine"`` first, then one for every parameter that is not zero.
     """

@@ -39,6 +39,9 @@ class PathPoints:
 def read_path(path: str | os.PathLike[str]) -> PathPoints:
     """A path of TCP points: columns ``p_x_mm``, ``p_y_mm``, ``p_z_mm``, rows in their order.
 
+    Args:
+        path: the CSV file.
+
     Raises:
         FileError: naming the line and what would be right.
     """
@@ -67,9 +70,18 @@ def commands_text(found: Compensation) -> str:
 def export_files(
     machine: Machine, *, zeros_only: bool = False, force: bool = False
 ) -> dict[str, str]:
-    """What other programs take of a machine, by file name: numbers for the controller, as text
-    and as JSON, the calibrated URDF and its loop closures, our way and as ``robot.urdf`` with
-    ``robot.yaml``; options as for ``controller_numbers``.
+    """What other programs take of a machine, by file name.
+
+    Numbers for the controller, as text and as JSON, the calibrated URDF and its loop closures, our
+    way and as ``robot.urdf`` with ``robot.yaml``.
+
+    Args:
+        machine: calibrated.
+        zeros_only: as for `controller_numbers`.
+        force: as for `controller_numbers`.
+
+    Raises:
+        InputError: where the verdict says not to act on the machine's numbers.
     """
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
     tree = calibrated_urdf(machine)

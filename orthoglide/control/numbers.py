@@ -117,7 +117,7 @@ class ControllerNumbers:
         left_over: parameters of the machine that no such number can hold.
         zeros_only: zeros for a controller that takes nothing else, metres.
         checks: readings that prove the sign of each new zero.
-        expected: errors of the TCP, see :func:`~orthoglide.accuracy.tool_settings`.
+        expected: errors of the TCP, by what is corrected.
     """
 
     name: str
@@ -170,7 +170,7 @@ def controller_numbers(
     Args:
         machine: calibrated; its ``[controller]`` says how the controller counts.
         zeros_only: for a controller that takes zeros and nothing else: those that leave the least
-            shape error over the workspace, see :func:`~orthoglide.accuracy.best_zeros`.
+            shape error over the workspace.
         force: give them whatever the verdict that is kept with the machine says.
 
     Raises:

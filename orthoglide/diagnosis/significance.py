@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 DRAWS = 1999
-"""Draws of each bootstrap: the smallest p-value is 1 / (DRAWS + 1)."""
+"""Draws of the noise from which thresholds are taken."""
 
 _OFF_GRID = 1e-6  # of a step
 

@@ -263,7 +263,11 @@ class _TimeRecorder(DialReading):
 
 
 def once(*motions: Motion) -> Members:
-    """Members of an effect that has one parameter a leg."""
+    """Members of an effect that has one parameter a leg.
+
+    Args:
+        motions: of the leg's virtual joints, for one unit of the parameter.
+    """
     return lambda leg: {"": motions}
 
 

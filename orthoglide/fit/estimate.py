@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Result of :func:`~orthoglide.fit.identify`.
+    """Result of :func:`~orthoglide.identify`.
 
     Attributes:
         problem: what was asked of which readings.

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import ClosureError, UnreachableError
 from orthoglide.geometry import Array
-from orthoglide.mechanism.compiled import compiled
 from orthoglide.mechanism.functions import (
     LINES,
     ROTATION,
     TCP,
+    ClosureFunctions,
     closure_functions,
     rigid_rows,
 )
+from orthoglide.mechanism.lanes import Lanes, lanes
 from orthoglide.mechanism.mapped import Mapped
 from orthoglide.mechanism.tree import Tree
 
@@ -26,6 +28,15 @@ CLOSED = 1e-11
 
 # Compiling takes two seconds once: as much as this many postures have cost by then.
 _WORTH_COMPILING = 20_000
+
+
+# Postures that choose the order in which compiled closures eliminate.
+_SAMPLES = 32
+
+
+def _closed(residual: Array) -> NDArray[np.bool_]:
+    """Which rows ``(N,)`` of a residual ``(N, n)`` count as closed."""
+    return np.asarray(np.max(np.abs(residual), axis=1, initial=0.0) <= CLOSED)
 
 
 @contextmanager
@@ -81,7 +92,8 @@ class BatchClosure:
     def __init__(self, tree: Tree, *, compile: bool | None = None) -> None:
         self.tree = tree
         self._plain: dict[str, Any] = self._build()
-        self._functions = {name: Mapped(function) for name, function in self._plain.items()}
+        self._interpreted = {name: Mapped(function) for name, function in self._plain.items()}
+        self._functions: Mapping[str, Mapped | Lanes] = self._interpreted
         self._pending, self._asked = compile is None, 0
         self.compiled = False
         if compile is not False:
@@ -101,23 +113,63 @@ class BatchClosure:
         return np.asarray(given, dtype=float)
 
     def _compile(self, *, build: bool) -> None:
-        found = compiled(list(self._plain.values()), build=build)
+        found = self._compiled(build)
         if found is not None:
-            self._functions = dict(zip(self._plain, map(Mapped, found), strict=True))
-            self.compiled, self._pending = True, False
+            self._functions, self.compiled, self._pending = found, True, False
         elif build:
             self._pending = False
 
+    def _compiled(self, build: bool) -> Mapping[str, Mapped | Lanes] | None:
+        functions = ClosureFunctions(**self._plain)
+        return lanes(functions.residual, functions.outputs, self._samples, build=build)
+
+    def _samples(self) -> tuple[Array, Array]:
+        """Unknowns and what is known of postures all over the workspace, neutral first."""
+        draws = np.random.default_rng(0)
+        known = np.zeros((_SAMPLES, self._plain["close"].size1_in(1)))
+        known[1:, :3] = draws.uniform(*self.tree.geometry.stroke, (_SAMPLES - 1, 3))
+        x, residual = self._interpreted["close"](np.zeros(self._size), known)
+        closed = _closed(residual)
+        return x[closed], known[closed]
+
+    @property
+    def _size(self) -> int:
+        """How many unknowns there are."""
+        return int(self._plain["close"].size1_out(0))
+
     def _call(self, name: str, x: Array, known: Array) -> list[Array]:
-        self._asked += len(known)
-        if self._pending and self._asked >= _WORTH_COMPILING:
-            self._compile(build=True)
+        self._count(len(known))
         return self._functions[name](x, known)
 
+    def _count(self, postures: int) -> None:
+        self._asked += postures
+        if self._pending and self._asked >= _WORTH_COMPILING:
+            self._compile(build=True)
+
+    def single(self, start: Array, given: Array) -> tuple[Array, Array, int, Outputs] | None:
+        """One posture by compiled code, closed or not.
+
+        Args:
+            start: unknowns ``(n,)`` to start from.
+            given: ``(3 + m,)``.
+
+        Returns:
+            Unknowns, their residual, Newton's steps and what the posture shows; ``None`` where
+            nothing is compiled.
+        """
+        self._count(1)
+        if not self.compiled:
+            return None
+        x, residual, steps, shown = self._functions["posture"](start, given[None])
+        return x[0], residual[0], int(steps[0, 0]), Outputs(shown[0])
+
     def _solved(self, start: Array, known: Array) -> tuple[Array, Array]:
-        """Unknowns where Newton's method ends, and the largest residual of each row."""
-        (x,) = self._call("close", start, known)
-        (residual,) = self._call("residual", x, known)
+        """Unknowns where Newton's method ends, and the residual of each row."""
+        x, residual, *_ = self._call("close", start, known)
+        open_ = np.flatnonzero(~_closed(residual))
+        if self.compiled and open_.size:  # what is interpreted chooses its pivots as it goes
+            start = np.broadcast_to(start, x.shape)
+            x[open_], residual[open_] = self._interpreted["close"](start[open_], known[open_])
         return x, residual
 
     def close(self, given: Array, guess: Array | None = None) -> Array:
@@ -134,10 +186,8 @@ class BatchClosure:
             ClosureError: naming the first posture that does not close, with its residual by loop.
         """
         known = self._known(given)
-        start = np.zeros(self._plain["close"].size1_out(0)) if guess is None else guess
-        x, residual = self._solved(start, known)
-        worst = np.max(np.abs(residual), axis=1, initial=0.0)
-        bad = np.flatnonzero(~(worst <= CLOSED))
+        x, residual = self._solved(np.zeros(self._size) if guess is None else guess, known)
+        bad = np.flatnonzero(~_closed(residual))
         if bad.size:
             raise self._failure(int(bad[0]), residual[bad[0]], len(bad), known)
         return x

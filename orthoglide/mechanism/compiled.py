@@ -7,13 +7,13 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
-_FLAGS = ("-O2", "-fPIC", "-shared")
+_FLAGS, _SHARED = ("-O2",), ("-fPIC", "-shared")
 
 
 def compiler() -> str | None:
@@ -47,21 +47,47 @@ def compiled(functions: Sequence[Any], *, build: bool = True) -> list[Any] | Non
         The functions in the same order, or ``None`` where there is no compiler, it fails, or the
         cache is empty and ``build`` is false: the caller goes on with what it has.
     """
+    if compiler() is None:
+        return None
+    source = _source(functions)
+    path = library(source, lambda: source, _FLAGS, build=build)
+    try:
+        return None if path is None else [ca.external(f.name(), str(path)) for f in functions]
+    except RuntimeError:  # where nothing may be run from the cache
+        return None
+
+
+def library(
+    content: str, source: Callable[[], str], flags: Sequence[str], *, build: bool
+) -> Path | None:
+    """The compiled library of a source, from the cache where it is.
+
+    Args:
+        content: tells sources apart.
+        source: writes it, in C.
+        flags: of the compiler. Where they ask for this computer's own instructions, other kinds of
+            computer that share the cache have libraries of their own.
+        build: whether to compile where the cache has nothing.
+
+    Returns:
+        ``None`` where there is no compiler, it fails, or the cache is empty and ``build`` false.
+    """
     command = compiler()
     if command is None:
         return None
-    source = _source(functions)
-    digest = _digest("\n".join([source, command, *_FLAGS]).encode())
     try:
+        digest = _digest("\n".join([content, command, *flags, _target(command, flags)]).encode())
         folder = _own_folder()
-        library = _library(folder, digest)
-        if library is None:
-            if not build:
-                return None
-            library = _build(command, source, folder, digest)
-        return [ca.external(f.name(), str(library)) for f in functions]
-    except (OSError, RuntimeError, subprocess.SubprocessError):
+        found = _library(folder, digest)
+        return found if found or not build else _build(command, flags, source(), folder, digest)
+    except (OSError, subprocess.SubprocessError):
         return None
+
+
+def _target(command: str, flags: Sequence[str]) -> str:
+    """What the compiler says of the computer that these flags compile for."""
+    asked = [command, *flags, "-dM", "-E", "-x", "c", "-"]
+    return subprocess.run(asked, check=True, input="", capture_output=True, text=True).stdout
 
 
 def _digest(content: bytes) -> str:
@@ -101,12 +127,12 @@ def _source(functions: Sequence[Any]) -> str:
     return str(generator.dump())
 
 
-def _build(command: str, source: str, folder: Path, digest: str) -> Path:
+def _build(command: str, flags: Sequence[str], source: str, folder: Path, digest: str) -> Path:
     with tempfile.TemporaryDirectory(dir=folder) as made:
         code, out = Path(made) / "closure.c", Path(made) / "closure.so"
         code.write_text(source, encoding="utf-8")
         subprocess.run(
-            [command, *_FLAGS, str(code), "-o", str(out), "-lm"],
+            [command, *flags, *_SHARED, str(code), "-o", str(out), "-lm"],
             check=True,
             capture_output=True,
             timeout=120,

@@ -10,7 +10,9 @@ import numpy as np
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.batch import CLOSED, BatchClosure
+from orthoglide.mechanism.compiled import compiled
 from orthoglide.mechanism.elastic_functions import BARS, TENSION, elastic_functions
+from orthoglide.mechanism.mapped import Mapped
 from orthoglide.mechanism.tree import RELIEF_NAMES, Tree
 
 RELIEF_LIMIT = float(np.deg2rad(1.0))
@@ -145,6 +147,10 @@ class ElasticClosure(BatchClosure):
 
     def _build(self) -> dict[str, Any]:
         return vars(elastic_functions(self.tree))
+
+    def _compiled(self, build: bool) -> dict[str, Mapped] | None:
+        found = compiled(list(self._plain.values()), build=build)
+        return None if found is None else dict(zip(self._plain, map(Mapped, found), strict=True))
 
     def _known(self, given: Array) -> Array:
         given = np.asarray(given, dtype=float)

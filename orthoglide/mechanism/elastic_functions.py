@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from orthoglide.geometry import LEGS
-from orthoglide.mechanism.functions import ClosureFunctions, closure_functions
+from orthoglide.mechanism.functions import ClosureFunctions, closing, closure_functions
 from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES, Tree
 
 BARS = 2 * len(LEGS)
@@ -44,7 +44,7 @@ class ElasticFunctions:
     Attributes:
         residual: (unknown, condition) -> ``(27,)``: closure residual, then how far each tension is
             from balance, in TENSION newtons plus the metres that this stretches the bar.
-        close: (guess, condition) -> unknown at equilibrium.
+        close: (guess, condition) -> unknown at equilibrium, and the residual that is left.
         outputs: (unknown, condition) -> ``(48,)``, as of the plain closure.
         tangent: (unknown, condition) -> outputs and their total derivative ``(48, 34)`` by
             ``[drives; virtual; load]`` along equilibria.
@@ -85,9 +85,10 @@ class _Builder:
     def functions(self) -> ElasticFunctions:
         outputs = self.plain.outputs(self.z, self.w)
         step, residual = self._step()
+        residual = self._function("residual", residual)
         return ElasticFunctions(
-            self._function("residual", residual),
-            _rootfinder(self._function("step", step)),
+            residual,
+            closing(_rootfinder(self._function("step", step)), residual),
             self._function("outputs", outputs),
             self._function("tangent", *self._tangent()),
             self._function("force", self._force()),
@@ -178,7 +179,7 @@ def _rootfinder(step: Any) -> Any:
     x, condition = ca.MX.sym("x", size), ca.MX.sym("condition", step.size1_in(1))
     down = ca.Function("down", [x, condition], [-step(x, condition)], ["x", "p"], ["r"])
     return ca.rootfinder(
-        "close",
+        "root",
         "fast_newton",
         down,
         {

@@ -29,7 +29,8 @@ class ClosureFunctions:
 
     Attributes:
         residual: (free, [drive; virtual]) -> ``(n,)`` closure residual, metres and sines of angles.
-        close: (guess, [drive; virtual]) -> free joints that close the loops (Newton).
+        close: (guess, [drive; virtual]) -> free joints that close the loops (Newton), and the
+            residual that is left.
         outputs: (free, [drive; virtual]) -> ``(48,)``, see ``TCP``, ``ROTATION``, ``LINES``.
         tangent: (free, [drive; virtual]) -> outputs and their total derivative ``(48, 3 + m)``
             with the loops kept closed.
@@ -59,13 +60,22 @@ def closure_functions(
     arguments, names = [x, given], ["guess", "given"]
     residual_f = ca.Function("residual", arguments, [residual], names, ["residual"])
     outputs_f = ca.Function("outputs", arguments, [outputs], names, ["outputs"])
-    close_f = ca.rootfinder(
-        "close",
+    root = ca.rootfinder(
+        "root",
         "fast_newton",
         residual_f,
         {"max_iter": 25, "abstol": 1e-14, "abstolStep": 1e-13, "error_on_fail": False},
     )
-    return ClosureFunctions(residual_f, close_f, outputs_f, _tangent(x, given, residual, outputs))
+    close_f, tangent_f = closing(root, residual_f), _tangent(x, given, residual, outputs)
+    return ClosureFunctions(residual_f, close_f, outputs_f, tangent_f)
+
+
+def closing(root: Any, residual: Any) -> Any:
+    """(guess, known) -> what a root finder ends at, and the residual there."""
+    guess, known = ca.MX.sym("guess", root.size1_in(0)), ca.MX.sym("given", root.size1_in(1))
+    x = root(guess, known)
+    names = ["guess", "given"], ["x", "residual"]
+    return ca.Function("close", [guess, known], [x, residual(x, known)], *names)
 
 
 def rigid_rows(tree: Tree) -> tuple[int, ...]:

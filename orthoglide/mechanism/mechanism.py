@@ -22,6 +22,7 @@ Mode = Literal["machine", "other"]
 """The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
 VIRTUAL_COUNT = 3 * len(VIRTUAL_NAMES)
+_NONE = np.zeros((3, len(VIRTUAL_NAMES)))  # displacements
 _STEPS = 30
 _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
 
@@ -63,6 +64,7 @@ class Mechanism:
         self.loops = Loops(self.tree)
         self._compile = compile
         self._tcp = self.tree.model.getFrameId(self.tree.tool)
+        self._given = np.concatenate([self.tree.drive, self.tree.virtual])
 
     def __reduce__(self) -> tuple[Any, tuple[Geometry]]:
         # Constraint objects do not pickle: another process builds its own.
@@ -91,6 +93,8 @@ class Mechanism:
     ) -> Posture:
         """Direct kinematics: from the drives to every joint, by Newton on the constraint Jacobian.
 
+        By compiled code where there is some, else, and where that does not close, by Pinocchio.
+
         Args:
             command: rho ``(3,)``, metres (2008, eq. 2).
             displacements: of the virtual joints ``(3, 10)``, as in ``VIRTUAL_NAMES``.
@@ -104,6 +108,10 @@ class Mechanism:
             InputError: where the arguments have the wrong shape or are not finite.
         """
         q = self._start(command, displacements, mode, guess)
+        if legs == "relieved" and self._compile is not False:
+            found = self._by_compiled_code(q, mode)
+            if found is not None:
+                return found
         moving = self.tree.passive if legs == "rigid" else self.tree.free
         step = self._least_squares_step if legs == "rigid" else self._newton_step
         iterations = 0
@@ -119,14 +127,32 @@ class Mechanism:
                 break
         return self._checked(q, iterations, mode, legs)
 
+    def _by_compiled_code(self, q: Array, mode: Mode) -> Posture | None:
+        """The posture that is reached from ``q``; ``None`` where that is not closed in the mode."""
+        found = self.batch.single(q[self.tree.free], q[self._given])
+        if found is None:
+            return None
+        x, residual, steps, shown = found
+        by_loop, p = self.tree.by_loop(residual), shown.p
+        if not all(v <= CLOSED for v in by_loop.values()) or self._mode(q, p) != mode:
+            return None
+        closed = q.copy()
+        closed[self.tree.free] = x
+        return Posture(closed, p, shown.R, by_loop, steps)
+
+    def _mode(self, q: Array, p: Array) -> Mode:
+        # Far from any plausible error of the parts the nominal plane of the carriages will do.
+        below = seed.below_carriages(self.geometry, q[self.tree.drive], p)
+        return "machine" if below else "other"
+
     def _start(
         self, command: ArrayLike, displacements: ArrayLike | None, mode: Mode, guess: Posture | None
     ) -> Array:
         rho = np.asarray(command, dtype=float)
-        moves = np.zeros((3, 10)) if displacements is None else np.asarray(displacements, float)
-        if rho.shape != (3,) or moves.shape != (3, len(VIRTUAL_NAMES)):
+        moves = _NONE if displacements is None else np.asarray(displacements, dtype=float)
+        if rho.shape != (3,) or moves.shape != _NONE.shape:
             raise InputError("close takes one command (3,) and displacements (3, 10)")
-        if not (np.isfinite(rho).all() and np.isfinite(moves).all()):
+        if not (np.isfinite(rho).all() and (moves is _NONE or np.isfinite(moves).all())):
             raise InputError("the command and the displacements must be finite numbers")
         if guess is not None:
             q = guess.q.copy()
@@ -176,9 +202,7 @@ class Mechanism:
         pin.updateFramePlacement(self.tree.model, self.loops.data, self._tcp)
         placement = self.loops.data.oMf[self._tcp]
         p, R = placement.translation.copy(), placement.rotation.copy()
-        # Far from any plausible error of the parts the nominal plane of the carriages will do.
-        near = seed.below_carriages(self.geometry, q[self.tree.drive][None], p[None])[0]
-        found: Mode = "machine" if near else "other"
+        found = self._mode(q, p)
         if found != mode:
             raise ClosureError(
                 f"closure ended in the {found} assembly mode instead of {mode}", residuals=by_loop
@@ -214,7 +238,7 @@ class Mechanism:
     # Batches, by CasADi --------------------------------------------------------------------
 
     def given(self, commands: Array, displacements: ArrayLike | None = None) -> Array:
-        """``[drives; virtual]`` ``(..., 33)`` for commands ``(..., 3)`` and displacements
+        """``[drives; virtual]`` ``(..., 33)`` for ``commands`` ``(..., 3)`` and ``displacements``
         ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
         """
         given = np.zeros((*commands.shape[:-1], 3 + VIRTUAL_COUNT))
@@ -268,7 +292,8 @@ class Mechanism:
     def inverse(self, p: ArrayLike, displacements: ArrayLike | None = None) -> Array:
         """Commands rho ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.
 
-        Newton on the closed mechanism with its velocity Jacobian.
+        Newton on the closed mechanism with its velocity Jacobian, under ``displacements`` as for
+        :meth:`given`.
 
         Raises:
             UnreachableError: naming the leg that is too short, and by how much.

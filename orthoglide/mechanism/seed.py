@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import mul
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,9 +43,10 @@ def commands(geometry: Geometry, p: Array) -> Array:
         UnreachableError: naming the leg that is too short, and the point that it misses most.
     """
     reach = p[:, None] - _centres(geometry, np.zeros((1, 3)))  # from each leg's sphere at zero
-    slides = np.stack([leg.slide for leg in geometry.legs])
-    along = np.einsum("nli,li->nl", reach, slides)
-    across = np.hypot.reduce(np.cross(reach, slides), axis=-1)  # far points overflow a square
+    along = np.einsum("nli,li->nl", reach, geometry.slides)
+    across = np.hypot.reduce(
+        np.cross(reach, geometry.slides), axis=-1
+    )  # far points overflow a square
     excess = across - geometry.L
     short = np.flatnonzero((excess >= 0).any(axis=0))
     if short.size:
@@ -63,10 +66,8 @@ def commands(geometry: Geometry, p: Array) -> Array:
 
 
 def _centres(geometry: Geometry, travel: Array) -> Array:
-    """Where each leg's bars begin if all are carried to the tool ``(N, leg, 3)``, metres."""
-    slides = np.stack([leg.slide for leg in geometry.legs])
-    at_zero = np.stack([leg.carriage - leg.platform for leg in geometry.legs])
-    return np.asarray(at_zero + travel[:, :, None] * slides)
+    """`Geometry.centres` ``(N, leg, 3)`` with the carriages at ``travel`` ``(N, 3)``, metres."""
+    return np.asarray(geometry.centres + travel[:, :, None] * geometry.slides)
 
 
 def _angles(geometry: Geometry, leg: int, span: Array) -> Array:
@@ -96,10 +97,18 @@ def in_machine_mode(geometry: Geometry, lines: Array, p: Array) -> NDArray[np.bo
     return np.asarray(np.sum(normal * p, axis=-1) < offset)
 
 
-def below_carriages(geometry: Geometry, travel: Array, p: Array) -> NDArray[np.bool_]:
-    """Whether the TCP ``p`` ``(N, 3)`` is on the machine's side of perfect legs' carriages."""
-    normal, offset = _carriage_plane(geometry, _centres(geometry, travel))
-    return np.asarray(np.sum(normal * p, axis=-1) < offset)
+def below_carriages(geometry: Geometry, travel: Array, p: Array) -> bool:
+    """Whether a TCP ``(3,)`` is on the machine's side of perfect legs' carriages.
+
+    As :func:`in_machine_mode`, in plain numbers: numpy would take longer than closing the loops.
+    """
+    first, second, third = (geometry.centres + travel[:, None] * geometry.slides).tolist()
+    u, v = ([b - a for a, b in zip(first, other, strict=True)] for other in (second, third))
+    normal = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+    offset = sum(map(mul, normal, first))
+    up = sum(map(mul, normal, geometry.slides[0].tolist())) if geometry.layout.hanging else offset
+    below = sum(map(mul, normal, p.tolist())) - offset
+    return below > 0 if up < 0 else below < 0
 
 
 def _seen(geometry: Geometry, lines: Array) -> Array:
@@ -117,6 +126,6 @@ def _carriage_plane(geometry: Geometry, centres: Array) -> tuple[Array, Array]:
     offset = np.sum(normal * centres[:, 0], axis=-1)
     # A hanging platform is below; else the origin's side is the machine's, for the legs' order
     # alone would point at the origin once a carriage has passed it.
-    up = normal @ geometry.legs[0].slide if geometry.layout.hanging else offset
+    up = normal @ geometry.slides[0] if geometry.layout.hanging else offset
     side = np.where(up < 0, -1.0, 1.0)
     return normal * side[:, None], offset * side

@@ -96,7 +96,7 @@ class Tree:
         """Name of the frame that is the tool."""
         return f"{self.geometry.leg_names[0]}_tcp"
 
-    @property
+    @cached_property
     def free(self) -> NDArray[np.intp]:
         """Positions of all joints that closure moves: passive, then relief."""
         return np.concatenate([self.passive, self.relief])
@@ -112,7 +112,9 @@ class Tree:
 
     def by_loop(self, residual: Array) -> dict[str, float]:
         """Largest entry of a closure residual ``(21,)`` by loop: metres, or radians for turns."""
-        return {name: float(np.abs(residual[rows]).max()) for name, rows in self.rows.items()}
+        starts = [rows.start for rows in self.rows.values()]
+        largest = np.maximum.reduceat(np.abs(residual), starts).tolist()
+        return dict(zip(self.rows, largest, strict=True))
 
 
 def nominal_tree(geometry: Geometry | None = None) -> Tree:

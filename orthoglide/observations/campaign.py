@@ -68,10 +68,8 @@ class Campaign:
         warnings: what was noticed on reading and is no error.
         reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
         moves: commands gone through between the readings.
-        from_frame: a campaign from a data frame; see
-            :func:`~orthoglide.observations.reading.campaign_from_frame`, which stands above.
-        to_frame: the rows of its file as a data frame; see
-            :func:`~orthoglide.observations.writing.campaign_frame`.
+        from_frame: a campaign from a data frame with the columns of a campaign file.
+        to_frame: the rows of its file as a data frame.
     """
 
     from_frame: ClassVar[Callable[..., Campaign]]
@@ -180,8 +178,7 @@ class Campaign:
     def with_moves(self) -> Campaign:
         """The same readings in the order of their rows, with the moves that their approach takes.
 
-        See :func:`~orthoglide.observations.approach.planned_moves`; two dials that are read at one
-        visit were mounted together.
+        Two dials that are read at one visit were mounted together.
         """
         begins = np.zeros(len(self), dtype=bool)
         begins[np.unique(self.setup, return_index=True)[1]] = True

@@ -14,6 +14,7 @@ from orthoglide.planning.linear import LinearReadings
 C = TypeVar("C", bound=Criterion)
 
 _PASSES = 2
+_EQUAL = 1e-6  # of a gain: the first of equally good steps is taken, whatever rounding says
 _NOTHING = 1e-9  # gain below which a step is not worth a reading
 
 
@@ -67,7 +68,8 @@ def _grow(
         if not len(steps.rows):
             break
         gains = criterion.gains(steps)
-        k = int(np.argmax(gains / np.where(steps.opening, mounting, 1.0)))
+        worth = gains / np.where(steps.opening, mounting, 1.0)
+        k = int(np.argmax(worth >= (1 - _EQUAL) * worth.max()))
         if not gains[k] > _NOTHING:
             break
         criterion = criterion.after(steps, k)

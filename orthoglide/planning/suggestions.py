@@ -126,7 +126,7 @@ def next_measurements(
         machine: where the readings will be taken; the fit's where absent.
         count: readings to propose, at most, for each purpose.
         directions: to pin down; the fit's weakest two where absent, none where empty.
-        pool: readings to choose from; all of :func:`reading_pool` where absent.
+        pool: readings to choose from; all within reach where absent.
 
     Raises:
         InputError: for fewer than two readings.

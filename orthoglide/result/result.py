@@ -307,8 +307,8 @@ class Result:
     def numbers(self) -> ControllerNumbers:
         """What a controller takes of the calibrated machine, and the errors to expect of the TCP.
 
-        They are here whatever the verdict says; :func:`orthoglide.control.withheld` says whether
-        they are to be shown.
+        They are here whatever the verdict says; where it is not to be acted on, reports do not
+        show them.
         """
         return controller_numbers(self.machine, force=True)
 
