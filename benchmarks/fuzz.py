@@ -7,7 +7,8 @@ Each case is drawn from its own number: files of readings, TCP points, machine f
 changed where their structure lets something happen, then one command reads them. A run has to end
 within ten seconds of its processor's time with exit code 0, 2 or 3; where it is not 0 with one
 sentence and nothing left behind, where it is 0 with results that can be read. Whatever else
-happens is printed with the number of its case.
+happens is printed with the number of its case. One in fifty is a verdict on readings of a known
+machine, most of them moved: false ones are counted by kind (``fuzz_verdicts.py``).
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -44,6 +45,7 @@ sys.path.insert(0, str(ROOT))
 from click.testing import CliRunner, Result
 
 from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spoil_toml
+from benchmarks.fuzz_verdicts import Judged, judged, report
 from orthoglide.cli import cli
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text
@@ -53,6 +55,7 @@ from orthoglide.simulation import simulate, simulate_tcp
 LIMIT = 10.0
 """Seconds of processor time that a small input may take."""
 
+_A_VERDICT, _SAID = 50, 500  # inputs to one verdict, and to a line of what was found so far
 _CODES = (0, 2, 3)
 _FAULT = "failed unexpectedly"
 _ERRORS = {"joint_offset.x": 0.8e-3, "leg_length.z": 0.06e-3, "axis_tilt.y.z": 1e-3}
@@ -209,7 +212,7 @@ def run_case(case: Case, folder: Path) -> tuple[str, int]:
     try:
         with limited(LIMIT):
             result = CliRunner().invoke(cli, case.arguments)
-        return judged(case, result), result.exit_code
+        return promised(case, result), result.exit_code
     except Late as late:
         return f"takes longer than {late}", -1
     finally:
@@ -217,7 +220,7 @@ def run_case(case: Case, folder: Path) -> tuple[str, int]:
         os.environ.pop("ORTHOGLIDE_TRACEBACK")
 
 
-def judged(case: Case, result: Result) -> str:
+def promised(case: Case, result: Result) -> str:
     """The promise that an ended run breaks, in its folder."""
     error = result.exception
     if error is not None and not isinstance(error, SystemExit):
@@ -269,7 +272,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="folder for the files of the case")
     given = parser.parse_args()
     numbers = range(given.seed, given.seed + given.count) if given.case is None else [given.case]
-    found, began = Counter[str](), time.monotonic()
+    found, began, verdicts = Counter[str](), time.monotonic(), list[Judged]()
     for number in numbers:
         case = draw_case(number, given.only)
         with tempfile.TemporaryDirectory() as folder:
@@ -279,9 +282,16 @@ def main() -> None:
         found["wrong" if wrong else f"exit code {code}"] += 1
         if wrong or given.case is not None:
             print(f"{number}: {' '.join(case.arguments)}: {wrong or 'as promised'}", flush=True)
+        if given.case is None and not given.only and number % _A_VERDICT == 0:
+            verdicts.append(judged(number // _A_VERDICT))
+            if verdicts[-1].false:
+                print(f"verdict {verdicts[-1]}", flush=True)
+        if (done := sum(found.values())) % _SAID == 0:
+            print(f"{done} cases: {dict(found)}", flush=True)
     spent = time.monotonic() - began
     print(f"{sum(found.values())} cases from {given.seed} on in {spent:.0f} s: {dict(found)}")
-    sys.exit(1 if found["wrong"] else 0)
+    print(report(verdicts))
+    sys.exit(1 if found["wrong"] or any(v.false for v in verdicts) else 0)
 
 
 if __name__ == "__main__":

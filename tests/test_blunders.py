@@ -174,6 +174,31 @@ def test_stuck_dial(protocol, machine):
     assert len({row for _, row in blunder.rows} ^ set(touched)) <= 1
 
 
+def test_a_slip_in_most_setups_is_found_in_each(machine, nominal):
+    """Noise from repeats has grown by them, and what a setup scatters is no measure of it."""
+    rows, slipped = rows_of("standard"), (2, 5, 20, 23, 41)
+    for k in slipped:
+        rows = rc.outlier(rows, k, 0.11).rows
+    assert len({rows[k]["setup"] for k in slipped}) == 5
+    for judge in (machine, nominal):
+        found = found_in(rows, judge)
+        assert {b.kind for b in found} == {"outlier"}
+        assert sorted(row for b in found for _, row in b.rows) == list(slipped)
+
+
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+def test_a_dial_that_stuck_from_its_first_reading(protocol, machine, nominal):
+    """Nothing of its setup is left that repeats could be compared with."""
+    rows = rows_of(protocol)
+    own = [k for k, row in enumerate(rows) if row["setup"] == "zx-0.5"]
+    for k in own:
+        rows[k]["reading_mm"] = rows[own[0]]["reading_mm"]
+    for judge in (machine, nominal):
+        (blunder,) = found_in(rows, judge)
+        assert (blunder.kind, blunder.setups) == ("stuck", ("zx-0.5",))
+        assert [row for _, row in blunder.rows] == own
+
+
 def test_several_faults(machine):
     rows = rc.outlier(rows_of(seed=5), 30, 0.3).rows
     rows = rc.knocked_stand(rows, "zx-0.5", 0.2).rows

@@ -6,12 +6,15 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from benchmarks import fuzz
+import orthoglide as og
+from benchmarks import fuzz, fuzz_verdicts
+from orthoglide.simulation import simulate
 
 CASES = 120
 CHUNK = 20
@@ -136,3 +139,50 @@ def test_noise_through_which_nothing_is_seen(noise: str, tmp_path: Path) -> None
     content = (Path(__file__).parent / "data" / "rig" / "rig-1.csv").read_bytes()
     arguments = ("close-loop", "a.csv", "--noise", noise, "--out", "out")
     assert fuzz.run_case(fuzz.Case(0, {"a.csv": content}, arguments), tmp_path) == ("", 0)
+
+
+# --- Verdicts on readings that were moved -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "number", [1, 3, *(pytest.param(k, marks=pytest.mark.thorough) for k in (2, 5, 6, 7, 8))]
+)
+def test_moved_readings_are_not_adequate_without_a_word(number: int) -> None:
+    found = fuzz_verdicts.judged(number)
+    assert found.kind == list(fuzz_verdicts.KINDS)[number]
+    assert found.moved > fuzz_verdicts.FIVE
+    assert not found.false
+
+
+def test_a_reading_too_near_to_be_set_aside_is_spoken_of() -> None:
+    """Eight sigmas beside its repeats: one line to be read again, no fault."""
+    machine = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
+    campaign = simulate(machine, "sweep", noise=5e-6, seed=2)
+    assert [w for w in og.identify(campaign, machine).warnings if w.kind == "slip"] == []
+    reading = campaign.reading.copy()
+    reading[31] += 4.5e-5
+    found = og.identify(campaign.with_readings(reading), machine)
+    (note,) = [w for w in found.warnings if w.kind == "slip"]
+    (line,) = note.lines
+    assert line == campaign.line[31]
+    assert f"line {line}: up to " in note
+    assert note.endswith("read it again")
+
+
+def test_false_verdicts_are_counted() -> None:
+    of = fuzz_verdicts.Judged
+    silent = of(0, "one", "adequate", told=False, moved=20.0, off=5.1, beyond=0.04)
+    several = [
+        silent,
+        replace(silent, told=True),
+        replace(silent, off=4.9),
+        replace(silent, word="unexplained"),
+        replace(silent, word="refused", kind="stuck"),
+    ]
+    assert [j.false for j in several] == [True, False, False, False, False]
+    told = fuzz_verdicts.report(several)
+    assert [line.split() for line in told.splitlines() if line.startswith(("one", "stuck"))] == [
+        ["one", "4", "3", "1", "0", "1"],
+        ["stuck", "1", "0", "0", "1", "0"],
+    ]
+    assert "beyond its 95 % radius at 4.0 % of the places of 5 adequate machines" in told

@@ -33,6 +33,7 @@ from orthoglide.geometry import Array
 _REPEATS = 8.0  # times the variance of visits, that stations have where these repeat anything
 _BEYOND = 3.0  # times what a dial scatters, that nothing of it explains
 _FEWEST_REPEATS = 4  # degrees of freedom from which a setup may be said to scatter
+_FEWEST_STATIONS = 8  # with repeats, of which a median says something
 _FEWEST = 2  # readings on either side of a knock: fewer are outliers
 _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter within one
 _STEPS: dict[Kind, float] = {"outlier": 3.0, "knocked_stand": 2.0}  # of the dial: least size
@@ -100,7 +101,7 @@ class Scatter:
     def past(self, columns: Array) -> Array:
         """Whitened columns ``(k, ...)`` about their stations' means, past what was found."""
         metres = (columns.T / self.weight * self.share).T
-        total = np.zeros((int(self.station.max()) + 1, *columns.shape[1:]))
+        total = np.zeros((int(self.station.max(initial=-1)) + 1, *columns.shape[1:]))
         np.add.at(total, self.station, metres)
         return past(self.found, columns - (total[self.station].T * self.weight).T)
 
@@ -113,6 +114,14 @@ class Scatter:
     def chi2(self) -> float:
         """Square of ``rest``."""
         return float(self.rest @ self.rest)
+
+    def by_station(self) -> Array:
+        """Squared scatter of each station with repeats, over what half of all are below."""
+        from scipy.special import chdtri
+
+        dof = np.bincount(self.station) - 1.0
+        square = np.bincount(self.station, self.rest**2)
+        return np.asarray(square[dof > 0] / chdtri(dof[dof > 0], 0.5))
 
     def only(self, kept: NDArray[np.bool_]) -> Scatter:
         """Of some of the readings ``(k,)``, nothing found yet."""
@@ -194,12 +203,21 @@ def _clock(problem: Problem, rows: Rows) -> Array:
 
 
 def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
-    """Squared scatter of all readings about their stations, whitened, whatever one setup does."""
+    """Squared scatter of all readings about their stations, whitened, whatever some of them do.
+
+    The median of the setups, or of the stations where that is less: a slip in most setups is none
+    in most stations.
+    """
     least = 1.0
     if problem.noise.source == "repeats":
         least = (problem.machine.spec.dial.resolution / problem.noise.typical) ** 2 / 12
-    spread = [scatter.chi2 / scatter.dof for scatter in setups if scatter.dof >= 2]
-    return max(least, float(np.median(spread)) if spread else 0.0)
+    able = [scatter for scatter in setups if scatter.dof >= 2]
+    if not able:
+        return least
+    by_setup = float(np.median([scatter.chi2 / scatter.dof for scatter in able]))
+    each = np.concatenate([scatter.by_station() for scatter in able])
+    by_station = float(np.median(each)) if len(each) >= _FEWEST_STATIONS else by_setup
+    return max(least, min(by_setup, by_station))
 
 
 def repeat_faults(

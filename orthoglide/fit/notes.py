@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import numpy as np
+
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.noise import copied
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
+
+_CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
+_SAID = 8  # lines
 
 
 def notes(estimate: Estimate) -> tuple[Note, ...]:
@@ -29,6 +36,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
             f"{estimate.sigma_scale:.1f} times as noisy"
         )
         found.append(Note(text, "lack_of_fit"))
+    else:
+        found += slips(estimate)
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -51,3 +60,28 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         )
         found.append(Note(text, "second_order"))
     return tuple(found)
+
+
+def slips(estimate: Estimate) -> Iterator[Note]:
+    """Readings that stand out of a fit which leaves nothing else: too near to be set aside, or too
+    little is known of the noise, but nothing that noise does.
+    """
+    from scipy.special import stdtrit
+
+    problem, residual = estimate.problem, estimate.residuals
+    chance = 1 - _CHANCE / (2 * max(len(residual), 1))
+    limit = float(stdtrit(min(problem.noise.dof, 1e9), chance))
+    for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
+        noise = np.hypot(problem.sigma, problem.noise.common)[rows]
+        times = np.abs(residual[rows]) / noise
+        off = np.flatnonzero(times > limit)
+        if len(off):
+            worst = int(np.argmax(times))
+            lines = tuple(int(line) for line in campaign.line[off])
+            told = ", ".join(map(str, lines[:_SAID])) + (" and more" if len(off) > _SAID else "")
+            text = (
+                f"{campaign.file.rpartition('/')[2] or campaign.name}, "
+                f"line{'s' * (len(off) > 1)} {told}: up to {times[worst]:.1f} times the noise of a "
+                f"reading from what all others say: read {'them' if len(off) > 1 else 'it'} again"
+            )
+            yield Note(text, "slip", lines)
