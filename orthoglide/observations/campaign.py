@@ -146,9 +146,7 @@ class Campaign:
         return derive_approach(self.command, self.order, self.moves)
 
     def built_up(self, lengths: Sequence[float]) -> Array:
-        """Lost motion of each drive that builds up over some lengths ``(K, n, 3)``; see
-        :func:`~orthoglide.observations.approach.built_up`.
-        """
+        """Lost motion of each drive that builds up over some lengths, metres: ``(K, n, 3)``."""
         return built_up(self.command, self.order, lengths, self.moves)
 
     def subset(self, rows: ArrayLike) -> Campaign:
