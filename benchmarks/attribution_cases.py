@@ -230,7 +230,7 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
         "drive_cubic": (f"{drive}/travel", lambda v: rc.s_curve(leg, leg, v), "extra"),
         "drive_step": (f"{drive}/travel", lambda v: rc.drive_step(leg, v, at), "extra"),
         "stick_slip": (f"{drive}/approach", lambda v: rc.stick_slip(leg, v), "extra"),
-        "hysteresis": (f"{drive}/approach", lambda v: rc.hysteresis(leg, v), "extra"),
+        "hysteresis": (f"{drive}/reversal", lambda v: rc.hysteresis(leg, v), "extra"),
         "growing_lash": (f"{drive}/approach", lambda v: rc.growing_lash(leg, v), "extra"),
         "cross_coupling": (f"{drive}/command.{other}",
                            lambda v: rc.cross_coupling(leg, across, v * 10), "extra"),
@@ -242,7 +242,7 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
         "loosening_bar": (f"bar.{own}.{bar + 1}/time",
                           lambda v: rc.loosening_bar(leg, bar, v, began, ended),
                           "extra_length"),
-        "platform_play": (f"rail.{own}.{other}/approach",
+        "platform_play": (f"platform.{own}.{other}/approach",
                           lambda v: rc.platform_play(leg, across, v), "extra_platform"),
         "dial_curve": (f"dial.{setup}/reading", lambda v: {setup: rc.dial_curve(v)}, "extra_dial"),
     }  # fmt: skip

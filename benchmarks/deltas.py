@@ -21,6 +21,10 @@ DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
 STEPS_A_MM = 106.667
 """Of the 41 points, as their source says."""
 
+MOST = 5
+"""Members of a class that are listed."""
+
+TO_TELL = "to tell the causes apart measure "
 HEAD = """# Linear deltas
 
 Printed by `python -m benchmarks.deltas` from numbers that owners stored for their own machines
@@ -112,11 +116,13 @@ def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iter
     for cause in verdict.effects:
         yield "One of:" if len(cause.explanations) > 1 else "Found:"
         yield ""
-        for one in cause.explanations:
+        for one in cause.explanations[:MOST]:
             yield f"- {one.words} ({one.probability:.2f})"
+        if (more := len(cause.explanations) - MOST) > 0:
+            yield f"- and {more} more"
         yield ""
-    for suggestion in verdict.next_measurements:
-        yield f"- {suggestion.reason}."
+    for suggestion in verdict.next_measurements[:1]:
+        yield f"First of what would tell: {suggestion.reason.removeprefix(TO_TELL)}."
 
 
 def page() -> str:

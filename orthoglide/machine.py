@@ -118,7 +118,9 @@ class Machine:
         Raises:
             InputError: where two effects share a name.
         """
-        return Machine(replace(self.spec, catalogue=self.catalogue.with_effects(effects)))
+        catalogue = self.catalogue.with_effects(effects)
+        same = catalogue.effects == self.catalogue.effects
+        return self if same else Machine(replace(self.spec, catalogue=catalogue))
 
     @property
     def values(self) -> dict[str, float]:
@@ -205,19 +207,22 @@ class Machine:
     def _like(self, spec: MachineFile) -> Machine:
         """A machine of the same tree, which shares what is costly to build."""
         machine = Machine(spec)
-        if "model" in self.__dict__:
-            machine.__dict__["model"] = self.__dict__["model"]
+        machine.__dict__["_models"] = self._models
         return machine
+
+    @cached_property
+    def _models(self) -> list[Model]:
+        """The model of all machines of this tree, once one of them has asked for it."""
+        return []
 
     @cached_property
     def model(self) -> Model:
         """The general mechanism with this machine's dimensions."""
-        return Model(
-            self.geometry,
-            self.spec.screw_pitch,
-            stiffness=self.spec.stiffness,
-            catalogue=self.catalogue,
-        )
+        if not self._models:
+            geometry, pitch, stiffness = self.geometry, self.spec.screw_pitch, self.spec.stiffness
+            built = Model(geometry, pitch, stiffness=stiffness, catalogue=self.catalogue)
+            self._models.append(built)
+        return self._models[0]
 
     def _conditions(self, rho: Array, **seen: ArrayLike) -> Conditions:
         batch = rho.shape[:-1]

@@ -17,7 +17,7 @@ from orthoglide.machine_file import parse_machine_file
 from orthoglide.observations.columns import RHO, ROW_COLUMNS, SETUP_COLUMNS
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 def read(name: str) -> str:
@@ -94,13 +94,13 @@ def test_every_verdict_is_explained(word: str) -> None:
     assert f"`{word}`" in read("docs/files.md")
 
 
-def test_the_gallery_has_every_verdict_with_its_drawing() -> None:
-    found = re.findall(r"^## (\w+):.*?\]\(images/(gallery-\w+)\.svg\)", read("docs/gallery.md"),
-                       re.MULTILINE | re.DOTALL)  # fmt: skip
-    assert {word.lower() for word, _ in found} == set(get_args(Word))
-    assert all(name == f"gallery-{word.lower()}" for word, name in found)
-    for _, name in found:
-        assert "<desc>" in read(f"docs/images/{name}.svg")
+@pytest.mark.parametrize("word", get_args(Word))
+def test_the_gallery_has_every_verdict_with_its_drawing(word: str) -> None:
+    assert f"(gallery/{word}.md)" in read("docs/gallery.md")
+    page = read(f"docs/gallery/{word}.md")
+    assert page.startswith(f"# {word.capitalize()}\n")
+    assert f"(../images/gallery-{word}.svg)" in page
+    assert "<desc>" in read(f"docs/images/gallery-{word}.svg")
 
 
 def test_the_mobility_is_what_the_mechanism_says() -> None:
@@ -136,8 +136,9 @@ def test_there_are_links() -> None:
     assert len(links(ROOT / "README.md")) > 10
 
 
-def test_every_page_is_linked_from_the_readme() -> None:
+def test_every_page_is_linked_from_the_readme_or_from_the_gallery() -> None:
     linked = {(ROOT / link).resolve() for link in links(ROOT / "README.md")}
+    linked |= {ROOT / "docs" / link for link in links(ROOT / "docs" / "gallery.md")}
     assert {page for page in PAGES if page.name != "README.md"} <= linked
 
 

@@ -35,7 +35,9 @@ from orthoglide.observations import (
     tcp_rows,
     write_campaign,
 )
+from orthoglide.observations.approach import built_up
 from orthoglide.prediction import Conditions
+from tests import rig_campaigns
 
 KINDS = ("standard", "sweep", "two-gauges")
 PUBLISHED = sorted(
@@ -450,6 +452,23 @@ def test_approach_follows_the_sequence(steps: list[tuple[int, int, int]], random
     command = 0.3 + 0.01 * np.array(steps, dtype=float)
     expected = approach_by_hand(command, np.array(order))
     assert np.array_equal(derive_approach(command, order), expected)
+
+
+@pytest.mark.parametrize("length", [0.004, 0.03])
+def test_what_builds_up_after_a_reversal_is_that_of_the_independent_machine(length: float) -> None:
+    rows = rig_campaigns.protocol_rows("sweep")
+    rho = np.array([[row[c] for c in rig_campaigns.RHO] for row in rows]) * 1e-3
+    near = rig_campaigns.approaches(rows)
+    lag = rig_campaigns.hysteresis(1, 2e-5, length)(rho, near, rho[:, 0])[:, 1, 1]
+    mixed = np.random.default_rng(3).permutation(len(rows))
+    found = built_up(rho[mixed], mixed, [0.1, length])
+    np.testing.assert_allclose(-2e-5 * found[1, :, 1], lag[mixed], rtol=0, atol=1e-17)
+
+
+def test_moves_build_up_lost_motion_as_readings_do() -> None:
+    command = np.array([[0.3, 0.3, 0.3], [0.32, 0.3, 0.3], [0.31, 0.3, 0.3], [0.33, 0.3, 0.3]])
+    with_moves = built_up(command[[0, 3]], [0, 3], [0.01], Moves(command[1:3], np.array([1, 2])))
+    np.testing.assert_array_equal(with_moves, built_up(command, range(4), [0.01])[:, [0, 3]])
 
 
 def test_rounding_is_no_move() -> None:

@@ -118,6 +118,17 @@ def test_methods_of_several_arguments_say_what_each_is() -> None:
     assert not unsaid
 
 
+def test_docstrings_refer_to_what_the_reference_has() -> None:
+    known = dict(public())
+    nowhere = []
+    for name, one in known.items():
+        for target in re.findall(r":(?:func|meth):`~?([\w.]+)`", inspect.getdoc(one) or ""):
+            own = f"{name.partition('.')[0]}.{target}"  # a member of the same class
+            if target.removeprefix("orthoglide.") not in known and own not in known:
+                nowhere.append(f"{name}: {target}")
+    assert not nowhere
+
+
 def test_the_reference_has_every_public_name_and_command() -> None:
     pages = reference.pages()
     directives = "\n".join(pages.values())

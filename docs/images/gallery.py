@@ -1,4 +1,4 @@
-"""Write the gallery, a section for each verdict: ``python docs/images/gallery.py``.
+"""Write the gallery, a page for each verdict: ``python docs/images/gallery.py``.
 
 Machines are made up and their dials simulated, but for the published one; what is wrong with each
 is said beside what was found.
@@ -27,9 +27,34 @@ ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4
 NOMINAL = og.Machine.nominal()
 HEAD = """# Gallery of verdicts
 
-Made by `python docs/images/gallery.py`: what was hidden in a machine, what its readings showed, and
-what to do. The drawings are those of the reports; blue is where each dial stood.
+One page for each verdict, made by `python docs/images/gallery.py`: what was hidden in a machine,
+what its readings showed, and what to do. The drawings are those of the reports; blue is where each
+dial stood.
+
+| verdict | what it says |
+|---|---|
 """
+ADVICE = {
+    "explained": """Confirm the cause by the test named below, which needs no program, then mend it
+or compensate for it. Measure again afterwards: `orthoglide check` says what changed.""",
+    "ambiguous": """Look at all the parts named: the tests below decide. Where readings would
+decide, the report proposes them, and they come first.""",
+    "located": """Look at the part by the curve of the report, which says where along the travel it
+goes wrong. What was found is in the calibrated machine, so commands can be compensated for it
+without a name. If it is common on your machines,
+[declare it as an effect](../../CONTRIBUTING.md#add-an-effect-in-four-steps).""",
+    "partial": """The cause named may be no more than the nearest one known to one that is not
+known: confirm it before anything is changed. Numbers for the controller are withheld. Then measure
+where the rest shows.""",
+    "unexplained": """Change nothing by these readings. Numbers for the controller are withheld.
+Take the readings proposed, where most is left, and look for what no smooth cause does: a loose
+part, a dial that was touched, dirt.""",
+    "adequate": """Enter the zeros. It does not say that the machine is perfect: what these readings
+cannot show is listed in the report as invisible.""",
+}
+"""What to do about each verdict, whatever was found."""
+FOOT = """How a verdict is reached: [Closing the loop](../closing-the-loop.md#verdicts). How often
+it is right: [the truth table](../truth-table.md#verdicts)."""
 
 
 @dataclass(frozen=True)
@@ -99,41 +124,56 @@ def scattered(sheet: og.Campaign) -> np.ndarray:
     return np.random.default_rng(3).normal(scale=4e-5, size=at.max() + 1)[at.reshape(-1)]
 
 
-def section(case: Case) -> str:
+def page(case: Case) -> str:
     """What was found, in Markdown; writes the drawing."""
     verdict = og.close_loop([case.campaign], NOMINAL)
     if verdict.word != case.name:
         raise SystemExit(f"{case.name} came out as {verdict.word}")
     drawn = HERE / f"gallery-{case.name}.svg"
     drawn.write_text(verdict.picture.svg(alone=True) + "\n", encoding="utf-8")
+    return "\n".join(
+        [
+            f"# {case.name.capitalize()}\n",
+            f"{sentence(MEANINGS[verdict.word])}\n",
+            f"{ADVICE[case.name]}\n",
+            "## An example\n",
+            f"Hidden in the machine: {case.hidden}.\n",
+            f"![The machine, what was found marked on it](../images/{drawn.name})\n",
+            f"**{claim(verdict)}**\n",
+            f"{evidence(verdict)}\n",
+            *steps(verdict),
+            "",
+            FOOT,
+        ]
+    )
+
+
+def steps(verdict: og.Verdict) -> list[str]:
+    """The tool's error now and later, and what to do, as lines."""
     tool = verdict.numbers.expected
     shown = ("now", "zeros", "compensated") if verdict.stands else ("now", "zeros")
     sizes = ", ".join(f"{name} {tool[name].shape * 1e3:.3f} mm" for name in shown)
-    steps = []
+    lines = [f"The tool's mean error over the workspace, best shift removed: {sizes}.\n"]
     for action in verdict.actions:
         gain = f" Gains {action.gain * 1e3:.3f} mm." if action.gain > 0 else ""
-        steps.append(f"1. {action.words}.{gain}")
-        steps += [
+        lines.append(f"1. {action.words}.{gain}")
+        lines += [
             "   - "
             + " ".join(
                 map(sentence, filter(None, (one.words, f"look at {one.look_at}", one.confirm)))
             )
             for one in action.options
         ]
-    return "\n".join(
-        [
-            f"\n## {case.name.capitalize()}: {MEANINGS[verdict.word]}\n",
-            f"Hidden in the machine: {case.hidden}.\n",
-            f"![The machine, what was found marked on it](images/{drawn.name})\n",
-            f"**{claim(verdict)}**\n",
-            f"{evidence(verdict)}\n",
-            f"The tool's mean error over the workspace, best shift removed: {sizes}.\n",
-            *steps,
-        ]
-    )
+    return lines
 
 
 if __name__ == "__main__":
-    text = HEAD + "\n".join(map(section, cases())) + "\n"
-    (HERE.parent / "gallery.md").write_text(text, encoding="utf-8")
-    print(f"written: {HERE.parent / 'gallery.md'}")
+    folder = HERE.parent / "gallery"
+    folder.mkdir(exist_ok=True)
+    rows = ""
+    for case in cases():
+        (folder / f"{case.name}.md").write_text(page(case) + "\n", encoding="utf-8")
+        link = f"[{case.name}](gallery/{case.name}.md)"
+        rows += f"| {link} | {sentence(MEANINGS[case.name])} |\n"  # type: ignore[index]
+    folder.with_suffix(".md").write_text(HEAD + rows, encoding="utf-8")
+    print(f"written: {folder}")

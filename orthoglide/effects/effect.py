@@ -47,6 +47,8 @@ class LegConditions:
         travel: the carriage's true travel from mechanical zero, metres.
         zero: the command at mechanical zero, metres; ``None``: L, as on the Orthoglide.
         commands: of all drives, metres.
+        built_up: lost motion that builds up over some lengths after the drive turns round, each
+            half its approach after a long way; none where nobody knows.
     """
 
     command: Any
@@ -60,6 +62,7 @@ class LegConditions:
     travel: Any = None
     zero: float | None = None
     commands: tuple[Any, ...] = ()
+    built_up: tuple[Any, ...] = ()
 
     @property
     def nominal_travel(self) -> Any:

@@ -1,9 +1,7 @@
 """Places: parts of the machine that may move in a way that no effect knows.
 
-A place is a smooth free function that moves virtual joints of one leg: a Gaussian process, in the
-first eigenfunctions of the Laplacian on an interval somewhat longer than its variable's
-(Solin and Sarkka 2020, *Hilbert space methods for reduced-rank Gaussian process regression*,
-eq. 17 and 56). Level and slope are left in: the effects of the catalogue compete with them.
+A place is a free function that moves virtual joints of one leg. Level and slope are left in: the
+effects of the catalogue compete with them.
 """
 
 from __future__ import annotations
@@ -16,50 +14,18 @@ from typing import Any, Literal
 import numpy as np
 
 from orthoglide.effects.catalogue import Catalogue
-from orthoglide.effects.effect import Effect, LegConditions, Motion, sin
+from orthoglide.effects.effect import Effect, LegConditions, Motion
+from orthoglide.effects.kernels import BuildUp, Kernel
 from orthoglide.effects.words import toward
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
 
-Against = Literal["travel", "approach", "command", "time", "reading"]
-Part = Literal["drive", "rail", "carriage", "bar", "dial"]
+Against = Literal["travel", "approach", "reversal", "command", "time", "reading"]
+Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
 Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
-
-_ROOM = 1.25
-"""Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
-
-
-@dataclass(frozen=True)
-class Kernel:
-    """A Gaussian process of unit variance over [-1, 1].
-
-    Attributes:
-        length: correlation length, over half the variable's range.
-        count: of eigenfunctions.
-        smooth: Matern 3/2; else Ornstein-Uhlenbeck.
-    """
-
-    length: float
-    count: int
-    smooth: bool = True
-
-    def weights(self) -> Array:
-        """Standard deviation of each eigenfunction's coefficient ``(count,)``."""
-        frequency = np.pi * np.arange(1, self.count + 1) / (2 * _ROOM)
-        if self.smooth:
-            rate = np.sqrt(3) / self.length
-            density = 4 * rate**3 / (rate**2 + frequency**2) ** 2
-        else:
-            rate = 1 / self.length
-            density = 2 * rate / (rate**2 + frequency**2)
-        return np.asarray(np.sqrt(density / _ROOM))
-
-    def functions(self, u: Any) -> list[Any]:
-        """Eigenfunctions of a variable in [-1, 1], each times its weight."""
-        turn = np.pi * (u + _ROOM) / (2 * _ROOM)
-        return [w * sin((k + 1) * turn) for k, w in enumerate(self.weights().tolist())]
+Functions = Kernel | BuildUp
 
 
 @dataclass(frozen=True)
@@ -88,7 +54,7 @@ class Place:
     against: Against
     by: int
     variable: Callable[[LegConditions], Any]
-    kernel: Kernel
+    kernel: Functions
     unit: float
     span: Range | None = None
     setup: str = ""
@@ -111,7 +77,31 @@ class Place:
     @property
     def of_machine(self) -> bool:
         """Whether a calibrated machine keeps it: what changes with time is the campaign's."""
-        return self.against != "time" and not self.setup
+        return self.in_model and self.against != "time"
+
+    @property
+    def in_model(self) -> bool:
+        """Whether the machine's own model can have it: it knows commands and conditions, not the
+        way that led there, and no joints at the platform that move.
+        """
+        return self.against != "reversal" and not (self.setup or self.moves_lines)
+
+    @property
+    def moves_lines(self) -> bool:
+        """Whether the bars of its leg move along with it, as a dial on them shows.
+
+        The leg's end on the platform moves by as much as the joints, which are the carriage's, move
+        the other way: to the rest of the machine it is the same.
+        """
+        return self.part == "platform"
+
+    def interval(self, stroke: Range) -> Range:
+        """First and last of its variable.
+
+        Args:
+            stroke: travel limits of the machine, metres.
+        """
+        return (0.0, stroke[1] - stroke[0]) if self.against == "reversal" else self.span or stroke
 
     @cached_property
     def effect(self) -> Effect:
@@ -140,6 +130,7 @@ class Place:
         how = {
             "travel": "by its travel",
             "approach": "by the side it is approached from",
+            "reversal": "by the way gone since it turned round",
             "command": f"by the command of drive {self.names.legs[self.by]}",
             "time": "with time",
         }[self.against]
@@ -151,6 +142,8 @@ class Place:
             "bar": f"bar {self.direction} of leg {leg} changes its length"
             if self.direction
             else f"both bars of leg {leg} change their length",
+            "platform": f"the end of leg {leg} moves on the platform toward "
+            f"{toward(self.direction, 1.0)}",
         }[self.part]
         return f"{what} {how}"
 
@@ -165,10 +158,13 @@ class Place:
             "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
             "carriage": f"the carriage of axis {leg}: its bearings and preload",
             "bar": f"the bars of leg {leg}, their pivots and their warmth",
+            "platform": f"the joint of leg {leg} at the platform: its pins and their fit",
         }[self.part]
 
     def functions(self, conditions: LegConditions) -> list[Any]:
         """The free functions at some conditions, each for a coefficient of sd ``unit``."""
+        if self.against == "reversal":
+            return list(conditions.built_up)
         values = self.kernel.functions(self.variable(conditions))
         if self.against == "approach":
             return [value * conditions.approach / 2 for value in values]
@@ -209,6 +205,7 @@ _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were wri
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
 _OU = Kernel(1 / 3, 24, smooth=False)  # a sixth of the session
 _DRIFT = Kernel(0.5, 8)  # warmth comes and goes slowly
+BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 _CREEP, _DIAL = Kernel(0.5, 8, smooth=False), Kernel(0.5, 6)
 _UM = 1e-6
 
@@ -243,11 +240,12 @@ def places(
         drive, across = (("travel", 1.0),), dict(zip("bc", names.across[leg], strict=True))
 
         def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
-                kernel: Kernel, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
+                kernel: Functions, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
             found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
 
         add("drive", drive, "", "travel", partial(_command_of, leg), _FINE, 100 * _UM)
         add("drive", drive, "", "approach", partial(_command_of, leg), _COARSE, 50 * _UM)
+        add("drive", drive, "", "reversal", _none, BUILD_UP, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
                 add(
@@ -264,6 +262,8 @@ def places(
             sideways = ((f"lateral_{axis}", 1.0),)
             add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)
             add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
+            end = ((f"lateral_{axis}", -1.0),)
+            add("platform", end, letter, "approach", _travel, _COARSE, 50 * _UM)
         for axis, letter in {"a": own, **across}.items():
             add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
         for bar in "12":
@@ -304,7 +304,7 @@ def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tup
 
 
 def _none(c: LegConditions) -> Any:
-    raise TypeError("a dial's place is a function of no leg's conditions")
+    raise TypeError("this place is a function of no variable of the leg")
 
 
 def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:

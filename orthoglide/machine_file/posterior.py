@@ -58,11 +58,16 @@ class Posterior:
 
     @property
     def root(self) -> Array:
-        """A matrix ``(P, P)`` whose product with its transpose is the covariance."""
+        """A matrix ``(P, P)`` whose product with its transpose is the covariance.
+
+        In units of the standard deviations it is symmetric: eigenvectors alone would leave signs,
+        and turns among equal eigenvalues, to rounding, and draws with them.
+        """
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         unit = np.where(sd > 0, sd, 1.0)
         values, vectors = np.linalg.eigh(self.covariance / unit / unit[:, None])
-        return np.asarray(unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        return np.asarray(unit[:, None] * root)
 
     def mapped(self, names: Sequence[str], matrix: Array) -> Posterior:
         """Of linear combinations: ``matrix`` ``(Q, P)`` gives the parameters ``names``."""

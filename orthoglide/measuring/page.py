@@ -10,6 +10,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Setup
 from orthoglide.observations.writing import Row, campaign_rows
+from orthoglide.pages import rendered
 from orthoglide.pictures import dials
 from orthoglide.scene import drawing
 
@@ -60,16 +61,9 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
         machine: its controller and dimensions.
         file: name of the CSV with the same rows.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("orthoglide.measuring"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("sheet.html.j2").render(
+    return rendered(
+        "orthoglide.measuring",
+        "sheet.html.j2",
         file=file,
         machine=machine.spec.name,
         axes=machine.geometry.leg_names,

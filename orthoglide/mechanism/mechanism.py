@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
@@ -175,6 +174,8 @@ class Mechanism:
 
     @staticmethod
     def _newton_step(residual: Array, jacobian: Array) -> Array:
+        from scipy.linalg.lapack import dgesv
+
         _, _, change, info = dgesv(jacobian, residual)
         return np.asarray(change) if info == 0 else np.full(len(residual), np.nan)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -69,6 +70,36 @@ def derive_approach(command: ArrayLike, order: ArrayLike, moves: Moves | None = 
     approach = np.empty_like(rho)
     approach[sequence] = np.sign(np.take_along_axis(step, last, axis=0))
     return approach[len(moves) :]
+
+
+def built_up(
+    command: ArrayLike, order: ArrayLike, lengths: Sequence[float], moves: Moves | None = None
+) -> Array:
+    """Lost motion of each drive that builds up over a length after it turns round (Dahl 1968, *A
+    solid friction model*, whose friction it follows): half its approach after a long way.
+
+    Args:
+        command: commands of the readings ``(n, 3)``, metres.
+        order: place in the sequence ``(n,)``; equal places are one visit.
+        lengths: of building up ``(K,)``, metres.
+        moves: commands gone through between the readings.
+
+    Returns:
+        Between -1/2 and 1/2, shape ``(K, n, 3)``; before the first row all is built up.
+    """
+    own = np.asarray(command, dtype=float).reshape(-1, 3)
+    moves = moves or Moves()
+    rho, places = np.vstack([moves.command, own]), np.concatenate([moves.order, np.asarray(order)])
+    sequence = np.argsort(places, kind="stable")
+    goal = derive_approach(rho, places)[sequence] / 2
+    step = np.abs(np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1]))
+    kept = np.exp(-step / np.reshape(lengths, (-1, 1, 1)))
+    state = np.broadcast_to(goal, kept.shape).copy()
+    for k in range(1, len(goal)):
+        state[:, k] += (state[:, k - 1] - goal[k]) * kept[:, k]
+    found = np.empty_like(state)
+    found[:, sequence] = state
+    return found[:, len(moves) :]
 
 
 def impossible_approach(

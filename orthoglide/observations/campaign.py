@@ -5,7 +5,7 @@ Arrays hold one entry a reading. Nothing here reads files; units are SI througho
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
-from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
+from orthoglide.observations.approach import Ints, Moves, built_up, derive_approach, planned_moves
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,10 @@ class Campaign:
     def derived_approach(self) -> Array:
         """Approach as the order of readings and moves gives it ``(n, 3)``."""
         return derive_approach(self.command, self.order, self.moves)
+
+    def built_up(self, lengths: Sequence[float]) -> Array:
+        """Lost motion of each drive that builds up over some lengths, metres: ``(K, n, 3)``."""
+        return built_up(self.command, self.order, lengths, self.moves)
 
     def subset(self, rows: ArrayLike) -> Campaign:
         """Some of the readings, with the setups they need.

@@ -9,8 +9,9 @@ from orthoglide.posterior.causes import (
     Located,
     Outstanding,
 )
-from orthoglide.posterior.columns import places_of, with_everything
+from orthoglide.posterior.columns import with_everything
 from orthoglide.posterior.everything import FullPosterior, full_posterior
+from orthoglide.posterior.free import places_of
 from orthoglide.posterior.outstanding import NAMED, outstanding
 from orthoglide.posterior.remains import remains
 

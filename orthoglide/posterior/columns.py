@@ -9,18 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
-from orthoglide.effects import Effect, LegConditions
-from orthoglide.effects.places import Place, Session, dial_places, places
+from orthoglide.effects import Effect
+from orthoglide.effects.places import Place
 from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.factors import ByJoints
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
-from orthoglide.fit.tool import ToolReadings
-from orthoglide.geometry import LEGS, Array
-from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
+from orthoglide.posterior.free import curves, curves_of_dials, one_surface
 from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
@@ -118,64 +116,6 @@ def with_everything(problem: Problem) -> Problem:
     return with_free(problem, elementary_beyond(problem, effects), release=False)
 
 
-def one_surface(problem: Problem) -> bool:
-    """Whether plates and distances on them are all that was read."""
-    tools = [p.points for p in problem.points if isinstance(p, ToolReadings)]
-    kinds = {s.kind for tool in tools for s in tool.setups}
-    alone = not problem.campaigns and len(tools) == len(problem.points)
-    return alone and kinds <= {"plate", "distance"}
-
-
-def places_of(problem: Problem) -> tuple[Place, ...]:
-    """Places of the machine that these readings could show.
-
-    None where one surface is all that was read: the plate's own shape could be any, and a free
-    function of any part draws it as well.
-    """
-    if one_surface(problem):
-        return ()
-    sessions: list[Session] = []
-    if len(problem.campaigns) == 1 and not problem.points:
-        (campaign,) = problem.campaigns
-        for leg in (*range(len(LEGS)), None):
-            time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
-            if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
-                sessions.append(Session(float(time.min()), float(time.max()), leg))
-    approach = np.concatenate([f.conditions().approach for f in problem.factors])
-    one_sided = np.ptp(approach, axis=0) == 0  # which shows no difference between sides
-    found = places(sessions, problem.machine.catalogue.legs)
-    return tuple(p for p in found if p.against != "approach" or not one_sided[p.leg])
-
-
-def _of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
-    """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
-
-    Args:
-        problem: its campaigns.
-        value: predicted readings ``(n,)``, metres.
-    """
-    columns, found = [np.zeros((len(value), 0))], list[Place]()
-    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
-        for k, setup in enumerate(campaign.setups):
-            rows = part.start + np.flatnonzero(campaign.setup == k)
-            time, shown = campaign.time[rows - part.start], value[rows]
-            if np.ptp(shown) <= 0:
-                continue
-            name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
-            timed = np.isfinite(time).all() and np.ptp(time) > 0
-            span = (float(time.min()), float(time.max())) if timed else None
-            dial = dial_places(name, setup.leg, span, (float(shown.min()), float(shown.max())))
-            for place in dial:
-                low, high = place.span or (0.0, 1.0)
-                by = time if place.against == "time" else shown
-                functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
-                block = np.zeros((len(value), len(functions)))
-                block[rows] = np.stack(functions, axis=1) * place.unit
-                columns.append(block)
-                found.append(place)
-    return np.hstack(columns), tuple(found)
-
-
 def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     """Linearise the readings by everything that could be wrong.
 
@@ -197,9 +137,9 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     if at is not None:
         here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
     project, sd = estimate.nuisance.project, wide.tolerance
-    curves, found = _curves(wide, x)
-    of_dials, dials = _of_dials(wide, here.value)
-    rows, found = np.hstack([here.jacobian * sd, curves, of_dials]), (*found, *dials)
+    free_rows, found = curves(wide, x)
+    of_dials, dials = curves_of_dials(wide, here.value)
+    rows, found = np.hstack([here.jacobian * sd, free_rows, of_dials]), (*found, *dials)
     value = here.value - here.jacobian @ x
     many, beyond = len(value) > MANY, (0.0, 0.0, 1.0)
     if many:
@@ -268,31 +208,6 @@ def _reduced(linear: Linear) -> Linear:
     return replace(
         linear, columns=every[:, :count], stations=every[:, count:-1], residual=every[:, -1]
     )
-
-
-def _curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
-    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept."""
-    model = problem.machine.model
-    blocks: dict[str, list[Array]] = {}
-    kept = places_of(problem)
-    for k, factor in enumerate(problem.factors):
-        values = problem.values(k, x)
-        by_joints = factor.by_joints(model, values)
-        legs = model.leg_conditions(values, factor.conditions())
-        for place in kept:
-            blocks.setdefault(place.name, []).append(_column(place, by_joints, legs[place.leg]))
-    if not kept:
-        return np.zeros((len(problem.measured), 0)), ()
-    return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
-
-
-def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Array:
-    """Rows ``(n, K)`` by a place's coefficients in its unit."""
-    names = VIRTUAL_NAMES
-    joints = np.zeros(len(LEGS) * len(names))
-    for joint, share in place.joints:
-        joints[place.leg * len(names) + names.index(joint)] = share * place.unit
-    return by_joints(joints, np.stack(place.functions(conditions), axis=1))
 
 
 def _groups(

@@ -236,7 +236,7 @@ class _Reader:
         mean, spread = self.posterior.mixture.likeliest(self._state(member, k), group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
-        low, high = place.span or self.posterior.before.problem.machine.geometry.stroke
+        low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
         return Curve(
             place,
             probability,

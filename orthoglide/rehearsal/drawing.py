@@ -81,7 +81,7 @@ class Scope:
         wide = with_everything(build_problem(bare, [exact], bare.catalogue.base, noise))
         beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
         kept = tuple(bare.catalogue.parameter(n, [s.name for s in sheet.setups]) for n in beyond)
-        return cls(bare, sheet, kept, places_of(wide))
+        return cls(bare, sheet, kept, tuple(p for p in places_of(wide) if p.in_model))
 
 
 @dataclass(frozen=True, eq=False)

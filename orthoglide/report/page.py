@@ -14,6 +14,7 @@ import orthoglide.report.follows as follows
 import orthoglide.report.found as found
 from orthoglide import __version__
 from orthoglide.observations import ToolCampaign
+from orthoglide.pages import rendered
 from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed
 from orthoglide.scene import view_html
@@ -55,6 +56,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     """
     searches = result.request.searches
     return rendered(
+        "orthoglide.report",
         "page.html.j2",
         title="What is wrong with this machine" if searches else "Calibration report",
         subtitle=_subtitle(result),
@@ -63,21 +65,6 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
         version=__version__,
         command=result.request.command,
     )
-
-
-def rendered(template: str, **data: Any) -> str:
-    """A template of the page with what it shows."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("orthoglide.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(template).render(**data)
 
 
 def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Iterator[Section]:

@@ -23,7 +23,7 @@ def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], project: Project) ->
     """One mark as SVG."""
     draw = {
         "drive": _drive, "rail": _rail, "carriage": _turn, "bar": _bar, "link": _link,
-        "plate": _plate,
+        "platform": _end, "plate": _plate,
     }  # fmt: skip
     if mark.part == "dial":
         return "".join(_dialled(mark, d, project) for d in dials if d.name == mark.setup)
@@ -152,6 +152,17 @@ def _link(mark: Mark, posed: Posed, project: Project) -> str:
         found.append(arrow(*((end, tip) if grows else (tip, end)), project, "mark"))
     top = ends[0] + 0.75 * _LENGTH * out
     return "".join(found) + _label(top, mark.label, project)
+
+
+def _end(mark: Mark, posed: Posed, project: Project) -> str:
+    """The leg's end at the platform."""
+    at = posed.platform(mark.leg)
+    tip = at + 1.1 * _LENGTH * mark.way
+    return (
+        _stroke(list(posed.lines[mark.leg, :, 1]), project, 5.0)
+        + _pointing(at, mark, project)
+        + _label(tip, mark.label, project, at)
+    )
 
 
 def _plate(mark: Mark, posed: Posed, project: Project) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.geometry import Array, Geometry
 
-Part = Literal["drive", "rail", "carriage", "bar", "link", "dial", "plate"]
+Part = Literal["drive", "rail", "carriage", "bar", "link", "platform", "dial", "plate"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -203,6 +203,7 @@ def draw_located(found: Located, place: int) -> Drawing:
 _AGAINST = {
     "travel": "travel, mm",
     "approach": "travel, mm",
+    "reversal": "way since the drive turned, mm",
     "time": "time, s",
     "reading": "reading, mm",
 }

@@ -1,0 +1,70 @@
+"""What a place may do by its variable: free functions, each of a coefficient of unit variance.
+
+A Gaussian process in the first eigenfunctions of the Laplacian on an interval somewhat longer than
+its variable's (Solin and Sarkka 2020, *Hilbert space methods for reduced-rank Gaussian process
+regression*, eq. 17 and 56); or lost motion that builds up after a reversal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orthoglide.effects.effect import sin
+from orthoglide.geometry import Array
+
+_ROOM = 1.25
+"""Half the interval of the eigenfunctions over half the variable's: at its ends they are free."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A Gaussian process of unit variance over [-1, 1].
+
+    Attributes:
+        length: correlation length, over half the variable's range.
+        count: of eigenfunctions.
+        smooth: Matern 3/2; else Ornstein-Uhlenbeck.
+    """
+
+    length: float
+    count: int
+    smooth: bool = True
+
+    def weights(self) -> Array:
+        """Standard deviation of each eigenfunction's coefficient ``(count,)``."""
+        frequency = np.pi * np.arange(1, self.count + 1) / (2 * _ROOM)
+        if self.smooth:
+            rate = np.sqrt(3) / self.length
+            density = 4 * rate**3 / (rate**2 + frequency**2) ** 2
+        else:
+            rate = 1 / self.length
+            density = 2 * rate / (rate**2 + frequency**2)
+        return np.asarray(np.sqrt(density / _ROOM))
+
+    def functions(self, u: Any) -> list[Any]:
+        """Eigenfunctions of a variable in [-1, 1], each times its weight."""
+        turn = np.pi * (u + _ROOM) / (2 * _ROOM)
+        return [w * sin((k + 1) * turn) for k, w in enumerate(self.weights().tolist())]
+
+
+@dataclass(frozen=True)
+class BuildUp:
+    """What builds up over some lengths after a drive turns round, each for itself.
+
+    Attributes:
+        lengths: over half the stroke.
+    """
+
+    lengths: tuple[float, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of functions."""
+        return len(self.lengths)
+
+    def functions(self, u: Any) -> list[Any]:
+        """Each after a long way and a turn, by the way gone since, from -1 to 1: the stroke."""
+        return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths]

@@ -1,0 +1,120 @@
+"""Rows of the readings by the free functions of every place that they could show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from orthoglide.effects import LegConditions
+from orthoglide.effects.places import BUILD_UP, Place, Session, dial_places, places
+from orthoglide.fit import Problem
+from orthoglide.fit.factors import ByJoints, DialReadings
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.geometry import LEGS, Array
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.observations import Campaign
+
+
+def one_surface(problem: Problem) -> bool:
+    """Whether plates and distances on them are all that was read."""
+    tools = [p.points for p in problem.points if isinstance(p, ToolReadings)]
+    kinds = {s.kind for tool in tools for s in tool.setups}
+    alone = not problem.campaigns and len(tools) == len(problem.points)
+    return alone and kinds <= {"plate", "distance"}
+
+
+def places_of(problem: Problem) -> tuple[Place, ...]:
+    """Places of the machine that these readings could show.
+
+    None where one surface is all that was read: the plate's own shape could be any, and a free
+    function of any part draws it as well.
+    """
+    if one_surface(problem):
+        return ()
+    sessions: list[Session] = []
+    if len(problem.campaigns) == 1 and not problem.points:
+        (campaign,) = problem.campaigns
+        for leg in (*range(len(LEGS)), None):
+            time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
+            if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
+                sessions.append(Session(float(time.min()), float(time.max()), leg))
+    found = places(sessions, problem.machine.catalogue.legs)
+    if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
+        found = tuple(p for p in found if not p.moves_lines)
+    approach = np.concatenate([f.conditions().approach for f in problem.factors])
+    one_sided = np.ptp(approach, axis=0) == 0  # which shows no difference between sides
+    hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.points)}
+    return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
+
+
+def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows by the coefficients of all places ``(n, F)`` in their units, places kept."""
+    model = problem.machine.model
+    blocks: dict[str, list[Array]] = {}
+    kept = places_of(problem)
+    for k, factor in enumerate(problem.factors):
+        values = problem.values(k, x)
+        by_joints = factor.by_joints(model, values)
+        legs = model.leg_conditions(values, factor.conditions())
+        if isinstance(factor, DialReadings):
+            half = np.ptp(model.geometry.stroke) / 2
+            after = factor.campaign.built_up([half * length for length in BUILD_UP.lengths])
+            legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
+        for place in kept:
+            column = _column(place, by_joints, legs[place.leg])
+            if place.moves_lines and isinstance(factor, DialReadings):
+                column += _shifted(place, factor.campaign, legs[place.leg])
+            blocks.setdefault(place.name, []).append(column)
+    if not kept:
+        return np.zeros((len(problem.measured), 0)), ()
+    return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
+
+
+def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Array:
+    """Rows ``(n, K)`` by a place's coefficients in its unit."""
+    names = VIRTUAL_NAMES
+    joints = np.zeros(len(LEGS) * len(names))
+    for joint, share in place.joints:
+        joints[place.leg * len(names) + names.index(joint)] = share * place.unit
+    return by_joints(joints, np.stack(place.functions(conditions), axis=1))
+
+
+def _shifted(place: Place, campaign: Campaign, conditions: LegConditions) -> Array:
+    """Rows ``(n, K)`` of dials that a leg touches as it moves along a place's direction."""
+    sees = [s.sign * (s.leg == place.leg and LEGS[s.axis] == place.direction)
+            for s in campaign.setups]  # fmt: skip
+    return (
+        place.unit
+        * np.stack(place.functions(conditions), 1)
+        * np.take(sees, campaign.setup)[:, None]
+    )
+
+
+def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
+    """Rows ``(n, F)`` by the coefficients of the dials' places in their units.
+
+    Args:
+        problem: its campaigns.
+        value: predicted readings ``(n,)``, metres.
+    """
+    columns, found = [np.zeros((len(value), 0))], list[Place]()
+    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
+        for k, setup in enumerate(campaign.setups):
+            rows = part.start + np.flatnonzero(campaign.setup == k)
+            time, shown = campaign.time[rows - part.start], value[rows]
+            if np.ptp(shown) <= 0:
+                continue
+            name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
+            timed = np.isfinite(time).all() and np.ptp(time) > 0
+            span = (float(time.min()), float(time.max())) if timed else None
+            dial = dial_places(name, setup.leg, span, (float(shown.min()), float(shown.max())))
+            for place in dial:
+                low, high = place.span or (0.0, 1.0)
+                by = time if place.against == "time" else shown
+                functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
+                block = np.zeros((len(value), len(functions)))
+                block[rows] = np.stack(functions, axis=1) * place.unit
+                columns.append(block)
+                found.append(place)
+    return np.hstack(columns), tuple(found)
