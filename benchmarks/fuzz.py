@@ -32,8 +32,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from random import Random
 from types import FrameType
@@ -45,12 +43,9 @@ sys.path.insert(0, str(ROOT))
 from click.testing import CliRunner, Result
 
 from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spoil_toml
+from benchmarks.fuzz_originals import originals
 from benchmarks.fuzz_verdicts import Judged, judged, report
 from orthoglide.cli import cli
-from orthoglide.machine import Machine
-from orthoglide.machine_file import machine_text
-from orthoglide.observations import campaign_text, csv_text, tcp_rows
-from orthoglide.simulation import simulate, simulate_tcp
 
 LIMIT = 10.0
 """Seconds of processor time that a small input may take."""
@@ -58,36 +53,6 @@ LIMIT = 10.0
 _A_VERDICT, _SAID = 50, 500  # inputs to one verdict, and to a line of what was found so far
 _CODES = (0, 2, 3)
 _FAULT = "failed unexpectedly"
-_ERRORS = {"joint_offset.x": 0.8e-3, "leg_length.z": 0.06e-3, "axis_tilt.y.z": 1e-3}
-_PRINTER = """[printer]
-kinematics: delta
-delta_radius: 174.75
-[stepper_a]
-position_endstop: 297.05
-arm_length: 333.0
-rotation_distance: 40
-microsteps: 16
-[stepper_b]
-rotation_distance: 40
-microsteps: 16
-[stepper_c]
-rotation_distance: 40
-microsteps: 16
-[probe]
-z_offset: 1.5
-#*# [bed_mesh default]
-#*# points =
-#*#   0.05, 0.02, -0.01, 0.03
-#*#   0.01, 0.00, 0.03, -0.02
-#*#   -0.02, 0.04, 0.06, 0.01
-#*#   -0.03, 0.01, 0.02, 0.04
-#*# x_count = 4
-#*# y_count = 4
-#*# min_x = -50
-#*# max_x = 50
-#*# min_y = -50
-#*# max_y = 50
-"""
 
 
 class Late(BaseException):
@@ -107,35 +72,6 @@ class Case:
     number: int
     files: Mapping[str, bytes]
     arguments: tuple[str, ...]
-
-
-@cache
-def originals() -> dict[str, str]:
-    """The sound files, by kind."""
-    data = files("orthoglide") / "data"
-    campaign = (data / "experiment2.csv").read_text()
-    small = "\n".join(campaign.splitlines()[:7]) + "\n"
-    machine = Machine.nominal().with_parameters(_ERRORS)
-    points = csv_text(tcp_rows(simulate_tcp(machine, seed=0)))
-    tcp = "\n".join(points.splitlines()[:13]) + "\n"
-    with tempfile.TemporaryDirectory() as folder:
-        sound, out = Path(folder, "small.csv"), Path(folder, "out")
-        sound.write_text(small)
-        CliRunner().invoke(cli, ["identify", str(sound), "--quiet", "--out", str(out)])
-        result = (out / "result.json").read_text()
-    with tempfile.TemporaryDirectory() as folder:
-        stored, out = Path(folder, "printer.cfg"), Path(folder, "out")
-        stored.write_text(_PRINTER)
-        CliRunner().invoke(cli, ["import", "klipper", str(stored), "--out", str(out)])
-        delta, mesh = ((out / n).read_text() for n in ("machine.toml", "mesh-default.csv"))
-    path = "p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,0,-5\n-20,15,3\n"
-    travel = "travel_a_mm,travel_b_mm,travel_c_mm\n0,0,0\n5,-3,2.5\n"
-    rho = "rho_x_mm,rho_y_mm,rho_z_mm\n310.25,310.25,310.25\n300,305,309\n"
-    return {
-        "campaign": campaign, "small": small, "machine": machine_text(machine.spec), "tcp": tcp,
-        "result": result, "path": path, "rho": rho, "printer": _PRINTER, "delta": delta,
-        "mesh": mesh, "simulated": campaign_text(simulate(machine, seed=0)), "travel": travel,
-    }  # fmt: skip
 
 
 # command: share, files that it reads (kind by name), what may follow
@@ -159,11 +95,29 @@ COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
     "import klipper": (3, {"printer.cfg": "printer"}, ("--out", "out")),
     "identify mesh": (3, {"mesh.csv": "mesh", "--machine": "delta"}, ("--out", "out")),
     "forward delta": (1, {"--csv": "travel", "--machine": "delta"}, ("--out", "out")),
+    "forward legs": (2, {"--csv": "travel of legs", "--machine": "legs"}, ("--out", "out")),
+    "inverse legs": (1, {"--csv": "path", "--machine": "legs"}, ("--out", "out")),
+    "identify tool": (4, {"tool.csv": "tool", "--machine": "legs"}, ("--out", "out")),
+    "diagnose tool": (2, {"tool.csv": "tool", "--machine": "legs"}, ("--json",)),
+    "check": (3, {"a.csv": "small", "b.csv": "small"}, ("--out", "out")),
+    "check results": (2, {"a.json": "result", "b.csv": "small"}, ("--quiet",)),
+    "design sheet": (2, {"sheet.csv": "sheet", "--machine": "machine"}, ("--quiet",)),
+    "tolerances": (2, {"--machine": "machine"}, ("--tcp", "0.05")),
+    "view": (2, {"m.toml": "legs"}, ("--out", "out")),
     "protocol": (2, {"--machine": "machine"}, ("--out", "out")),
 }  # fmt: skip
-_SLOW = ("identify published", "identify two", "diagnose", "diagnose simulated", "close-loop")
+_SLOW = (
+    "identify published",
+    "identify two",
+    "diagnose",
+    "diagnose simulated",
+    "close-loop",
+    "diagnose tool",
+    "design sheet",
+    "tolerances",
+)
 _SPOIL = {"machine": spoil_toml, "result": spoil_json, "printer": spoil_config}
-_SPOIL |= {"delta": spoil_toml}
+_SPOIL |= {"delta": spoil_toml, "legs": spoil_toml}
 
 
 def draw_case(number: int, only: str = "", light: bool = False) -> Case:

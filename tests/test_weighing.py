@@ -107,6 +107,24 @@ def test_a_better_dial_gives_no_worse_verdict(noise: float, resolution: float) -
     assert (sound.word, sound.effects) == ("adequate", ())
 
 
+@pytest.mark.parametrize("noise", [5e-7, 1e-7])
+def test_digits_that_change_at_an_edge_are_no_drift(noise: float) -> None:
+    """A true value between two digits shows both, a step apart: twenty sigmas and more."""
+    machine = with_dial(1e-5)
+    rng = np.random.default_rng([0, 0, 1])
+    offsets = {f"joint_offset.{leg}": float(rng.normal(0, 1e-3)) for leg in "xyz"}
+    campaign = simulate(with_dial(1e-5, **offsets), "sweep", noise=noise, seed=0)
+    verdict = og.close_loop(campaign, machine)
+    assert (verdict.word, verdict.effects, verdict.located) == ("adequate", (), ())
+    problem = verdict.after.problem
+    edge = problem.sigma == 5e-6
+    assert 0 < edge.sum() < 0.2 * len(campaign)
+    assert problem.sigma[~edge].max() < 1e-5 / 4
+    for station in set(problem.station[edge]):
+        shown = campaign.reading[problem.station == station]
+        assert np.ptp(shown) == pytest.approx(1e-5)
+
+
 def test_a_value_far_beyond_its_tolerance_is_not_pulled_back() -> None:
     machine = og.Machine.nominal()
     truth = machine.with_parameters({"joint_offset.x": 20e-3})

@@ -21,6 +21,7 @@ PUBLISHED_REPEATABILITY = 2e-5
 
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
 _STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
+_QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
 _FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
 
@@ -65,7 +66,24 @@ def noise_of(campaigns: Sequence[Campaign], dial: Dial, declared: float | None =
     if common**2 < _COUNTS * noise.typical**2 or not repeated(campaigns):
         return noise
     sigma = tuple(np.sqrt(np.maximum(s**2 - common**2, _COUNTS * s**2)) for s in noise.sigma)
-    return replace(noise, sigma=sigma, common=common)
+    at_edges = map(_at_edges, campaigns, sigma, [dial.resolution] * len(sigma))
+    return replace(noise, sigma=tuple(at_edges), common=common)
+
+
+def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
+    """Sigmas ``(n,)``, half a step where the visits to a station show two neighbouring digits.
+
+    There the true value stands at the edge between them, and a quiet dial shows one or the other:
+    a whole step apart, which to its scatter elsewhere would be a slip, or a drift.
+    """
+    station = np.unique(station_table(campaign), axis=0, return_inverse=True)[1].reshape(-1)
+    low = np.full(int(station.max(initial=-1)) + 1, np.inf)
+    high = -low
+    np.minimum.at(low, station, campaign.reading)
+    np.maximum.at(high, station, campaign.reading)
+    steps = (high - low)[station] / resolution
+    edge = (steps > 0.5) & (steps < 1.5) & (resolution > _QUIET * sigma)
+    return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
 def common_rounding(sigma: ArrayLike, resolution: float) -> Array:
