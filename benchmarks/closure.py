@@ -34,6 +34,7 @@ sys.path.insert(0, str(ROOT))
 from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.geometry import Geometry
+from orthoglide.layout import LinearDelta
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.prediction import Conditions, Model
@@ -128,6 +129,10 @@ def _add_batches(geometry: Geometry, add: Callable[..., None], with_compiler: bo
     batch, nominal = mechanism.batch, mechanism.nominal_batch
     add(f"batch, rigid legs, {how}", "cold", len(rho), lambda: nominal.close(rigid))
     add(f"batch, relief and virtual joints, {how}", "cold", len(rho), lambda: batch.close(general))
+    delta = Mechanism(_delta(), compile=with_compiler)
+    rods = delta.given(delta.inverse(_on_plate(4000)), moves / 10)
+    name = "batch, all virtual joints, linear delta"
+    add(f"{name}, {how}", "cold", len(rods), lambda: delta.batch.close(rods))
     closed, part = batch.close(general[:1000]), general[:1000]
     add(
         f"tangent by 33 joints, closed batch, {how}",
@@ -144,6 +149,18 @@ def _add_batches(geometry: Geometry, add: Callable[..., None], with_compiler: bo
             count,
             lambda seen=seen: model.sensitivities(values, seen, CATALOGUE.parameters),
         )
+
+
+def _delta() -> Geometry:
+    """A printer of common size."""
+    return Geometry(0.3455, 0.05, 0.032, (-0.17, 0.43), LinearDelta((0.195,) * 3))
+
+
+def _on_plate(count: int) -> Array:
+    """Points above the plate ``(count, 3)``, metres."""
+    r, turn, z = np.random.default_rng(0).random((3, count))
+    r, turn = 0.13 * np.sqrt(r), 2 * np.pi * turn
+    return np.stack([r * np.cos(turn), r * np.sin(turn), 0.15 * z], axis=1)
 
 
 def _add_mujoco(geometry: Geometry, add: Callable[..., None]) -> None:

@@ -47,9 +47,13 @@ def machine() -> Machine:
     return Machine(MachineFile(geometry=DELTA))
 
 
-@pytest.mark.parametrize("geometry", [DELTA, UNEVEN], ids=["even", "uneven"])
-def test_parallel_legs_are_three_spheres(geometry: Geometry) -> None:
-    mechanism, p = Mechanism(geometry), points(40)
+@pytest.mark.parametrize(
+    ("geometry", "compile"),
+    [(DELTA, False), (UNEVEN, False), (UNEVEN, True)],
+    ids=["even", "uneven", "uneven, compiled"],
+)
+def test_parallel_legs_are_three_spheres(geometry: Geometry, compile: bool) -> None:
+    mechanism, p = Mechanism(geometry, compile=compile), points(40)
     travel = mechanism.inverse(p)
     centres = np.stack(
         [leg.carriage - leg.platform + travel[:, [k]] * leg.slide

@@ -26,7 +26,7 @@ from orthoglide.mechanism.tree import Tree
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
 
-# Compiling takes two seconds once: as much as this many postures have cost by then.
+# Compiling takes seconds once: as much as this many postures have cost by then.
 _WORTH_COMPILING = 20_000
 
 
