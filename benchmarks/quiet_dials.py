@@ -3,9 +3,9 @@
     python benchmarks/quiet_dials.py [--machines 200] [--descents 24] [--seed 0]
 
 The machines have offsets and lengths of up to ten tolerances and nothing else: each is *adequate*,
-and what is far beyond its tolerance is named with its size. A descent is one machine with one
-cause, or none, measured by dials from 20 um of noise down to 0.1 um, rounded to 0.01 mm or not at
-all: once a verdict was right, none of a better dial may be wrong.
+or refused as its stroke is out of reach, and what is far beyond its tolerance is named. A descent
+is one machine with one cause, or none, measured by dials from 20 um of noise down to 0.1 um,
+rounded to 0.01 mm or not at all: once a verdict was right, none of a better dial may be wrong.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -49,7 +49,8 @@ def large(number: int, seed: int) -> str:
     try:
         verdict = close_loop(campaign, machine)
     except OrthoglideError as error:
-        return f"{type(error).__name__}: {str(error)[:80]}"
+        told = "times its tolerance" in str(error)
+        return f"refused, {'told' if told else str(error)[:80]}"
     said = {w.split()[0] for w in verdict.after.warnings if w.kind == "tolerance"}
     if verdict.word != "adequate":
         return f"{verdict.word}, {'told' if said else 'nothing told'}"

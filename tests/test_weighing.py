@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.errors import SolverError
 from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.fit.weighing import Weighing
 from orthoglide.machine_file import Dial
@@ -159,6 +160,17 @@ def test_large_offsets_are_a_finding_and_no_lack_of_fit(kind: str, size: float) 
     assert [w.split()[0] for w in far] == ["joint_offset.x", "joint_offset.y"]
     assert verdict.after.scores.prior_chi2 < 10
     assert verdict.after.values["joint_offset.x"] == pytest.approx(size, rel=2e-3)
+
+
+def test_zeros_so_far_off_that_the_stroke_is_out_of_reach_are_told() -> None:
+    """Carriages 19, 14 and 11 mm too far out do not meet where all are driven to their ends."""
+    machine = og.Machine.nominal()
+    off = {"joint_offset.x": 0.0191, "joint_offset.y": 0.0136, "joint_offset.z": 0.0105}
+    off |= {"leg_length.y": 4e-4, "leg_length.z": 2.7e-4}
+    campaign = simulate(machine.with_parameters(off), "standard", noise=5e-6, seed=26)
+    told = r"does not reach all of its stroke: joint_offset.x is 9.. times its tolerance of 2 mm"
+    with pytest.raises(SolverError, match=told):
+        og.close_loop(campaign, machine)
 
 
 @pytest.mark.parametrize("name", ["rail_bow.x.z", "axis_tilt.y.z"])

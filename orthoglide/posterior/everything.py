@@ -160,20 +160,31 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     """
     at = None
     for _ in range(_LINEARISATIONS):
-        about = everything(before, at)
-        mixture = Mixture(about.linear, given)
-        found = FullPosterior(before, about, mixture, mixture.averaged(about.known))
-        at = (found.mean * about.scale)[: about.known]
         try:
+            about = everything(before, at)
+            mixture = Mixture(about.linear, given)
+            found = FullPosterior(before, about, mixture, mixture.averaged(about.known))
+            at = (found.mean * about.scale)[: about.known]
             apart = about.distance(found.mean, before)
         except ClosureError as error:
-            raise SolverError(
-                "the machine found does not close: the readings, or their units, are not those "
-                "of this machine"
-            ) from error
+            raise SolverError(_unreached(before)) from error
         if apart < _SETTLED:
             return replace(found, about=replace(about, apart=apart))
     return replace(found, about=replace(about, apart=apart))
+
+
+def _unreached(before: Estimate) -> str:
+    """Why a machine does not close over its stroke, and what to do, in a sentence."""
+    far = [note.partition(":")[0] for note in before.warnings if note.kind == "tolerance"]
+    if not far:
+        return (
+            "the machine found does not close: the readings, or their units, are not those "
+            "of this machine"
+        )
+    return (
+        f"the machine found does not reach all of its stroke: {'; '.join(far)}: put these right "
+        f"in the controller or on the machine, or give a shorter stroke in the machine file"
+    )
 
 
 def _rows(covariance: Array) -> Array:
