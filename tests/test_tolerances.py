@@ -142,7 +142,10 @@ def test_what_is_no_error_is_refused(machine: og.Machine, tmp_path: Path) -> Non
         with pytest.raises(og.InputError, match="positive length"):
             og.needed_tolerances(machine, wanted)
     for options, said in (
-        (["--tcp", "0"], "--tcp must be a positive number of millimetres, not 0"),
+        *(
+            (["--tcp", wrong], "--tcp must be a positive number of millimetres from 1e-06 to 1000")
+            for wrong in ("0", "-1", "nan", "1e-300", "1e300")
+        ),
         (["--tcp", "0.05", "--calibrated-by", str(tmp_path / "no.csv")], "there is no such file"),
     ):
         result = CliRunner().invoke(cli, ["tolerances", *options])

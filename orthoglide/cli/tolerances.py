@@ -10,6 +10,8 @@ from orthoglide.cli.options import PATH, load_machine, machine_option, noise_met
 from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
 
+_LEAST, _MOST = 1e-6, 1e3  # millimetres, that anybody wants of a tool
+
 
 @click.command()
 @click.option("--tcp", "tcp_mm", type=float, required=True, metavar="MM",
@@ -31,8 +33,11 @@ def tolerances(
     from orthoglide.observations import read_campaign
     from orthoglide.planning import needed_tolerances
 
-    if not 0 < tcp_mm < 1e3:
-        raise InputError(f"--tcp must be a positive number of millimetres, not {tcp_mm:g}")
+    if not _LEAST <= tcp_mm <= _MOST:
+        raise InputError(
+            f"--tcp must be a positive number of millimetres from {_LEAST:g} to {_MOST:g}, "
+            f"not {tcp_mm:g}"
+        )
     machine, noise = load_machine(machine_path), noise_metres(noise_mm)
     answers = [needed_tolerances(machine, tcp_mm * 1e-3)]
     if sheet is not None:
