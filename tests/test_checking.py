@@ -74,7 +74,8 @@ def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None
 
 
 def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
-    old, new = rows(1, "sweep", **{"rail_bow.x.z": 2e-4}), rows(2, "sweep", **{"rail_bow.x.z": 1e-5})
+    bent, shimmed = {"rail_bow.x.z": 2e-4}, {"rail_bow.x.z": 1e-5}
+    old, new = rows(1, "sweep", **bent), rows(2, "sweep", **shimmed)
     found = compared(machine, old, new)
     assert [str(d.parameter) for d in found.differences if d.changed] == ["rail_bow.x.z"]
     assert found.sentences[0].startswith("rail bow of leg x toward z changed from 0.2")
