@@ -168,10 +168,13 @@ def _told_apart(
 
 
 def _compared(verdict: Verdict) -> list[str]:
-    """Parameters of the machine in the base model and of the causes found, without campaigns."""
+    """Parameters of the machine in the base model, of the causes found and of what is seen to have
+    changed, without campaigns.
+    """
     catalogue = verdict.request.machine.catalogue
     base = catalogue.expand(catalogue.base)
-    found = [catalogue.parameter(n) for c in verdict.effects for n in c.chosen.parameters
+    causes = [n for c in verdict.effects for n in c.chosen.parameters]
+    found = [catalogue.parameter(n) for n in (*causes, *(c.parameter for c in verdict.changed))
              if n.partition(".")[0] in catalogue]  # fmt: skip
     named = (n.plain for n in found if not catalogue.effect_of(n).of_dial)
     return list(dict.fromkeys(map(str, (*base, *named))))

@@ -73,6 +73,14 @@ def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None
     assert d.after - d.before == pytest.approx(-2e-3, abs=max(4 * d.sigma, 0.1e-3))
 
 
+def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
+    bent, shimmed = {"rail_bow.x.z": 2e-4}, {"rail_bow.x.z": 1e-5}
+    old, new = rows(1, "sweep", **bent), rows(2, "sweep", **shimmed)
+    found = compared(machine, old, new)
+    assert [str(d.parameter) for d in found.differences if d.changed] == ["rail_bow.x.z"]
+    assert found.sentences[0].startswith("rail bow of leg x toward z changed from 0.2")
+
+
 def test_both_sides_have_readings(machine: og.Machine) -> None:
     with pytest.raises(InputError, match="readings of both states"):
         check([], [campaign(machine, "c", rows(1))], machine)
