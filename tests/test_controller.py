@@ -289,6 +289,14 @@ def test_the_rules_as_they_are_written_put_the_drives_right(way: int) -> None:
         assert np.abs(p - goal).max() < 1e-9
 
 
+def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
+    plain = machine({"joint_offset.x": 1e-3})
+    named = Machine(replace(plain.spec, name="the left one"))
+    unnamed = Machine(replace(plain.spec, name=""))
+    titles = [controller_numbers(m).text().splitlines()[0] for m in (named, unnamed)]
+    assert titles == ["Numbers for the controller: the left one", "Numbers for the controller"]
+
+
 def test_the_sign_rule_is_worked_out_in_words() -> None:
     text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
     assert "new zero = old zero - sign x joint_offset" in text

@@ -146,7 +146,7 @@ class ControllerNumbers:
         """For people: the rule in words, one worked line, a table, and the checks."""
         shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
         return _TEXT.format(
-            name=self.name,
+            title=f"Numbers for the controller{f': {self.name}' if self.name else ''}",
             rule=fill(RULE, 100),
             worked=self.drives[0].worked(self.names),
             table="\n".join(map(_line, self.drives)),
@@ -240,7 +240,8 @@ def _rest(names: tuple[str, ...]) -> str:
         return "Nothing else was identified: these numbers hold all of it."
     return (
         "These numbers cannot hold " + ", ".join(names) + ": send commands from "
-        "`orthoglide compensate` instead, which hold everything. Use one or the other, never both."
+        "`orthoglide compensate` instead, which hold all that the machine file has. Use one or the "
+        "other, never both."
     )
 
 
@@ -249,7 +250,7 @@ _CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the
 are what the controller shows for {legs}.
 {checks}"""
 
-_TEXT = """Numbers for the controller: {name}
+_TEXT = """{title}
 All lengths in mm, in the controller's own counting.
 
 {rule}

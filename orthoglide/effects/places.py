@@ -95,6 +95,11 @@ class Place:
         """
         return self.part == "platform"
 
+    @property
+    def loses(self) -> bool:
+        """Whether it is lost motion: the same command ends elsewhere by the way that led there."""
+        return self.against in ("approach", "reversal")
+
     def interval(self, stroke: Range) -> Range:
         """First and last of its variable.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from orthoglide.report.rows import millimetres, parameter_rows
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
     from orthoglide.observations import Campaign
+    from orthoglide.posterior import Located
     from orthoglide.result import Result, Workspace
     from orthoglide.result.firmware import FirmwareAdvice
 
@@ -54,9 +55,26 @@ def controller(result: Result) -> Data:
         "worked": numbers.drives[0].worked(numbers.names),
         "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        "left_over": listed(numbers.left_over),
+        "left_over": listed(_by_effect(numbers.left_over)),
+        "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
         "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
     }
+
+
+def _by_effect(names: Sequence[str]) -> list[str]:
+    """Parameters: several of one effect by its name."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(name.partition(".")[0], []).append(name)
+    return [
+        members[0] if len(members) == 1 else f"{effect.replace('_', ' ')} ({len(members)} numbers)"
+        for effect, members in groups.items()
+    ]
+
+
+def _kept(found: Located) -> bool:
+    """Whether a calibrated machine holds it."""
+    return found.members[0].place.of_machine
 
 
 def firmware(advice: FirmwareAdvice, stands: bool) -> Data:
