@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 
 from benchmarks.attribution_run import Record, accepted
+from orthoglide.effects import CATALOGUE
+from orthoglide.effects.places import Place, Session, places
 
 STRONG, APART = 3.0, 5.0
 """An effect should be named: rms past the base, and distance to the nearest other class."""
@@ -58,8 +61,35 @@ def misplaced(record: Record) -> bool:
     """Whether a place or a name was claimed for what lies outside that is not its own."""
     place = record["truth"][0]["place"]
     elsewhere = any(place not in found["places"] for found in record["located"])
-    named = record["word"] in ("explained", "ambiguous", "located") and bool(record["effects"])
-    return elsewhere or named
+    others = [e for e in record["effects"]
+              if not any(is_shape_of(place, parts) for _, parts, _ in e["members"])]  # fmt: skip
+    return elsewhere or (record["word"] in ("explained", "ambiguous", "located") and bool(others))
+
+
+def is_shape_of(place: str, parameters: Sequence[str]) -> bool:
+    """Whether a cause is a known shape of a place: it moves the same joints by the same variable,
+    as backlash does of a drive that goes wrong by the side it is approached from.
+    """
+    found = _places().get(place)
+    setups = tuple(n.partition(".")[2] for n in parameters)
+    parts = [CATALOGUE.parameter(e) for n in parameters for e in CATALOGUE.elementary(n, setups)]
+    if found is None or any(part not in CATALOGUE.motions for part in parts):
+        return False
+    by = {found.against} - {"travel"}
+    legs, moved = zip(*(CATALOGUE.motions[part] for part in parts), strict=True)
+    joints = {motion.joint for motions in moved for motion in motions}
+    needs = {need for motions in moved for motion in motions for need in motion.needs}
+    return (
+        set(legs) == {found.leg} and joints == {j for j, _ in found.joints} and needs - _FIXED == by
+    )
+
+
+_FIXED = {"pitch"}  # of the machine: no variable
+
+
+@cache
+def _places() -> Mapping[str, Place]:
+    return {p.name: p for p in places([Session(0.0, 1.0, leg) for leg in (0, 1, 2, None)])}
 
 
 def worse(record: Record) -> bool:

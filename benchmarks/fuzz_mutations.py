@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from copy import deepcopy
 from random import Random
 from typing import Any
 
@@ -145,4 +146,4 @@ def _spoil_inside(draw: Random, data: Any) -> None:
     elif kind == 3 and isinstance(old, int | float) and abs(old) < 1e300:
         at[key] = draw.choice((-old, old * 1000, old + 1, str(old), float(old)))
     else:
-        at[key] = draw.choice(_JSON_VALUES)
+        at[key] = deepcopy(draw.choice(_JSON_VALUES))  # which a later change may go into

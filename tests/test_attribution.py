@@ -4,7 +4,13 @@ import math
 
 import pytest
 
-from benchmarks.attribution_asked import clear, fault_found, named, upper_bound
+from benchmarks.attribution_asked import (
+    clear,
+    fault_found,
+    is_shape_of,
+    named,
+    upper_bound,
+)
 from benchmarks.attribution_cases import PROTOCOLS, SHARES, Case, cases
 from benchmarks.attribution_run import Record, accepted, draw, run
 from benchmarks.attribution_table import tables
@@ -75,6 +81,25 @@ def test_cases_are_drawn_from_seed_and_key_alone() -> None:
     assert one.rows == again.rows
     assert one.rows != other.rows
     assert one.rig.errors == again.rig.errors
+
+
+@pytest.mark.parametrize(
+    ("place", "parameters", "same"),
+    [
+        ("bar.y/time", ["thermal_drift.y"], True),
+        ("bar.y/time", ["thermal_drift.x"], False),
+        ("drive.y/time", ["thermal_drift.y"], False),
+        ("drive.y/travel", ["thermal_drift.y"], False),
+        ("drive.y/travel", ["screw_error.y.sin", "screw_error.y.cos"], True),
+        ("drive.y/approach", ["backlash.y"], True),
+        ("rail.y.x/travel", ["axis_offset.y.x"], True),
+        ("rail.y.x/travel", ["axis_offset.y.z"], False),
+        ("rail.y.x/travel", ["gauge_drift.xy-0.5"], False),
+        ("dial.xy-0.5/time", ["gauge_drift.xy-0.5"], False),
+    ],
+)
+def test_known_shapes_of_a_place(place: str, parameters: list[str], same: bool) -> None:
+    assert is_shape_of(place, parameters) == same
 
 
 def test_small_table_is_part_of_a_large_one() -> None:

@@ -8,12 +8,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
 
 import orthoglide as og
 from benchmarks import fuzz, fuzz_verdicts
+from benchmarks.fuzz_mutations import spoil_json
 from orthoglide.simulation import simulate
 
 CASES = 120
@@ -43,6 +45,14 @@ def test_a_case_is_its_number() -> None:
     assert fuzz.draw_case(7).files != fuzz.draw_case(8).files
     drawn = [fuzz.draw_case(k) for k in range(120)]
     assert {case.arguments[0] for case in drawn} == {name.split()[0] for name in fuzz.COMMANDS}
+
+
+def test_changes_of_one_result_are_not_those_of_the_next() -> None:
+    """Lists put in are changed in their turn: each case has its own."""
+    first = [spoil_json(Random(k), '{"inputs": {"a": 1}, "machine": 2}') for k in range(400)]
+    assert first == [
+        spoil_json(Random(k), '{"inputs": {"a": 1}, "machine": 2}') for k in range(400)
+    ]
 
 
 def test_a_sound_input_is_found_sound(tmp_path: Path) -> None:

@@ -126,12 +126,54 @@ def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> Non
     assert "Dials: left" in said
     hidden = [g.get("style") for g in root.iter("g") if "option" in (g.get("class") or "")]
     assert hidden == [None if k == 1 else "display:none" for k in range(len(several))]
-    _, _, width, height = map(float, (root.get("viewBox") or "").split())
+
+
+def rooms(root: ET.Element) -> list[tuple[str, float, float, float, float]]:
+    """Words and the box that each takes in a wide bold face."""
+    found = []
     for element in root.iter("text"):
-        half = 7.6 * len(element.text or "") / 2
-        assert float(element.get("x", 0)) - half * (len(element.text or "") > 2) >= -1
-        assert float(element.get("x", 0)) + half * (len(element.text or "") > 2) <= width + 1
-        assert 8 <= float(element.get("y", 0)) <= height
+        text, x, y = element.text or "", float(element.get("x", 0)), float(element.get("y", 0))
+        half = 8.5 * len(text) / 2
+        found.append((text, x - half, y - 10, x + half, y + 3))
+    return found
+
+
+def apart(one: tuple[str, float, float, float, float], left: float, top: float, right: float,
+          bottom: float) -> bool:  # fmt: skip
+    _, l, t, r, b = one
+    return r <= left or right <= l or b <= top or bottom <= t
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
+def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign: float) -> None:
+    own, posture = machine(kind), posed(kind)
+    stand = dials(posture, [og.protocol("sweep")]) if kind == "orthoglide" else ()
+    for parameter in own.catalogue.parameters:
+        if parameter.effect == "screw_error" and own.spec.screw_pitch is None:
+            continue
+        cause = option(own, "", {parameter: sign * 1.23 * own.tolerance(parameter)})
+        root = ET.fromstring(drawing(posture, [cause], stand))
+        _, _, width, height = map(float, (root.get("viewBox") or "").split())
+        *names, size = sorted(rooms(root), key=lambda room: len(room[0]))
+        circles = [
+            [float(e.get(k, 0)) for k in ("cx", "cy", "r")]
+            for g in root.iter("g") if g.get("class") == "dials" for e in g.iter("circle")
+        ]  # fmt: skip
+        assert len(circles) == len(stand)
+        assert min(size[1:3]) >= 0, parameter
+        assert size[3] <= width, parameter
+        assert size[4] <= height, parameter
+        assert all(apart(size, *name[1:]) for name in names), parameter
+        assert all(apart(size, x - r, y - r, x + r, y + r) for x, y, r in circles), parameter
+
+
+def test_sizes_of_causes_that_are_shown_together_keep_apart() -> None:
+    own = machine("orthoglide")
+    both = [option(own, "", {f"{e}.x.y": 2e-3}) for e in ("axis_tilt", "rail_bow")]
+    root = ET.fromstring(drawing(posed("orthoglide"), both, shown=(0, 1)))
+    one, other = [room for room in rooms(root) if len(room[0]) > 2]
+    assert apart(one, *other[1:])
 
 
 def test_a_machine_shows_itself_in_a_notebook() -> None:
@@ -188,11 +230,13 @@ addEventListener("load", () => {
 </script></body>"""
 
 
-def driven(page: str, folder: Path) -> dict[str, object]:
-    (folder / "page.html").write_text(page.replace("</body>", DRIVE), encoding="utf-8")
+def driven(
+    page: str, folder: Path, script: str = DRIVE, size: str = "900,900"
+) -> dict[str, object]:
+    (folder / "page.html").write_text(page.replace("</body>", script), encoding="utf-8")
     command = [
         browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-        "--disable-background-networking", "--virtual-time-budget=4000", "--window-size=900,900",
+        "--disable-background-networking", "--virtual-time-budget=4000", f"--window-size={size}",
         f"--user-data-dir={folder / 'profile'}", "--dump-dom", f"file://{folder / 'page.html'}",
     ]  # fmt: skip
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
@@ -216,6 +260,25 @@ def test_the_switch_moves_the_drawing_and_nothing_is_asked_of_a_network(
     assert told["asked"] == []
     assert told["picked"] == (None if which == "delta" else ["inline", "none", "none", "inline"])
     assert re.search(r"off by -?\d+\.\d{3}, .* mm in x, y, z", str(told["readout"]))
+
+
+LAID_OUT = """<script>addEventListener("load", () => {
+  const at = s => document.querySelector(s).getBoundingClientRect();
+  document.title = JSON.stringify({ width: innerWidth, said: at(".sentence").bottom,
+    top: at(".drawn svg").top, bottom: at(".drawn svg").bottom, rivals: at(".rivals").top });
+});</script></body>"""
+
+
+def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
+    tmp_path: Path,
+) -> None:
+    page = files_of("explained")["report.html"]
+    rival = re.search(r'<ul class="rivals">\s*(<li>.*?</li>)', page, flags=re.DOTALL)
+    assert rival
+    told = driven(page.replace(rival[1], 6 * rival[1]), tmp_path, LAID_OUT, "390,844")
+    said, top, bottom, rivals = (float(str(told[k])) for k in ("said", "top", "bottom", "rivals"))
+    assert said <= top < bottom <= 844
+    assert rivals >= bottom
 
 
 @pytest.mark.parametrize("which", ["explained", "partial", "unexplained"])

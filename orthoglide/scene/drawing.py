@@ -11,12 +11,11 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.scene.marks import arrow, marked
+from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, around, box_of
 from orthoglide.scene.parts import Dial, Option, Posed
 
-WIDTH = 440.0
-"""Of the drawing, in units in which its letters are 13 high: readable on a phone."""
-
-_HEIGHT, _MARGIN = 400.0, 34.0
+_MARGIN, _FACE = 34.0, 4.5  # on the paper
+_STEM = 0.022  # metres beyond the touched point
 _SPACE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" '
 _STYLE = (
     "--m-rail:#98a4ad;--m-body:#c3ccd3;--m-bar:#7b8790;--m-ink:#1f2a33;--m-dial:#0072b2;"
@@ -64,9 +63,9 @@ def projection(posed: Posed, points: Array) -> Projection:
     near = np.array([ca * ce, sa * ce, se])
     flat = np.stack([points @ right, -(points @ up)], axis=1)
     low, high = flat.min(axis=0), flat.max(axis=0)
-    room = np.array([WIDTH, _HEIGHT]) - 2 * _MARGIN
+    room = np.array([WIDTH, HEIGHT]) - 2 * _MARGIN
     scale = float(np.min(room / (high - low)))
-    shift = np.array([WIDTH, _HEIGHT]) / 2 - scale * (low + high) / 2
+    shift = np.array([WIDTH, HEIGHT]) / 2 - scale * (low + high) / 2
     return Projection(right, up, near, scale, (float(shift[0]), float(shift[1])))
 
 
@@ -96,21 +95,24 @@ def drawing(
     points = np.array([*ends, *posed.lines.reshape(-1, 3), posed.p])
     project = projection(posed, points)
     bodies = sorted(_bodies(posed, project), key=lambda body: body[0])
+    paper = _occupied(posed, dials, project)
+    names = "".join(_name(name, *at) for name, at in _named(posed, project))
+    drawn = _marked(options, shown, posed, dials, paper)
     groups = [
         f'<g class="option option-{k}{" first" if k in shown else ""}"'
         f"{'' if k in shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
         f"<title>{escape(option.words)}</title>"
-        f"{''.join(marked(mark, posed, dials, project) for mark in option.marks)}</g>"
-        for k, option in enumerate(options)
+        f"{text}</g>"
+        for k, (option, text) in enumerate(zip(options, drawn, strict=True))
     ]
     told = "; or ".join(option.words for option in options)
     return (
-        f'<svg class="machine" viewBox="0 0 {WIDTH:g} {_HEIGHT:g}" role="img" '
+        f'<svg class="machine" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
         f'{_SPACE if alone else ""}style="{_STYLE}" font-size="13">'
         f"<title>{escape(title)}</title><desc>{escape(_told(posed, dials, told))}</desc>"
         f"{''.join(text for _, text in bodies)}"
-        f'<g class="dials">{"".join(_dial(dial, project) for dial in dials)}</g>'
-        f"{''.join(groups)}{''.join(_names(posed, project))}</svg>"
+        f'<g class="dials">{"".join(_dial(dial, paper) for dial in dials)}</g>'
+        f"{''.join(groups)}{names}</svg>"
     )
 
 
@@ -182,25 +184,63 @@ def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> 
     )
 
 
-def _dial(dial: Dial, project: Projection) -> str:
+def _face(dial: Dial) -> Array:
+    return dial.at - 0.035 * dial.way
+
+
+def _dial(dial: Dial, paper: Paper) -> str:
     """A dial: its stem to the touched point, and an arrow in the way that it counts."""
-    x, y = project(dial.at - 0.035 * dial.way)
-    tip = dial.at + 0.022 * dial.way
+    x, y = paper(_face(dial))
     return (
         f"<g><title>dial {escape(dial.name)}</title>"
-        f"{arrow(dial.at - 0.035 * dial.way, tip, project, 'dial', 1.3)}"
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="var(--m-paper)" '
+        f"{arrow(_face(dial), dial.at + _STEM * dial.way, paper, 'dial', 1.3)}"
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_FACE:g}" fill="var(--m-paper)" '
         f'stroke="var(--m-dial)" stroke-width="1.3"/></g>'
     )
 
 
-def _names(posed: Posed, project: Projection) -> list[str]:
+def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, float]]]:
+    """Names of the legs, each with the middle of its base line: beyond the end of its rail."""
     found = []
     for leg, name in enumerate(posed.geometry.leg_names):
         start, end = posed.rail(leg)
-        x, y = project(end + 0.09 * (end - start))
-        found.append(
-            f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle" font-weight="600" '
-            f'fill="var(--m-ink)">{escape(name)}</text>'
-        )
+        x, y = project(end + 0.12 * (end - start))
+        found.append((name, (x, y + 4)))
     return found
+
+
+def _name(name: str, x: float, y: float) -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-weight="600" '
+        f'fill="var(--m-ink)" stroke="var(--m-paper)" stroke-width="3" '
+        f'paint-order="stroke">{escape(name)}</text>'
+    )
+
+
+def _occupied(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
+    """The paper with names, dials, rails and bars on it."""
+    paper = Paper(project)
+    paper.taken += [box_of(*at, name) for name, at in _named(posed, project)]
+    for dial in dials:
+        paper.taken.append(around(*project(_face(dial)), _FACE))
+        paper.line([_face(dial), dial.at + _STEM * dial.way])
+    for leg in range(3):
+        paper.line(posed.rail(leg))
+        for ends in posed.lines[leg]:
+            paper.line(ends)
+    return paper
+
+
+def _marked(
+    options: Sequence[Option],
+    shown: Sequence[int],
+    posed: Posed,
+    dials: Sequence[Dial],
+    paper: Paper,
+) -> list[str]:
+    """Every option as SVG: those shown together keep off each other's words."""
+    drawn = []
+    for k, option in enumerate(options):
+        own = paper if k in shown else paper.another()
+        drawn.append("".join(marked(mark, posed, dials, own) for mark in option.marks))
+    return drawn

@@ -1,0 +1,104 @@
+"""Where words stand on a drawing: beside what they name, off other words, within the paper."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+import numpy as np
+
+from orthoglide.geometry import Array
+
+WIDTH, HEIGHT = 440.0, 400.0
+"""Of the drawing, in units in which its letters are 13 high: readable on a phone."""
+
+LETTER = 8.6
+"""Width of a bold letter, on the average of the wide faces."""
+
+_ABOVE, _BELOW, _EDGE = 11.0, 3.5, 3.0  # of a line of letters about its base; of the paper
+_GAPS = (4.0, 12.0, 22.0, 34.0, 50.0)
+_WAYS = 16
+_OVER_WORDS, _OVER_LINE, _AWAY = 1e3, 6.0, 0.6  # cost of covering; of a unit of distance
+_STEP = 5.0  # between the points that stand for a line
+
+Point = tuple[float, float]
+Box = tuple[float, float, float, float]
+"""Left, top, right and bottom."""
+
+
+def box_of(x: float, y: float, text: str) -> Box:
+    """Room that a line of bold letters takes, middle and base given."""
+    half = LETTER * len(text) / 2
+    return x - half, y - _ABOVE, x + half, y + _BELOW
+
+
+def around(x: float, y: float, radius: float) -> Box:
+    """Room of a circle."""
+    return x - radius, y - radius, x + radius, y + radius
+
+
+@dataclass
+class Paper:
+    """From the base frame to the paper, and what is on it already.
+
+    Attributes:
+        project: paper coordinates of a point ``(3,)``.
+        taken: boxes that no words may cover.
+        lines: points of lines that words had better not cover.
+    """
+
+    project: Callable[[Array], Point]
+    taken: list[Box] = field(default_factory=list)
+    lines: list[Point] = field(default_factory=list)
+
+    def __call__(self, point: Array) -> Point:
+        """Paper coordinates of a point ``(3,)``."""
+        return self.project(point)
+
+    def another(self) -> Paper:
+        """The same, to be written on without changing this one."""
+        return Paper(self.project, list(self.taken), list(self.lines))
+
+    def line(self, points: Iterable[Array]) -> None:
+        """Notes a line through points ``(3,)``."""
+        for (x1, y1), (x2, y2) in itertools.pairwise(map(self.project, points)):
+            count = max(int(math.hypot(x2 - x1, y2 - y1) / _STEP), 1)
+            shares = [k / count for k in range(count + 1)]
+            self.lines += [(x1 + s * (x2 - x1), y1 + s * (y2 - y1)) for s in shares]
+
+    def words(self, at: Array, text: str, tail: Array | None = None) -> str:
+        """Words beside a point as SVG; beyond it where an arrow from a tail ends there."""
+        if not text:
+            return ""
+        x, y = self.project(at)
+        if tail is not None:
+            self.line([tail, at])
+        x, y = min(self._places(x, y, text), key=lambda p: self._cost(p, (x, y), text))
+        self.taken.append(box_of(x, y, text))
+        return (
+            f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-weight="600" '
+            f'fill="var(--m-mark)" stroke="var(--m-paper)" stroke-width="3.5" '
+            f'paint-order="stroke">{escape(text)}</text>'
+        )
+
+    def _places(self, x: float, y: float, text: str) -> Sequence[Point]:
+        """Middles of base lines around a point, all within the paper."""
+        half, found = LETTER * len(text) / 2, []
+        for gap, turn in itertools.product(_GAPS, np.arange(_WAYS) * 2 * math.pi / _WAYS):
+            px = x + (half + gap) * math.cos(turn)
+            py = y + (_ABOVE + _BELOW) / 2 + (_ABOVE + gap) * math.sin(turn) - _BELOW
+            px = min(max(px, half + _EDGE), WIDTH - half - _EDGE)
+            found.append((px, min(max(py, _ABOVE + _EDGE), HEIGHT - _BELOW - _EDGE)))
+        return found
+
+    def _cost(self, place: Point, at: Point, text: str) -> float:
+        left, top, right, bottom = box_of(*place, text)
+        covered = sum(left < b[2] and b[0] < right and top < b[3] and b[1] < bottom
+                      for b in self.taken)  # fmt: skip
+        crossed = sum(left < x < right and top < y < bottom for x, y in self.lines)
+        aside = max(left - at[0], at[0] - right, 0.0)
+        away = math.hypot(aside, max(top - at[1], at[1] - bottom, 0.0))
+        return _OVER_WORDS * covered + _OVER_LINE * crossed + _AWAY * away
