@@ -58,7 +58,7 @@ AXIS_OFFSET = Effect(
         "the rails stand beside their places",
         mm,
         lambda p, v: (
-            f"measure where the {p.leg} rail stands in {across(p.direction)} against the other two: "
+            f"measure where the {p.leg} rail stands in {across(p.direction)} against the others: "
             f"expect it {mm(v)} toward {toward(p.direction, v)}"
         ),
     ),
