@@ -37,16 +37,18 @@ class Pose:
         R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
         relief: angles of the relief joints ``(..., leg, joint)``, radians: how far each leg must
             twist, and its second bar leave the plane, for the loops to close.
+        legs: their names.
     """
 
     p: Array
     R: Array
     relief: Array
+    legs: tuple[str, str, str]
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Legs that give more than a leg plausibly can, one sentence each."""
-        return relief_warnings(self.relief)
+        return relief_warnings(self.relief, self.legs)
 
 
 @dataclass(frozen=True)
@@ -254,9 +256,8 @@ class Machine:
         x = closure.close(given)
         out, shape = closure.outputs(x, given), commands.shape[:-1]
         relief = relief_angles(closure.tree, x)
-        return Pose(
-            out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3), relief.reshape(*shape, 3, 2)
-        )
+        p, R = out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3)
+        return Pose(p, R, relief.reshape(*shape, 3, 2), self.geometry.leg_names)
 
     def posed(self, rho: ArrayLike | None = None) -> Posed:
         """The closed machine as pictures show it.

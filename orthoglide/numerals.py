@@ -45,6 +45,11 @@ def _raised(exponent: int) -> str:
     return ("⁻" if exponent < 0 else "") + digits
 
 
+def hundredths(p: float) -> str:
+    """A probability to two decimals; below half of the last only that."""
+    return f"{p:.2f}" if p >= 0.005 else "< 0.01"
+
+
 def probability(p: float) -> str:
     """A probability; below a millionth only that."""
     if not math.isfinite(p):

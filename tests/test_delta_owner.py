@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from orthoglide.cli import cli
+from orthoglide.effects.wording import confirm_words
 from orthoglide.machine import Machine
 from orthoglide.planning import owned_instruments
 from tests.klipper_files import DATA
@@ -93,3 +94,67 @@ def test_a_ball_bar_tells_what_dials_cannot() -> None:
     assert "encoder_scale" in gains["ballbar"].shown
     assert not gains["plate"].shown
     assert "mount_tilt.x.a" in gains["incline"].shown
+
+
+@pytest.fixture(scope="module")
+def v400(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("v400") / "in"
+    run("import", "klipper", DATA / "v400-april.cfg", "--out", folder)
+    rows = (folder / "calibration.csv").read_text().splitlines(keepends=True)
+    for kind in ("plate", "distance"):
+        text = [rows[0], *(row for row in rows if row.startswith(kind))]
+        (folder / f"{kind}.csv").write_text("".join(text))
+    return folder
+
+
+def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
+    mesh, machine = v400 / "mesh-default_25Probe.csv", v400 / "machine.toml"
+    told = run("close-loop", mesh, "--machine", machine, "--out", tmp_path / "out")
+    left = re.search(r"residuals, rms, mm ([\d.]+) ([\d.]+) ([\d.]+)", told)
+    assert left is not None
+    assert float(left[2]) > 0.05 > 0.032 > float(left[3])
+    assert "the rails lean and their carriages with them, all by" in told
+    assert "three lobes 0.12 mm high, one of them toward 60 degrees: the seven points of" in told
+    assert "bends" not in told  # r^3 cos 3t is nothing at all at these points
+    page = (tmp_path / "out" / "report.html").read_text()
+    text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
+    for false in ("outward", "dial’s", "the dial", "two-gauges", "leg reading"):
+        assert false not in told
+        assert false not in text, false
+    assert "design --owns plate --machine machine.toml" in text
+
+
+def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: Path) -> None:
+    common = ("--machine", v400 / "machine.toml", "--out", tmp_path / "out")
+    told = run("close-loop", v400 / "distance.csv", *common)
+    assert "Touch the plate too, for numbers for the firmware" in told
+    assert "zeros in the controller" not in told
+    assert told.index("The arms that the firmware stores") < told.index("Verdict")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Numbers for the controller" not in page
+    assert "nothing needs to be measured again" not in page
+
+
+def test_seven_heights_are_too_few_for_causes(v400: Path, tmp_path: Path) -> None:
+    common = ("--machine", v400 / "machine.toml", "--out", tmp_path / "out")
+    told = run("close-loop", v400 / "plate.csv", *common)
+    assert "These readings are too few to look for causes with" in told
+    assert "of its tolerance" not in told
+    assert "by noise alone below 10⁻⁶ 0.0001 –" in told
+
+
+def test_a_tower_is_tried_against_a_square_that_stands(imported: Path) -> None:
+    machine = Machine.load(imported / "machine.toml")
+    effect = machine.catalogue["axis_tilt"]
+    name = machine.catalogue.parameter("axis_tilt.c.radial")
+    told = confirm_words(effect, name, -4e-3)
+    assert "stands along tower c, and move 100 mm up: expect 0.4 mm toward the centre" in told
+    x = Machine.nominal().catalogue.parameter("axis_tilt.x.y")
+    assert "lies along x, and move 100 mm outward" in confirm_words(effect, x, 1e-3)
+
+
+def test_legs_that_must_twist_go_by_their_own_names(imported: Path) -> None:
+    machine = Machine.load(imported / "machine.toml").with_parameters({"mount_tilt.b.a": 0.2})
+    told = machine.pose([0.0, 0.0, 0.0]).warnings
+    assert {text[:16] for text in told} <= {f"leg {leg} must twist" for leg in "abc"}
+    assert told[1].startswith("leg b must twist")

@@ -310,7 +310,7 @@ def test_every_parameter_can_be_said(name: str) -> None:
         ("axis_offset.zx.symmetric", -1e-3, "z toward −x and x toward −z by 1 mm"),
         ("axis_offset.zx.antisymmetric", 1e-3, "z toward x and x toward −z by 1 mm"),
         ("backlash.common", 5e-5, "the drives have lost motion, all by 0.05 mm"),
-        ("mount_tilt.b.common", -2e-3, "all by −2 mrad about their pivots"),
+        ("mount_tilt.b.common", -2e-3, "all by 2 mrad about their pivots, left-handed"),
         ("backlash.x@day-2", 5e-5, "drive x has 0.05 mm of lost motion (day-2)"),
         ("gauge_scale.left", 0.02, "the dial of left shows 2 % more"),
         ("gauge_drift.left", 1e-8, "its reading grows by 0.036 mm an hour"),

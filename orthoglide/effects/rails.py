@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from orthoglide.effects.effect import Effect, LegConditions, Motion, once, sideways
-from orthoglide.effects.words import Words, across, mm, more, mrad, slope, toward
+from orthoglide.effects.words import Words, across, along, mm, more, mrad, slope, toward
 from orthoglide.layout import Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD
@@ -58,7 +58,7 @@ AXIS_OFFSET = Effect(
         "the rails stand beside their places",
         mm,
         lambda p, v: (
-            f"measure where the {p.leg} rail stands along {p.direction} against the other two: "
+            f"measure where the {p.leg} rail stands in {across(p.direction)} against the others: "
             f"expect it {mm(v)} toward {toward(p.direction, v)}"
         ),
     ),
@@ -83,8 +83,8 @@ AXIS_TILT = Effect(
         "the paths of the carriages are out of square",
         slope,
         lambda p, v: (
-            f"set a dial on carriage {p.leg} against a square that lies along {p.leg}, and move "
-            f"100 mm outward: expect {mm(0.1 * v)} toward {toward(p.direction, v)}"
+            f"set a dial on carriage {p.leg} against a square that {along(p.leg, p.direction)}: "
+            f"expect {mm(0.1 * v)} toward {toward(p.direction, v)}"
         ),
     ),
     urdf=True,
@@ -107,8 +107,8 @@ RAIL_TILT = Effect(
         "the rails lean and their carriages with them",
         slope,
         lambda p, v: (
-            f"set a dial on carriage {p.leg} against a square that lies along {p.leg}, and move "
-            f"100 mm outward: expect {mm(0.1 * v)} toward {toward(p.direction, v)}, and a square "
+            f"set a dial on carriage {p.leg} against a square that {along(p.leg, p.direction)}: "
+            f"expect {mm(0.1 * v)} toward {toward(p.direction, v)}, and a square "
             f"held to the carriage {mrad(v)} off"
         ),
     ),

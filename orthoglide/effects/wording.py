@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import across, mm, mrad, percent, toward
+from orthoglide.effects.words import across, mm, more, mrad, percent, toward
 from orthoglide.layout import DIRECTIONS
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
@@ -170,5 +170,6 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
         )
     if _sided(effect, side := member.partition(".")[0]):
         return f"all by {size} toward {toward(side, value)}"
-    about = _ABOUT.get(side, "") if "." in member else ""
-    return f"all by {'' if value >= 0 else MINUS}{size}{about}"
+    if about := _ABOUT.get(side, "") if "." in member else "":
+        return f"all by {size}{about}, {more(value, 'right-handed', 'left-handed')}"
+    return f"all by {'' if value >= 0 else MINUS}{size}"

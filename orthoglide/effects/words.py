@@ -43,6 +43,13 @@ def toward(axis: str, value: float) -> str:
     return axis if value >= 0 else f"{MINUS}{axis}"
 
 
+def along(leg: str, axis: str) -> str:
+    """Where a square lies along a leg with such a direction across it, and which way is on."""
+    if axis in _SIDES:
+        return f"stands along tower {leg}, and move 100 mm up"
+    return f"lies along {leg}, and move 100 mm outward"
+
+
 def across(axis: str) -> str:
     """A direction without its sign, behind "in"."""
     return f"{axis} direction" if axis in _SIDES else f"the direction of {axis}"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
@@ -93,40 +94,43 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
 
 
 def unseen_by_firmware(
-    machine: Machine, fit: Estimate, names: Sequence[str], values: Mapping[str, float]
-) -> float:
-    """What a cause of this size changes the firmware's seven heights by, refitted, over a touch.
+    machine: Machine, fit: Estimate, values: Mapping[str, float], plate: Mapping[Shape, float]
+) -> tuple[float, float]:
+    """What a cause of this size changes the firmware's seven heights by, over a touch.
 
     Args:
         machine: nominal or calibrated.
         fit: whose readings touched the plate.
-        names: elementary parameters of the machine.
-        values: theirs, SI.
+        values: elementary parameters of the machine, SI.
+        plate: shapes of the plate with their sizes, metres.
 
     Returns:
-        The largest change that its six numbers do not take up, in sigmas of a touch; nan where no
-        plate was touched.
+        The largest change that its six numbers do not take up, and the largest before they do, in
+        sigmas of a touch; nan where no plate was touched.
     """
-    plate = _plate(fit)
-    if plate is None or not names:
-        return float("nan")
+    touched = _plate(fit)
+    if touched is None:
+        return float("nan"), float("nan")
+    radius, _ = touched
     angle = np.deg2rad(90.0 + 60.0 * np.arange(6))
-    ring = np.array(PROBED) * plate[0]
+    ring = np.array(PROBED) * radius
     points = np.zeros((7, 3))
     points[1:, 0], points[1:, 1] = ring * np.cos(angle), ring * np.sin(angle)
     at = Conditions.at(machine.with_only({}).inverse(points))
     zeros = [p for e in machine.catalogue.effects if e.controller == "zero" for p in e.motions]
     places = [p for e in machine.catalogue.effects if e.controller == "place" for p in e.motions]
-    every = [*zeros, *places, *names]
+    every = [*zeros, *places, *values]
     _, by_name = machine.with_only({}).model.sensitivities({}, at, every)
     by_z = by_name[:, 2]
     out = by_z[:, 3:9]
-    radial, tangential = out[:, 0::2].sum(axis=1), out[:, 1::2]
-    six = np.column_stack([by_z[:, :3], radial, tangential[:, :2]])
-    shift = by_z[:, 9:] @ np.array([values[n] for n in names])
+    outward, tangential = out[:, 0::2].sum(axis=1), out[:, 1::2]
+    six = np.column_stack([by_z[:, :3], outward, tangential[:, :2]])
+    shift = by_z[:, 9:] @ np.array(list(values.values()))
+    x, y = points[:, :2].T / radius
+    shift -= sum(size * shape(x, y) for shape, size in plate.items())
     left = shift - six @ np.linalg.lstsq(six, shift, rcond=1e-9)[0]
     sigma = float(np.median(fit.problem.sigma))
-    return float(np.abs(left).max() / sigma)
+    return float(np.abs(left).max() / sigma), float(np.abs(shift).max() / sigma)
 
 
 def _plate(fit: Estimate) -> tuple[float, Array] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,11 +39,12 @@ def relief_angles(tree: Tree, x: Array) -> Array:
     return angles.reshape(len(x), len(LEGS), len(RELIEF_NAMES)).copy()
 
 
-def relief_warnings(angles: Array) -> tuple[str, ...]:
+def relief_warnings(angles: Array, legs: Sequence[str] = LEGS) -> tuple[str, ...]:
     """One sentence for each leg that gives more than a leg plausibly can.
 
     Args:
         angles: of the relief joints ``(..., leg, joint)``, radians.
+        legs: their names.
     """
     worst = np.abs(angles).reshape(-1, len(LEGS), len(RELIEF_NAMES)).max(axis=(0, 2), initial=0.0)
     limit = np.rad2deg(RELIEF_LIMIT)
@@ -50,7 +52,7 @@ def relief_warnings(angles: Array) -> tuple[str, ...]:
         f"leg {leg} must twist by {np.rad2deg(angle):.1f} degrees for the loops to close, more "
         f"than the {limit:g} degree that a leg plausibly gives: check the mounting of its carriage "
         f"and the lengths of its bars, or whether the identified values are real"
-        for leg, angle in zip(LEGS, worst, strict=True)
+        for leg, angle in zip(legs, worst, strict=True)
         if not angle <= RELIEF_LIMIT
     )
 
@@ -66,6 +68,7 @@ class Deformation:
         moment: torsional moment in the legs ``(..., leg)``, N m.
         drive: force on each carriage along its axis ``(..., leg)``, newtons.
         energy: of the springs ``(..., leg, spring)``, joules; the order is ``SPRINGS``.
+        legs: their names.
     """
 
     relief: Array
@@ -74,6 +77,7 @@ class Deformation:
     moment: Array
     drive: Array
     energy: Array
+    legs: Sequence[str] = LEGS
 
     @property
     def total(self) -> Array:
@@ -83,16 +87,16 @@ class Deformation:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Legs that give more than is plausible, one sentence each."""
-        return relief_warnings(self.relief)
+        return relief_warnings(self.relief, self.legs)
 
     def reshaped(self, shape: tuple[int, ...]) -> Deformation:
         """The same for a batch ``(N,)`` that was flattened from ``shape``."""
-        parts = {name: v.reshape(*shape, *v.shape[1:]) for name, v in vars(self).items()}
-        return Deformation(**parts)
+        parts = {n: v.reshape(*shape, *v.shape[1:]) for n, v in vars(self).items() if n != "legs"}
+        return Deformation(**parts, legs=self.legs)
 
     def __str__(self) -> str:
         energy = self.energy.reshape(-1, len(LEGS), len(SPRINGS)).sum(axis=0)
-        names = [f"leg {leg}'s {spring}" for leg in LEGS for spring in SPRINGS]
+        names = [f"leg {leg}'s {spring}" for leg in self.legs for spring in SPRINGS]
         total = float(energy.sum())
         if not total > 0:
             return "the machine fights against nothing: no spring is strained"
@@ -189,4 +193,5 @@ class ElasticClosure(BatchClosure):
         stretch, moment = self.compliance * tension, self.torsion * relief[:, :, 0]
         energy = np.concatenate([stretch * tension, (moment * relief[:, :, 0])[..., None]], axis=2)
         drive = self.forces(x, given)[:, :legs]
-        return Deformation(relief, stretch, tension, moment, drive, energy / 2)
+        names = self.tree.geometry.leg_names
+        return Deformation(relief, stretch, tension, moment, drive, energy / 2, names)

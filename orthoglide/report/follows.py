@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import RULE, withheld
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, plain, signed
+from orthoglide.observations import ToolCampaign
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence, weak_sentences
@@ -19,6 +20,7 @@ from orthoglide.report.rows import millimetres, parameter_rows
 
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
+    from orthoglide.klipper import Corrections
     from orthoglide.observations import Campaign
     from orthoglide.posterior import Located
     from orthoglide.result import Result, Workspace
@@ -77,9 +79,8 @@ def _kept(found: Located) -> bool:
     return found.members[0].place.of_machine
 
 
-def firmware(advice: FirmwareAdvice, stands: bool) -> Data:
+def firmware(advice: FirmwareAdvice, found: Corrections, stands: bool) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
-    found = advice.corrections
     return {
         "first": advice.first,
         "stands": stands,
@@ -118,6 +119,7 @@ def following(result: Result, sheet: str) -> Data:
     return {
         "suggestions": suggestions,
         "hopeless": [_reason(s.reason) for s in suggested if s.campaign is None],
+        "hidden": bool(result.after.weak),
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
         "readings": len(proposed or ()),
         "moves": len(proposed.moves) if proposed else 0,
@@ -170,6 +172,8 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
         "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
         "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
         "most": listed([f"{name.replace('_', ' ')} ({share:.0%})" for name, share in shares]),
+        "proposed": bool(result.next_sheet),
+        "legs_alone": not result.after.problem.points,
     }
 
 
@@ -201,8 +205,19 @@ def unseen(result: Result, figures: Figures) -> Data:
         "sentences": weak_sentences(result.after.weak, result.catalogue),
         "effects": [(f.replace("_", " "), listed(members)) for f, members in by_effect.items()],
         "unexcited": [f.replace("_", " ") for f in result.unexcited],
+        "dialled": result.machine.geometry.dialled,
+        "owned": ",".join(_instruments(result)),
+        "machine": Path(result.request.machine.spec.file).name or "FILE",
         "figure": whole(figure) if figure else "",
     }
+
+
+def _instruments(result: Result) -> list[str]:
+    """Kinds of readings that were taken."""
+    problem = result.after.problem
+    tool = [p.points for p in problem.points if isinstance(p.points, ToolCampaign)]
+    kinds = {setup.kind for campaign in tool for setup in campaign.setups}
+    return [*(["leg"] if problem.campaigns else []), *sorted(kinds)]
 
 
 _METHODS = {
@@ -233,6 +248,7 @@ def method(result: Result) -> Data:
         "optimality": compact(fit.optimality, 1),
         "noise": compact(problem.noise.typical * 1e3, 2),
         "source": _SOURCES[problem.noise.source],
+        "dials": bool(problem.campaigns),
         "placement": compact(problem.machine.spec.dial.placement * 1e3, 2),
         "priors": problem.priors,
         "check": fit.check and _check(fit.check),

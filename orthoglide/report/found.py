@@ -121,6 +121,7 @@ def judged(result: Result, figures: Figures) -> Data:
         "tiles": tiles(result),
         "rows": score_rows(result),
         "figure": whole(figures["residuals"]),
+        "dials": bool(result.after.problem.campaigns),
         "held": result.hold_out is not None,
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
         "tcp": result.tcp is not None,
@@ -220,6 +221,7 @@ def _apart(cause: Cause, shown: list[str]) -> Data:
     }
 
 
-def readings(figures: Figures) -> Data:
+def readings(result: Result, figures: Figures) -> Data:
     """Readings and fit, setup by setup."""
-    return {"panels": panels(figures["readings"])}
+    dials = not result.after.problem.points
+    return {"panels": panels(figures["readings"]), "dials": dials}

@@ -76,8 +76,8 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         yield Section("faults", "Faults of the data", found.faults(result))
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
-    if result.firmware is not None:
-        data = follows.firmware(result.firmware, result.stands)
+    if result.firmware is not None and result.firmware.corrections is not None:
+        data = follows.firmware(result.firmware, result.firmware.corrections, result.stands)
         yield Section("firmware", "Numbers for the firmware", data)
     controller = {"rows": ()} if result.firmware else follows.controller(result)
     if controller["rows"]:
@@ -98,7 +98,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         space = follows.workspace(result, result.workspace, figures)
         yield Section("workspace", "The TCP over the workspace", space)
     yield Section("values", "What was identified", follows.values(result, figures))
-    yield Section("readings", "Readings and fit, setup by setup", found.readings(figures))
+    yield Section("readings", "Readings and fit, setup by setup", found.readings(result, figures))
     yield Section("unseen", "What these readings cannot tell", follows.unseen(result, figures))
     yield Section("method", "How this was computed", follows.method(result))
 

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from orthoglide.result import Result
 
 
+_LEFT_OVER = 0.5  # degrees of freedom: less is no test
+
+
 @dataclass(frozen=True)
 class ParameterRow:
     """One identified value in its file's unit, ready to print.
@@ -107,7 +110,7 @@ def score_rows(result: Result) -> list[ScoreRow]:
         ScoreRow("degrees of freedom", *(compact(s.dof, 4) for s in stages)),
         ScoreRow(
             "probability of what is left by noise alone",
-            *(probability(s.lack_of_fit_p) for s in stages),
+            *(probability(s.lack_of_fit_p) if s.dof >= _LEFT_OVER else "–" for s in stages),
         ),
     ]
     return rows

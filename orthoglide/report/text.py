@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from orthoglide.numerals import compact, signed
+from orthoglide.numerals import compact, hundredths, signed
 from orthoglide.report.phrases import sentence, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, curve_size, headline
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
+    from orthoglide.klipper import Corrections
     from orthoglide.result import Result
-    from orthoglide.result.firmware import FirmwareAdvice
 
 _WIDTH = 100  # where the output goes to a file
 
@@ -52,8 +52,8 @@ def summary(result: Result, ranked: bool = False) -> str:
     remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in _to_do(result)]
-    if result.firmware is not None:
-        parts.append(_firmware(result.firmware))
+    if result.firmware is not None and result.firmware.corrections is not None:
+        parts.append(_firmware(result.firmware.corrections))
         if not result.stands:
             parts.append(Text("Do not enter these numbers yet: something is left.", style="bold"))
         parts += [Text(f"- {sentence(text)}") for text in result.firmware.unseen]
@@ -110,16 +110,16 @@ def _causes(result: Result) -> Table:
     shown = _table("cause", "probability", "in words")
     for cause in result.effects:
         one = cause.chosen
-        shown.add_row(one.name, f"{one.probability:.2f}", one.words)
+        shown.add_row(one.name, hundredths(one.probability), one.words)
         for rival in (*cause.same, *cause.rivals):
-            shown.add_row(f"or {rival.name}", f"{rival.probability:.2f}", rival.words)
+            shown.add_row(f"or {rival.name}", hundredths(rival.probability), rival.words)
     return shown
 
 
 def _alone(result: Result) -> Table:
     shown = _table("if one alone", "probability", "in words")
     for one in result.alone:
-        shown.add_row(one.name, f"{one.probability:.2f}", one.words)
+        shown.add_row(one.name, hundredths(one.probability), one.words)
     return shown
 
 
@@ -139,9 +139,9 @@ def _tried(result: Result) -> Table:
     return shown
 
 
-def _firmware(advice: FirmwareAdvice) -> Table:
+def _firmware(found: Corrections) -> Table:
     shown = _table("printer.cfg", "old", "new")
-    for row in advice.corrections.rows:
+    for row in found.rows:
         shown.add_row(*row)
     return shown
 

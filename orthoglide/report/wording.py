@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
 _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
+_FEW = 2.0  # degrees of freedom
 _MOST_ALONE = 8
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
@@ -55,6 +56,11 @@ def claim(result: Result) -> str:
     if result.word == "unexplained":
         return f"{_nothing_explains(result)}{where_left(result)}"
     changed = _changed(result)
+    if result.before.scores.dof < _FEW:
+        return (
+            f"{changed}These readings are too few to look for causes with: what the "
+            f"{effects_named(result.before)} leave over is next to nothing."
+        )
     if result.improved:
         return (
             f"{changed}No single cause stands out: everything is off by a little, about "
@@ -149,21 +155,23 @@ def _nothing_explains(result: Result) -> str:
 
 
 def _instrument(result: Result) -> str:
-    return "the dial" if result.after.problem.campaigns else "the readings"
+    problem = result.after.problem
+    return "the dial" if problem.campaigns and not problem.points else "the readings"
 
 
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
     fit = result.after
     noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
+    whose = "the dial's noise" if _instrument(result) == "the dial" else "the noise of one"
     if left > noise:
         return (
-            f"Single readings are left with {compact(left, 2)} mm rms, where the dial's noise is "
+            f"Single readings are left with {compact(left, 2)} mm rms, where {whose} is "
             f"{compact(noise, 2)} mm."
         )
     return (
-        f"What is left of single readings ({compact(left, 2)} mm rms) is no larger than the dial's "
-        f"noise of {compact(noise, 2)} mm; it is significant by its pattern over setups and "
+        f"What is left of single readings ({compact(left, 2)} mm rms) is no larger than "
+        f"{whose} of {compact(noise, 2)} mm; it is significant by its pattern over setups and "
         f"postures, which noise alone would show with probability "
         f"{probability(result.left.p_value)}."
     )

@@ -72,6 +72,10 @@ def actions(result: Result) -> tuple[Action, ...]:
 def _zeros(result: Result) -> Iterator[Action]:
     numbers, expected = result.numbers, result.numbers.expected
     if result.firmware is not None:
+        if result.firmware.corrections is None:
+            touch = "Touch the plate too, for numbers for the firmware: its z = 0 is the plate"
+            yield Action("measure", touch)
+            return
         gain = expected["now"].shape - expected["zeros_and_lengths"].shape
         yield Action("zeros", "Enter the numbers for the firmware that stand below", gain)
         return
