@@ -8,6 +8,7 @@ import importlib
 import pickle
 import pkgutil
 import sys
+import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -294,6 +295,18 @@ def test_a_verdict_plots_itself(verdict: og.Verdict, tmp_path: Path) -> None:
     assert (tmp_path / "figure.svg").read_text(encoding="utf-8") == drawing.svg
     with pytest.raises(og.InputError, match=r"no figure 'all': it has residuals, readings"):
         verdict.plot("all")
+
+
+def test_an_estimate_plots_itself(verdict: og.Verdict) -> None:
+    estimate = verdict.before
+    told = ET.fromstring(estimate.plot("parameters").svg)
+    texts = {"".join(e.itertext()).strip() for e in told.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"joint offset, mm", "leg length, mm", "x", "y", "z"} <= texts
+    drawn = {estimate.plot(w).svg for w in ("residuals", "readings", "parameters", "correlations")}
+    assert len(drawn) == 4
+    assert estimate.plot().svg == estimate.plot("residuals").svg
+    with pytest.raises(og.InputError, match=r"it has residuals, readings, parameters, corr"):
+        estimate.plot("tool")
 
 
 def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import RULE, withheld
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.observations import ToolCampaign
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
 

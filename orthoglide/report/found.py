@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.effects.words import toward
+from orthoglide.figures.causes import MOST_CURVES
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures.causes import MOST_CURVES
-from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import (
