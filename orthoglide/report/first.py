@@ -94,7 +94,7 @@ def finding(result: Result) -> Data:
         "tiles": tiles(result),
         "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",
         "legs": bool(after.problem.campaigns),
-        "loses": any(loses(one) for one in (*result.effects, *result.located)),
+        "loses": any(map(loses, result.effects)) or any(map(loses, result.located)),
         "actions": [_action(action) for action in result.actions],
         "most": MOST,
         "cautions": [*([first] if first else []), *result.cautions],

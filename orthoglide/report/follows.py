@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,21 +57,10 @@ def controller(result: Result) -> Data:
         "worked": numbers.drives[0].worked(numbers.names),
         "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        "left_over": listed(_by_effect(numbers.left_over)),
+        "left_over": listed(numbers.beyond),
         "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
         "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
     }
-
-
-def _by_effect(names: Sequence[str]) -> list[str]:
-    """Parameters: several of one effect by its name."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        groups.setdefault(name.partition(".")[0], []).append(name)
-    return [
-        members[0] if len(members) == 1 else f"{effect.replace('_', ' ')} ({len(members)} numbers)"
-        for effect, members in groups.items()
-    ]
 
 
 def _kept(found: Located) -> bool:
