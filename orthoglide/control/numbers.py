@@ -176,6 +176,8 @@ class ControllerNumbers(Framed):
     def text(self) -> str:
         """For people: the rule in words, one worked line, a table, and the checks."""
         shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
+        named = zip(self.drives, self.zeros_only, strict=True)
+        alone = [f"{d.leg} {_mm(v):.4f}" for d, v in named]
         return _TEXT.format(
             title=self.title,
             rule=_fill(RULE),
@@ -185,10 +187,7 @@ class ControllerNumbers(Framed):
                 legs=", ".join(self.names.legs),
                 checks="\n".join(_fill(f"- {c}") for c in self.checks) or _NONE,
             ),
-            alone=", ".join(
-                f"{d.leg} {_mm(v):.4f}" for d, v in zip(self.drives, self.zeros_only, strict=True)
-            ),
-            **shape,
+            alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)),
             rest=_rest(self.beyond),
         )
 
@@ -285,6 +284,12 @@ _CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the
 are what the controller shows for {legs}.
 {checks}"""
 
+_ALONE = (
+    "Zeros only. For a controller that takes nothing but zeros these are best: {alone}. Mean error "
+    "of the TCP over the workspace to expect, after one translation of everything: {now} now, "
+    "{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`."
+)
+
 _TEXT = """{title}
 All lengths in mm, in the controller's own counting.
 
@@ -304,9 +309,7 @@ drive    new zero  add to cmd.  scale factor   backlash one-sided zero   bar len
 
 {checks}
 
-Zeros only. For a controller that takes nothing but zeros these are best: {alone}.
-Mean error of the TCP over the workspace to expect, after one translation of everything: {now} now,
-{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`.
+{alone}
 
 {rest}
 """
