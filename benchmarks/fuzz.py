@@ -44,6 +44,7 @@ from click.testing import CliRunner, Result
 
 from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spoil_toml
 from benchmarks.fuzz_originals import originals
+from benchmarks.fuzz_printers import misread
 from benchmarks.fuzz_verdicts import Judged, judged, report
 from orthoglide.cli import cli
 
@@ -93,6 +94,7 @@ COMMANDS: dict[str, tuple[int, dict[str, str], tuple[str, ...]]] = {
     "simulate": (5, {"--machine": "machine"}, ("--out", "out", "--tcp", "out.tcp.csv")),
     "export": (2, {"--machine": "machine"}, ("--out", "out", "--force")),
     "import klipper": (3, {"printer.cfg": "printer"}, ("--out", "out")),
+    "import klipper calibrated": (2, {"printer.cfg": "calibrated printer"}, ("--out", "out")),
     "identify mesh": (3, {"mesh.csv": "mesh", "--machine": "delta"}, ("--out", "out")),
     "forward delta": (1, {"--csv": "travel", "--machine": "delta"}, ("--out", "out")),
     "forward legs": (2, {"--csv": "travel of legs", "--machine": "legs"}, ("--out", "out")),
@@ -117,6 +119,7 @@ _SLOW = (
     "tolerances",
 )
 _SPOIL = {"machine": spoil_toml, "result": spoil_json, "printer": spoil_config}
+_SPOIL |= {"calibrated printer": spoil_config}
 _SPOIL |= {"delta": spoil_toml, "legs": spoil_toml}
 
 
@@ -129,7 +132,7 @@ def draw_case(number: int, only: str = "", light: bool = False) -> Case:
     spoilt = draw.choice(list(given))
     contents, arguments = dict[str, bytes](), [name.split()[0]]
     if arguments == ["import"]:
-        arguments = name.split()
+        arguments = name.split()[:2]
     for k, (place, kind) in enumerate(given.items()):
         text = originals()[kind]
         spoil = _SPOIL.get(kind, spoil_table)
@@ -193,6 +196,8 @@ def promised(case: Case, result: Result) -> str:
         return "tells a page" if len(told[0]) > 1100 else ""
     if any(name.startswith(".") for name in new):
         return "leaves a temporary file behind"
+    if case.arguments[0] == "import" and (told := misread(case.files["printer.cfg"], Path("out"))):
+        return told
     return unreadable(Path("out")) if "--out" in case.arguments else ""
 
 

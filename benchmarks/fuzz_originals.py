@@ -57,6 +57,7 @@ _TOOL_HEAD = (
     "travel_s2_mm,reading_mm,reading_mrad,sigma_mm,sigma_mrad"
 )
 _TOOL_KINDS = ("plate", "tcp", "distance", "ballbar", "incline")
+_STORED = Path(__file__).parents[1] / "tests" / "data" / "delta" / "v400-april.cfg"
 _PRINTER = """[printer]
 kinematics: delta
 delta_radius: 174.75
@@ -134,8 +135,9 @@ def originals() -> dict[str, str]:
     rho = "rho_x_mm,rho_y_mm,rho_z_mm\n310.25,310.25,310.25\n300,305,309\n"
     return {
         "campaign": campaign, "small": small, "machine": machine_text(machine.spec), "tcp": tcp,
-        "result": result, "path": path, "rho": rho, "printer": _PRINTER, "delta": delta,
-        "mesh": mesh, "simulated": campaign_text(simulate(machine, seed=0)), "travel": travel,
+        "result": result, "path": path, "rho": rho, "printer": _PRINTER,
+        "calibrated printer": _STORED.read_text(), "delta": delta, "mesh": mesh,
+        "simulated": campaign_text(simulate(machine, seed=0)), "travel": travel,
         "legs": _LEGS, "tool": _tool(), "travel of legs": travel.replace("_a_", "_p_")
         .replace("_b_", "_q_").replace("_c_", "_s_"), "sheet": sheet,
     }  # fmt: skip

@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -11,6 +12,8 @@ from orthoglide.cli import cli
 from orthoglide.effects.wording import confirm_words
 from orthoglide.machine import Machine
 from orthoglide.planning import owned_instruments
+from orthoglide.planning.mixed import mixed_sheet, whitened
+from orthoglide.planning.owning import sheet_of
 from tests.klipper_files import DATA
 
 
@@ -52,7 +55,9 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
         ("protocol", "--out", tmp_path / "s.csv"),
         ("simulate", "--out", tmp_path / "c.csv"),
     ):
-        assert "linear-delta" in run(*command, "--machine", machine, code=2)
+        told = run(*command, "--machine", machine, code=2)
+        assert "linear-delta" in told
+        assert "design --owns plate --out SHEET.csv writes a sheet" in told
     told = run("compare", "--machine", machine, "--out", tmp_path / "cmp", code=2)
     assert "simplified model" in told
     run("identify", imported / "mesh-default.csv", "--machine", machine, "--out", tmp_path / "id")
@@ -85,6 +90,43 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     assert "the reading is empty" in told
     assert "is one of leg, tcp" in run("design", "--owns", "ruler", "--machine", machine, code=2)
     assert "linear-delta" in run("design", "--owns", "leg", "--machine", machine, code=2)
+
+
+def test_a_count_of_readings_is_chosen_among_what_one_owns(imported: Path, tmp_path: Path) -> None:
+    machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
+    common = ("design", "--owns", "plate,incline", "--machine", machine)
+    told = run(*common, "--count", 20, "--out", sheet)
+    numbers = re.search(
+        r"with a probe on a plate \((\d+)\), a level on the platform \((\d+)\)", told
+    )
+    assert numbers is not None
+    plate, level = map(int, numbers.groups())
+    assert plate + level == 20
+    assert min(plate, level) >= 4
+    rows = sheet.read_text().splitlines()
+    assert sum(row.startswith("plate") for row in rows) == plate
+    assert len(rows) == 21
+    assert "ask for 6 to 55, not 56" in run(*common, "--count", 56, code=2)
+
+
+def test_readings_chosen_together_tell_more_than_drawn_ones(imported: Path) -> None:
+    machine = Machine.load(imported / "machine.toml")
+    sheets = [sheet_of(machine, kind) for kind in ("plate", "distance", "incline")]
+    rows, shared, prior = whitened(machine, sheets)
+
+    def told(kept: object) -> float:
+        """Log determinant of all parameters, what belongs to setups projected out."""
+        both = np.diag(prior) + rows[kept].T @ rows[kept]
+        return float(np.linalg.slogdet(both)[1] - np.linalg.slogdet(both[shared:, shared:])[1])
+
+    chosen = mixed_sheet(machine, sheets, 24)
+    names = [(s.name, p, a) for s in sheets for p, a in zip(s.posture, s.axis, strict=True)]
+    kept = [names.index((s.name, p, a)) for s in chosen
+            for p, a in zip(s.posture, s.axis, strict=True)]  # fmt: skip
+    assert len(set(kept)) == 24
+    drawn = np.random.default_rng(0)
+    others = [told(drawn.permutation(len(rows))[:24]) for _ in range(200)]
+    assert told(kept) > max(others) + 5
 
 
 def test_a_ball_bar_tells_what_dials_cannot() -> None:

@@ -317,3 +317,16 @@ def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
     assert any("one in 3" in note for note in found.notes)
     file.write_text(text.partition("#*# [bed_mesh")[0])
     assert any("7 touches" in note for note in import_printer(file).notes)
+
+
+def test_readings_behind_a_gap_are_read_and_half_ones_refused(tmp_path: Path) -> None:
+    file, text = tmp_path / "printer.cfg", V400.read_text()
+    lines = text.splitlines(keepends=True)
+    file.write_text("".join(x for x in lines if not x.startswith("#*# distance2")))
+    (calibration, *_) = import_printer(file).campaigns
+    distances = [p for p, k in zip(calibration.posture, calibration.kind, strict=True)
+                 if k == "distance"]  # fmt: skip
+    assert distances == [str(k) for k in range(12) if k != 2]
+    file.write_text("".join(x for x in lines if not x.startswith("#*# height3 =")))
+    with pytest.raises(FileError, match="height3 is missing"):
+        import_printer(file)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from orthoglide.observations import Campaign
     from orthoglide.planning import Repeats
 
+_COUNT = 24
 KINDS = ("standard", "sweep", "two-gauges")
 
 
@@ -39,7 +40,7 @@ KINDS = ("standard", "sweep", "two-gauges")
     help="Effects or parameters it is for.  [default: zeros and bar lengths; with "
     "--criterion discriminate all that a design can show]",
 )
-@click.option("--count", type=int, default=24, show_default=True, help="Readings to choose.")
+@click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
 @click.option(
     "--criterion",
     type=click.Choice(("d-optimal", "discriminate")),
@@ -52,7 +53,8 @@ KINDS = ("standard", "sweep", "two-gauges")
                    "repeat.")  # fmt: skip
 @click.option("--owns", type=Names(), default=(), metavar="KIND,...",
               help="Instruments that you have (leg, tcp, plate, distance, ballbar, incline): what "
-                   "they would tell together, and what each of the others would add.")  # fmt: skip
+                   "they would tell together, and what each of the others would add; with --count "
+                   "as many of the tool's readings as tell most together.")  # fmt: skip
 @click.option("--detect", is_flag=True, help="Also tell the smallest effects found and named.")
 @click.option("--noise", "noise_mm", type=float, metavar="MM",
               help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
@@ -63,7 +65,7 @@ def design(
     machine_path: Path | None,
     out: Path | None,
     free: tuple[str, ...],
-    count: int,
+    count: int | None,
     criterion: str,
     want: tuple[str, ...],
     owns: tuple[str, ...],
@@ -87,8 +89,9 @@ def design(
     noise = noise_metres(noise_mm)
     machine = load_machine(machine_path)
     if owns:
-        _of_owned(machine, owns, out, seed, quiet)
+        _of_owned(machine, owns, count, out, seed, quiet)
         return
+    count = _COUNT if count is None else count
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
@@ -124,7 +127,12 @@ COMMANDS = (design,)
 
 
 def _of_owned(
-    machine: Machine, kinds: tuple[str, ...], out: Path | None, seed: int, quiet: bool
+    machine: Machine,
+    kinds: tuple[str, ...],
+    count: int | None,
+    out: Path | None,
+    seed: int,
+    quiet: bool,
 ) -> None:
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
     from orthoglide.observations import csv_text, tool_rows
@@ -134,7 +142,7 @@ def _of_owned(
 
     with progress(quiet) as step:
         step(Step("computing", "what each instrument would tell"))
-        found = owned_instruments(machine, kinds, seed=seed)
+        found = owned_instruments(machine, kinds, count=count, seed=seed)
         listed = ", ".join(f"{INSTRUMENTS[k]} ({len(s)})" for k, s in found.sheets.items())
         lines = [f"with {listed}:", *detectable_rows(found.tells), "", "besides:"]
         lines += [f"- {gain}." for gain in found.gains]

@@ -82,7 +82,8 @@ class Stored:
         section = self.config.section("delta_calibrate")
         for word, setup in (("height", "heights"), ("manual_height", "manual-heights")):
             found: list[tuple[float, Array, Array]] = []
-            while (key := f"{word}{len(found)}") in section:
+            numbers = _numbers(section, word)
+            for key in (f"{word}{k}" for k in numbers):
                 height = section.number(key, low=-100, high=100) * 1e-3
                 travel = self._travel(section, f"{key}_pos")
                 found.append((height, travel, self._believed(section, f"{key}_pos", travel)))
@@ -95,7 +96,7 @@ class Stored:
                     f"changed since; if anything else was changed, run DELTA_CALIBRATE again",
                     "heights",
                 ))  # fmt: skip
-            for k, (height, travel, p) in enumerate(found):
+            for k, (height, travel, p) in zip(numbers, found, strict=True):
                 if abs(p[2] - height - off) > _FAR or np.hypot(*p[:2]) > self.firmware.delta_radius:
                     section.fail(
                         f"{word}{k}_pos",
@@ -108,8 +109,8 @@ class Stored:
                 yield _row("plate", setup, label, travel, height)
 
     def _distances(self) -> Iterator[dict[str, Any]]:
-        section, k = self.config.section("delta_calibrate"), 0
-        while f"distance{k}" in section:
+        section = self.config.section("delta_calibrate")
+        for k in _numbers(section, "distance"):
             distance = section.number(f"distance{k}", low=1, high=1000) * 1e-3
             ends, believed = [], []
             for end in ("pos1", "pos2"):
@@ -126,7 +127,6 @@ class Stored:
             spoke = k % 12 < 6
             row = _row("distance", "spokes" if spoke else "rim", f"{k}", ends[0], distance, ends[1])
             yield row if spoke else {**row, "sigma": RIM}
-            k += 1
 
     def _mesh(self, section: Section, name: str) -> Iterator[dict[str, Any]]:
         table = section.table("points")
@@ -188,6 +188,12 @@ class Stored:
             for at in (place, place - offset):
                 kept &= ~((at >= ends[0]) & (at <= ends[1])).all(axis=1)
         return kept
+
+
+def _numbers(section: Section, word: str) -> list[int]:
+    """Numbers of the readings of which anything is stored, those behind a gap too."""
+    own = re.compile(rf"{word}([0-9]{{1,4}})(?:_pos[12]?)?")
+    return sorted({int(m[1]) for key in section.entries if (m := own.fullmatch(key))})
 
 
 def _thinned(count: int, stride: int) -> NDArray[np.bool_]:

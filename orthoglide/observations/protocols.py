@@ -52,7 +52,8 @@ def check_dials(geometry: Geometry) -> None:
         raise InputError(
             f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
-            f"tcp or ballbar)"
+            f"tcp or ballbar), for which orthoglide design --owns plate --out SHEET.csv writes a "
+            f"sheet"
         )
 
 

@@ -92,7 +92,7 @@ def smallest_effects(
         noise: standard deviation of one reading, metres.
         seed: of the bootstrap on noise.
     """
-    seen = signatures(_as_expected(machine, campaign, noise))
+    seen = signatures(as_expected(machine, campaign, noise))
     scoring = Scoring.of(seen, seen.candidates)
     drawn = noise_residuals(seen, np.random.default_rng(seed), DRAWS)
     best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
@@ -127,7 +127,7 @@ def smallest_effects(
     return Detectability(tuple(found), tuple(hidden), threshold)
 
 
-def _as_expected(
+def as_expected(
     machine: Machine, campaign: Campaign | Sequence[Readings], noise: float | None
 ) -> Estimate:
     """Zeros and lengths identified from the readings predicted for them."""

@@ -13,6 +13,7 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, protocol
 from orthoglide.observations.tool import KINDS, Kind
 from orthoglide.planning.detectable import Detectability, smallest_effects
+from orthoglide.planning.mixed import mixed_sheet
 
 INSTRUMENTS: dict[str, str] = {
     "leg": "dials on the legs",
@@ -69,22 +70,30 @@ class Owned:
     gains: tuple[Gain, ...]
 
 
-def owned_instruments(machine: Machine, kinds: Sequence[str], *, seed: int = 0) -> Owned:
+def owned_instruments(
+    machine: Machine, kinds: Sequence[str], *, count: int | None = None, seed: int = 0
+) -> Owned:
     """What one's instruments would tell of a machine.
 
     Args:
         machine: as it is believed to be; its instruments say how well they read.
         kinds: of readings that one can take: ``leg``, ``tcp``, ``plate`` ...
+        count: of the tool's readings to choose among all of these; all where absent.
         seed: of the bootstrap on noise.
 
     Raises:
-        InputError: for a kind that there is not, or that this machine does not take.
+        InputError: for a kind that there is not, or that this machine does not take; for a count
+            that cannot be chosen.
     """
     for kind in kinds:
         if kind not in INSTRUMENTS:
             raise InputError(f"there is no instrument {kind!r}: it is one of "
                              f"{', '.join(INSTRUMENTS)}")  # fmt: skip
     sheets = {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
+    if count is not None:
+        of_tool = [s for s in sheets.values() if isinstance(s, ToolCampaign)]
+        chosen = {s.name: s for s in mixed_sheet(machine, of_tool, count)}
+        sheets = {k: chosen.get(k, s) for k, s in sheets.items() if k in chosen or k == "leg"}
     tells = smallest_effects(machine, list(sheets.values()), seed=seed)
     gains = []
     for kind in INSTRUMENTS:

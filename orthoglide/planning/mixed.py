@@ -1,0 +1,99 @@
+"""The readings to take with several instruments at the tool: one choice among all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from orthoglide.errors import InputError
+from orthoglide.fit import elementary_beyond, with_free
+from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.least_squares import linearise
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.observations import ToolCampaign
+from orthoglide.planning.detectable import as_expected
+
+_LOOSE = 1e-6  # precision of a datum, in readings: one of which nothing is known
+
+LEAST = 6
+"""Readings that are worth choosing: a plate's own height and slopes take three."""
+
+
+def mixed_sheet(
+    machine: Machine, sheets: Sequence[ToolCampaign], count: int
+) -> tuple[ToolCampaign, ...]:
+    """The readings that together tell most of everything that could be wrong with a machine.
+
+    From all of them the one is dropped, again and again, without which the determinant of the
+    information falls least: of all parameters in their tolerances, what belongs to the setups
+    (a plate's height and slopes, an instrument's frame) projected out.
+
+    Args:
+        machine: as it is believed to be; its instruments say how well they read.
+        sheets: readings to choose from, one campaign an instrument.
+        count: of readings to keep.
+
+    Returns:
+        What is kept of each sheet; sheets of which nothing is are left out.
+
+    Raises:
+        InputError: for too few readings.
+    """
+    most = sum(map(len, sheets))
+    if not LEAST <= count <= most:
+        raise InputError(
+            f"there are {most} readings of the tool to choose from: ask for {LEAST} to {most}, not "
+            f"{count}"
+        )
+    rows, shared, prior = whitened(machine, sheets)
+    kept = np.arange(len(rows))
+    both = np.diag(prior) + rows.T @ rows
+    while len(kept) > count:
+        whole = _leverage(both, rows[kept])
+        datums = _leverage(both[shared:, shared:], rows[kept, shared:])
+        worst = int(np.argmin(np.log1p(-datums) - np.log1p(-whole)))
+        both -= np.outer(rows[kept[worst]], rows[kept[worst]])
+        kept = np.delete(kept, worst)
+    owner = np.repeat(np.arange(len(sheets)), [len(s) for s in sheets])
+    first = np.cumsum([0, *(len(s) for s in sheets)])
+    chosen = [kept[owner[kept] == k] - first[k] for k in range(len(sheets))]
+    return tuple(_part(s, at) for s, at in zip(sheets, chosen, strict=True) if len(at))
+
+
+def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, int, Array]:
+    """Rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions."""
+    estimate = as_expected(machine, sheets, None)
+    problem = estimate.problem
+    effects = [effect.name for effect in excited_effects(problem)]
+    wide = with_free(problem, elementary_beyond(problem, effects), release=False)
+    x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(problem.unknowns))])
+    nuisance = estimate.nuisance
+    weight = nuisance.weight[:, None]
+    columns = linearise(wide, x).jacobian * wide.tolerance * weight
+    datums = nuisance.columns * weight
+    size = np.linalg.norm(datums, axis=0)
+    size[size == 0] = 1.0
+    known = nuisance.precision / size**2
+    prior = np.concatenate([np.ones(columns.shape[1]), np.maximum(known, _LOOSE)])
+    return np.hstack([columns, datums / size]), columns.shape[1], prior
+
+
+def _leverage(information: Array, rows: Array) -> Array:
+    """Share of each row ``(n,)`` in what is known along it."""
+    share = np.sum(rows * np.linalg.solve(information, rows.T).T, axis=1)
+    return np.asarray(np.clip(share, 0.0, 1 - 1e-12))
+
+
+def _part(sheet: ToolCampaign, rows: Array) -> ToolCampaign:
+    """Some rows of a campaign of one setup, in a new sequence."""
+    taken = {
+        f.name: getattr(sheet, f.name)[rows]
+        for f in fields(sheet)
+        if isinstance(getattr(sheet, f.name), np.ndarray)
+    }
+    posture = tuple(sheet.posture[k] for k in rows)
+    taken["order"] = np.arange(1, len(rows) + 1)
+    return replace(sheet, **taken, posture=posture)
