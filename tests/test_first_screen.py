@@ -332,3 +332,22 @@ def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too() -> None:
     assert "Lost motion is left out" in screen(verdict)
     straight = explained("rail_bow.x.z", 2e-4, CATALOGUE, 1.0)
     assert "Lost motion is left out" not in screen(made_up("explained", Cause(straight, (), ())))
+
+
+def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_rounds_to_it() -> (
+    None
+):
+    """`rail.x.y/travel` is of one leg, not of all."""
+    from orthoglide.effects.places import places
+    from orthoglide.effects.wording import cause_short
+    from orthoglide.report.found import budget
+
+    place = next(p for p in places() if p.name == "rail.x.y/travel")
+    own = CATALOGUE.with_effects([place.effect])
+    assert cause_short(own, place.effect.name) == place.words
+    verdict = made_up("explained")
+    item = replace(lost("platform").budget[0], gain=-1e-9, share=-1e-6)
+    verdict.__dict__["budget"] = (item,)
+    (row,) = budget(verdict)["rows"]
+    assert row["gain"].startswith("0.0000 ±")
+    assert row["share"] == "0%"

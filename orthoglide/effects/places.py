@@ -16,7 +16,7 @@ import numpy as np
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect, LegConditions, Motion
 from orthoglide.effects.kernels import BuildUp, Kernel
-from orthoglide.effects.words import toward
+from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
@@ -121,6 +121,7 @@ class Place:
             sentence=words,
             look_at=self.look_at,
             members=partial(_members, self),
+            words=Words(many=words),
             paired=True,
             names=self.names,
         )
