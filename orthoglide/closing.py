@@ -39,7 +39,7 @@ from orthoglide.request import Request
 from orthoglide.result import Result, Word
 
 if TYPE_CHECKING:
-    from orthoglide.report.figures.style import Drawing
+    from orthoglide.figures.style import Drawing
 
 __all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
 
@@ -71,12 +71,12 @@ class Verdict(Result):
         Args:
             what: ``"residuals"`` or ``"readings"`` by setup, ``"causes"`` with their rivals,
                 ``"tool"``: where it goes instead, as arrows over the workspace; or
-                ``"parameters"``.
+                ``"parameters"`` and their ``"correlations"``.
 
         Raises:
             InputError: for a figure that there is not, or not of this result.
         """
-        from orthoglide.report.figures.draw import draw_one
+        from orthoglide.figures.draw import draw_one
 
         return draw_one(self, what)
 

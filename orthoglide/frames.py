@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["data_frame", "html_table"]
+__all__ = ["Framed", "data_frame", "html_table"]
+
+
+class Framed(ABC):
+    """What shows itself as a table: its ``columns``, in the units of files."""
+
+    _index: ClassVar[str | None] = None
+
+    @property
+    @abstractmethod
+    def columns(self) -> dict[str, list[Any]]:
+        """Columns of equal length by name."""
+
+    def to_frame(self) -> pd.DataFrame:
+        """The columns as a data frame.
+
+        Raises:
+            InputError: where pandas is not installed.
+        """
+        return data_frame(self.columns, index=self._index)
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self)[1:-1], self.columns)
 
 
 def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -> pd.DataFrame:

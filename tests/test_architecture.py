@@ -22,7 +22,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"reduction", "urdf", "effects", "scene"}),
     frozenset({"mechanism", "machine_file"}),
     frozenset({"observations"}),
-    frozenset({"prediction"}),
+    frozenset({"prediction", "figures"}),
     frozenset({"machine"}),
     frozenset({"accuracy"}),
     frozenset({"fit", "comparison", "control", "pictures"}),
@@ -134,7 +134,8 @@ COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior",
 def test_reports_only_draw() -> None:
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
-        for path in sorted((PACKAGE / "report").rglob("*.py"))
+        for room in ("report", "figures")
+        for path in sorted((PACKAGE / room).rglob("*.py"))
         for name in imports(path)
         if name.startswith(("scipy", *(f"orthoglide.{room}" for room in COMPUTING)))
     ]

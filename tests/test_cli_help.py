@@ -48,6 +48,19 @@ def test_examples_stand_in_the_help_and_are_understood(name: str) -> None:
             assert context.params  # UsageError where an option is wrong or missing
 
 
+@pytest.mark.parametrize("group", [(), ("import",)])
+def test_the_list_of_commands_cuts_no_sentence(group: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(cli, [*group, "--help"])
+    listed = result.output.partition("Commands:")[2].partition("Examples:")[0]
+    assert "..." not in listed
+    said = " ".join(listed.split())
+    owner = cli.commands[group[0]] if group else cli
+    assert isinstance(owner, click.Group)
+    for command in owner.commands.values():
+        first = " ".join((command.help or "").split()).partition(". ")[0].rstrip(".")
+        assert first in said
+
+
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("HOME", str(tmp_path))

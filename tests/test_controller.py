@@ -289,6 +289,23 @@ def test_the_rules_as_they_are_written_put_the_drives_right(way: int) -> None:
         assert np.abs(p - goal).max() < 1e-9
 
 
+def test_the_text_of_the_numbers_is_readable() -> None:
+    values = {f"axis_tilt.{leg}.{way}": 1e-3 for leg, way in ("xy", "yz", "zx")}
+    found = machine({**values, "rail_bow.x.z": 1e-4, "backlash.y": -1e-9, "joint_offset.x": 1e-3})
+    text = controller_numbers(found).text()
+    assert max(map(len, text.splitlines())) <= 100
+    assert not re.search(r"-0\.0+\b", "".join(re.findall(r"(?m)^  [xyz] .*$", text)))
+    assert "cannot hold axis tilt (3 numbers), rail_bow.x.z: send" in " ".join(text.split())
+
+
+def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
+    plain = machine({"joint_offset.x": 1e-3})
+    named = Machine(replace(plain.spec, name="the left one"))
+    unnamed = Machine(replace(plain.spec, name=""))
+    titles = [controller_numbers(m).text().splitlines()[0] for m in (named, unnamed)]
+    assert titles == ["Numbers for the controller: the left one", "Numbers for the controller"]
+
+
 def test_the_sign_rule_is_worked_out_in_words() -> None:
     text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
     assert "new zero = old zero - sign x joint_offset" in text

@@ -19,7 +19,7 @@ from orthoglide.layout import LinearDelta
 from orthoglide.pages import rendered
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import Cause, Explanation
-from orthoglide.report import result_text
+from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
 from orthoglide.result.actions import Option
 from tests.test_report import result_of, words
@@ -261,3 +261,93 @@ def test_identify_says_what_to_enter_and_what_to_run_next() -> None:
     zero = result_of().numbers.zeros_only[0] * 1e3
     assert f"Enter new zeros in the controller: x {zero:.3f}" in text
     assert "orthoglide close-loop takes the same files" in text
+
+
+@cache
+def lost(which: str) -> Verdict:
+    """A machine that loses 0.2 mm in a way that no catalogue knows, by its own simulator."""
+    from tests import rig_campaigns as rc
+    from tests.rig import Rig
+
+    zeros = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4, "joint_offset.z": 8e-4}
+    rig = {
+        "platform": Rig(errors=zeros, extra_platform=(rc.platform_play(0, 1, 2e-4),)),
+        "reversal": Rig(errors=zeros, extra=(rc.hysteresis(1, 2e-4),)),
+    }[which]
+    sheet = "fine-sweep" if which == "reversal" else "sweep"
+    rows = rc.simulate(rig, sheet, np.random.default_rng(5))
+    table = {key: [row[key] for row in rows] for key in rows[0]}
+    return og.close_loop([og.Campaign.from_frame(table, name="lost")], og.Machine.nominal())
+
+
+@pytest.mark.parametrize(
+    ("which", "said", "test"),
+    [
+        (
+            "platform",
+            r"end of leg x moves on the platform toward y by the side it is approached from, by "
+            r"([\d.]+) mm \(between the two ways of coming to a place\)",
+            r"Set a dial on the end of leg x at the platform along y and come to one place from "
+            r"smaller and from larger travel of x: expect ([\d.]+) mm between the two",
+        ),
+        (
+            "reversal",
+            r"Drive y goes wrong along its axis by the way gone since it turned round, by "
+            r"([\d.]+) mm \(from the turn on\)",
+            r"Set a dial on carriage y along its travel, come to one place after a long way "
+            r"without a turn, then turn just before it: expect up to ([\d.]+) mm",
+        ),
+    ],
+)
+def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
+    which: str, said: str, test: str
+) -> None:
+    verdict = lost(which)
+    assert verdict.word == "located"
+    text = screen(verdict)
+    for pattern in (said, test):
+        found = re.search(pattern, text)
+        assert found, text
+        assert float(found[1]) == pytest.approx(0.2, abs=0.03)
+    (mark,) = verdict.picture.options[0].marks
+    size = re.match(r"([\d.]+) mm$", mark.label)
+    assert size
+    assert float(size[1]) == pytest.approx(0.2, abs=0.03)
+    assert mark.both
+
+
+@pytest.mark.parametrize("which", ["platform", "reversal"])
+def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
+    text = screen(lost(which))
+    assert "Lost motion is left out: the numbers are for the middle" in text
+    assert "put right: lost motion, which the errors of the tool above leave out" in text
+    assert "gains 0 mm" not in text
+    page = words(report_files(lost(which))["report.html"])
+    assert "in calibrated.toml , but not that" in page.replace("  ", " ")
+
+
+def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too() -> None:
+    one = explained("backlash.x", 2e-4, CATALOGUE, 1.0)
+    verdict = made_up("explained", Cause(one, (), ()))
+    assert "Lost motion is left out" in screen(verdict)
+    straight = explained("rail_bow.x.z", 2e-4, CATALOGUE, 1.0)
+    assert "Lost motion is left out" not in screen(made_up("explained", Cause(straight, (), ())))
+
+
+def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_rounds_to_it() -> (
+    None
+):
+    """`rail.x.y/travel` is of one leg, not of all."""
+    from orthoglide.effects.places import places
+    from orthoglide.effects.wording import cause_short
+    from orthoglide.report.found import budget
+
+    place = next(p for p in places() if p.name == "rail.x.y/travel")
+    own = CATALOGUE.with_effects([place.effect])
+    assert cause_short(own, place.effect.name) == place.words
+    verdict = made_up("explained")
+    item = replace(lost("platform").budget[0], gain=-1e-9, share=-1e-6)
+    verdict.__dict__["budget"] = (item,)
+    (row,) = budget(verdict)["rows"]
+    assert row["gain"].startswith("0.0000 ±")
+    assert row["share"] == "0%"

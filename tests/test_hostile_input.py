@@ -25,12 +25,12 @@ from orthoglide.comparison.tables import slice_figure
 from orthoglide.control import export_files
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
+from orthoglide.figures.style import applied, new_figure, svg_text
 from orthoglide.files import read_bytes
 from orthoglide.machine_file import machine_text, nominal_machine_file, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import campaign_text, read_campaign
 from orthoglide.parameters import Parameter
-from orthoglide.report.figures.style import applied, new_figure, svg_text
 from orthoglide.report.text import console_text
 
 EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()

@@ -8,6 +8,7 @@ import importlib
 import pickle
 import pkgutil
 import sys
+import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -296,6 +297,18 @@ def test_a_verdict_plots_itself(verdict: og.Verdict, tmp_path: Path) -> None:
         verdict.plot("all")
 
 
+def test_an_estimate_plots_itself(verdict: og.Verdict) -> None:
+    estimate = verdict.before
+    told = ET.fromstring(estimate.plot("parameters").svg)
+    texts = {"".join(e.itertext()).strip() for e in told.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"joint offset, mm", "leg length, mm", "x", "y", "z"} <= texts
+    drawn = {estimate.plot(w).svg for w in ("residuals", "readings", "parameters", "correlations")}
+    assert len(drawn) == 4
+    assert estimate.plot().svg == estimate.plot("residuals").svg
+    with pytest.raises(og.InputError, match=r"it has residuals, readings, parameters, corr"):
+        estimate.plot("tool")
+
+
 def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(
     verdict: og.Verdict,
 ) -> None:
@@ -305,3 +318,35 @@ def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(
     np.testing.assert_allclose(space.now.mean(axis=0), 0.0, atol=1e-12)
     assert verdict.map is not None
     np.testing.assert_allclose(space.nominal, verdict.map.error)
+
+
+def test_what_is_shown_of_commands_and_numbers(campaign: og.Campaign) -> None:
+    worn = og.Machine.nominal().with_parameters(ERRORS)
+    found = og.compensate(worn, [[0.0, 0.0, 0.0], [0.01, 0.005, 0.0]])
+    frame = found.to_frame()
+    assert frame[["rho_x_mm", "rho_y_mm", "rho_z_mm"]].to_numpy() == pytest.approx(found.rho * 1e3)
+    assert frame["expected_mm"].to_numpy() == pytest.approx(found.accuracy * 1e3)
+    assert list(frame) == commands_text(found).splitlines()[0].split(",")
+    assert repr(found).startswith("<Compensation of 2 points: 0.")
+    numbers = og.controller_numbers(worn)
+    drives = numbers.to_frame()
+    assert list(drives.index) == ["x", "y", "z"]
+    assert drives.loc["x", "new_zero_mm"] == pytest.approx(numbers.drives[0].new_zero * 1e3)
+    assert str(numbers) == numbers.text()
+    assert repr(numbers) == f"<{numbers.text().splitlines()[0]}>"
+    points = og.read_tcp(RIG / "rig-3.tcp.csv")
+    assert points.to_frame()["p_y_mm"].to_numpy() == pytest.approx(points.p[:, 1] * 1e3)
+    shown = [frame_of._repr_html_() for frame_of in (found, numbers, points)]
+    assert all(page.startswith("<table><caption>") for page in shown)
+
+
+def test_what_is_shown_of_readings_to_take(estimate: og.Estimate) -> None:
+    chosen = og.design(og.Machine.nominal(), count=6)
+    assert len(chosen.to_frame()) >= 6
+    assert repr(chosen) == "<Design, d-optimal: 6 readings for 6 parameters>"
+    assert chosen._repr_html_() == chosen.campaign._repr_html_()
+    for one in og.next_measurements(estimate):
+        assert len(one.to_frame()) == len(one.rows)
+        assert repr(one).startswith(f"<Suggestion, {len(one.chosen)} readings: ")
+        assert len(repr(one)) < 400
+        assert one._repr_html_().count("<tr>") in (len(one.rows) + 1, 22)

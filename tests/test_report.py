@@ -25,14 +25,14 @@ import orthoglide as og
 from orthoglide.closing import Verdict, run
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
+from orthoglide.figures.draw import draw
+from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate, WeakDirection, identify
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol
 from orthoglide.report import follows, report_files
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures.draw import draw
-from orthoglide.report.figures.style import PALETTE
 from orthoglide.report.phrases import listed, weak_sentences
 from orthoglide.report.wording import claim, headline
 from orthoglide.request import Request

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-import orthoglide.report.figures.style as style
+import orthoglide.figures.style as style
 from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE
 

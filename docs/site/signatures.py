@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import orthoglide as og
-import orthoglide.report.figures.style as style
+import orthoglide.figures.style as style
 from orthoglide.effects.wording import one_words
 from orthoglide.geometry import LEGS, Array
 from orthoglide.pictures import dials, option

@@ -7,11 +7,12 @@ from pathlib import Path
 import click
 
 from orthoglide.cli.options import PATH, out_option
+from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 
 
-@click.group("import")
+@click.group("import", cls=Listed)
 def import_() -> None:
     """Machine file and campaigns from what a firmware stored."""
 

@@ -40,12 +40,26 @@ class Refusal(click.ClickException):
         say(f"orthoglide: {self.message}", err=True)
 
 
-class Commands(click.Group):
-    """A group whose commands may raise the package's errors; listed in the order added."""
+_SENTENCE = 200  # letters: none is cut
+
+
+class Listed(click.Group):
+    """A group whose commands are listed in the order added, with what they do in full."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the work, not of the alphabet."""
         return list(self.commands)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Every command with the whole of its first sentence."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, one.get_short_help_str(_SENTENCE)) for name, one in self.commands.items()]
+            )
+
+
+class Commands(Listed):
+    """A group whose commands may raise the package's errors."""
 
     def make_context(self, *arguments: Any, **options: Any) -> click.Context:
         """Read the command line; an interrupt ends it like a command."""

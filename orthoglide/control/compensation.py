@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +12,12 @@ from numpy.typing import ArrayLike
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError
+from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
+from orthoglide.observations.columns import POINT, approach_of, names_of
 from orthoglide.prediction import Conditions
 
 RESOLUTION = 1e-9
@@ -28,12 +31,13 @@ NOT_COVERED = (
 )
 """What the expected accuracy does not cover."""
 
+_ENDS = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm")
 _ROUNDS = 12
 _FAR = 0.02  # metres, more than any effect moves a command
 
 
 @dataclass(frozen=True, eq=False)
-class Compensation:
+class Compensation(Framed):
     """Commands for a path, row by row.
 
     Attributes:
@@ -63,6 +67,29 @@ class Compensation:
 
     def __len__(self) -> int:
         return len(self.wanted)
+
+    def __repr__(self) -> str:
+        before, after = (float(np.mean(e)) * 1e3 for e in (self.error_before, self.accuracy))
+        return (
+            f"<Compensation of {len(self)} points: {after:.3f} mm off to expect on average, "
+            f"{before:.3f} mm by the nominal commands>"
+        )
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """A row a point: the point, the commands both ways counted, how each drive arrives, and
+        what to expect, in millimetres.
+        """
+        ends = (self.residual, self.shape, np.full(len(self), self.place), self.accuracy)
+        groups: dict[tuple[str, ...], Array] = {
+            POINT: self.wanted * 1e3,
+            tuple(f"rho_{leg}_mm" for leg in self.legs): self.rho * 1e3,
+            names_of(self.legs)[0]: self.travel * 1e3,
+            approach_of(self.legs): self.approach,
+            tuple(f"sigma_{axis}_mm" for axis in LEGS): self.shape_sigma * 1e3,
+            _ENDS: np.column_stack([*ends, self.error_before]) * 1e3,
+        }
+        return {n: v[:, k].tolist() for names, v in groups.items() for k, n in enumerate(names)}
 
     @property
     def residual(self) -> Array:

@@ -11,9 +11,9 @@ import numpy as np
 from orthoglide.control.compensation import Compensation
 from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations.columns import MM, POINT, approach_of, names_of
+from orthoglide.observations.columns import MM, POINT
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.text import csv_text
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_robot_files
@@ -53,18 +53,11 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 
 def commands_text(found: Compensation) -> str:
     """Commands as CSV: the points, both ways to count the commands, and what to expect."""
-    sigmas = tuple(f"sigma_{axis}_mm" for axis in LEGS)
-    rho = tuple(f"rho_{leg}_mm" for leg in found.legs)
-    travel, approach = names_of(found.legs)[0], approach_of(found.legs)
-    ends = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm")
-    rows = []
-    for k in range(len(found)):
-        lengths = np.concatenate([found.wanted[k], found.rho[k], found.travel[k]])
-        expected = (found.shape[k], found.place, found.accuracy[k])
-        last = (found.residual[k], *expected, found.error_before[k])
-        ways = (f"{way:+.0f}" for way in found.approach[k])
-        rows.append([*map(_mm, lengths), *ways, *map(_mm, (*found.shape_sigma[k], *last))])
-    return csv_text((*POINT, *rho, *travel, *approach, *sigmas, *ends), rows)
+    shown = [
+        [f"{v:+.0f}" if name.startswith("approach") else _digits(v) for v in values]
+        for name, values in found.columns.items()
+    ]
+    return csv_text(tuple(found.columns), zip(*shown, strict=True))
 
 
 def export_files(
@@ -94,6 +87,6 @@ def export_files(
     }
 
 
-def _mm(metres: float) -> str:
-    text = f"{metres * 1e3:.6f}"
+def _digits(millimetres: float) -> str:
+    text = f"{millimetres:.6f}"
     return text.lstrip("-") if float(text) == 0 else text

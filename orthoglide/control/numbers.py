@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from textwrap import fill
+from textwrap import TextWrapper
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,11 @@ import numpy as np
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
+from orthoglide.frames import Framed
 from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
 
+_fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
 RULE = (
     "new zero = old zero - sign x joint_offset: what the controller shows, counted as now, when "
     "the carriage is at mechanical zero; for it stands at the commanded joint coordinate plus its "
@@ -107,7 +109,7 @@ class DriveNumbers:
 
 
 @dataclass(frozen=True)
-class ControllerNumbers:
+class ControllerNumbers(Framed):
     """Corrections for the three drives.
 
     Attributes:
@@ -127,6 +129,35 @@ class ControllerNumbers:
     zeros_only: tuple[float, ...]
     checks: tuple[ZeroCheck, ...]
     expected: dict[str, ExpectedError]
+    _index = "drive"
+
+    def __repr__(self) -> str:
+        return f"<{self.title}>"
+
+    def __str__(self) -> str:
+        return self.text()
+
+    @property
+    def title(self) -> str:
+        """What they are, with the machine's name where it has one."""
+        return f"Numbers for the controller{f': {self.name}' if self.name else ''}"
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """A row a drive, in millimetres."""
+        rows = [{"drive": d.leg, **d.as_dict()} for d in self.drives]
+        return {name: [row[name] for row in rows] for name in rows[0]}
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """What no such number can hold: parameters, several of one effect by its name."""
+        groups: dict[str, list[str]] = {}
+        for name in self.left_over:
+            groups.setdefault(name.partition(".")[0], []).append(name)
+        return tuple(
+            one[0] if len(one) == 1 else f"{effect.replace('_', ' ')} ({len(one)} numbers)"
+            for effect, one in groups.items()
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""
@@ -145,20 +176,19 @@ class ControllerNumbers:
     def text(self) -> str:
         """For people: the rule in words, one worked line, a table, and the checks."""
         shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
+        named = zip(self.drives, self.zeros_only, strict=True)
+        alone = [f"{d.leg} {_mm(v):.4f}" for d, v in named]
         return _TEXT.format(
-            name=self.name,
-            rule=fill(RULE, 100),
-            worked=self.drives[0].worked(self.names),
+            title=self.title,
+            rule=_fill(RULE),
+            worked=_fill(f"Worked: {self.drives[0].worked(self.names)}"),
             table="\n".join(map(_line, self.drives)),
             checks=_CHECKS.format(
                 legs=", ".join(self.names.legs),
-                checks="\n".join(f"- {check}" for check in self.checks) or _NONE,
+                checks="\n".join(_fill(f"- {c}") for c in self.checks) or _NONE,
             ),
-            alone=", ".join(
-                f"{d.leg} {_mm(v):.4f}" for d, v in zip(self.drives, self.zeros_only, strict=True)
-            ),
-            **shape,
-            rest=_rest(self.left_over),
+            alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)),
+            rest=_rest(self.beyond),
         )
 
 
@@ -227,20 +257,25 @@ def _mm(metres: float) -> float:
     return round(metres * 1e3, 6) + 0.0
 
 
+def _cell(metres: float, form: str) -> str:
+    """Millimetres in a table; nothing is below zero that rounds to it."""
+    return format(round(metres * 1e3, 4) + 0.0, form)
+
+
 def _line(d: DriveNumbers) -> str:
     return (
-        f"  {d.leg}   {_mm(d.new_zero):+12.4f} {_mm(d.correction):+12.4f} "
-        f"{d.scale_factor:13.7f} {_mm(d.backlash):10.4f} {_mm(d.one_sided_zero):+14.4f} "
-        f"{_mm(d.bar_length):12.4f}"
+        f"  {d.leg}   {_cell(d.new_zero, '+12.4f')} {_cell(d.correction, '+12.4f')} "
+        f"{d.scale_factor:13.7f} {_cell(d.backlash, '10.4f')} "
+        f"{_cell(d.one_sided_zero, '+14.4f')} {_cell(d.bar_length, '12.4f')}"
     )
 
 
 def _rest(names: tuple[str, ...]) -> str:
     if not names:
         return "Nothing else was identified: these numbers hold all of it."
-    return (
-        "These numbers cannot hold " + ", ".join(names) + ": send commands from "
-        "`orthoglide compensate` instead, which hold everything. Use one or the other, never both."
+    return _fill(
+        f"These numbers cannot hold {', '.join(names)}: send commands from `orthoglide compensate` "
+        "instead, which hold all that the machine file has. Use one or the other, never both."
     )
 
 
@@ -249,11 +284,17 @@ _CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the
 are what the controller shows for {legs}.
 {checks}"""
 
-_TEXT = """Numbers for the controller: {name}
+_ALONE = (
+    "Zeros only. For a controller that takes nothing but zeros these are best: {alone}. Mean error "
+    "of the TCP over the workspace to expect, after one translation of everything: {now} now, "
+    "{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`."
+)
+
+_TEXT = """{title}
 All lengths in mm, in the controller's own counting.
 
 {rule}
-Worked: {worked}
+{worked}
 
 Scale factor: multiply commanded distances from mechanical zero (or the counts per millimetre) by
 it; the new zero is the one after that.
@@ -268,9 +309,7 @@ drive    new zero  add to cmd.  scale factor   backlash one-sided zero   bar len
 
 {checks}
 
-Zeros only. For a controller that takes nothing but zeros these are best: {alone}.
-Mean error of the TCP over the workspace to expect, after one translation of everything: {now} now,
-{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`.
+{alone}
 
 {rest}
 """

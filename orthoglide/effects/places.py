@@ -16,7 +16,7 @@ import numpy as np
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect, LegConditions, Motion
 from orthoglide.effects.kernels import BuildUp, Kernel
-from orthoglide.effects.words import toward
+from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
@@ -95,6 +95,11 @@ class Place:
         """
         return self.part == "platform"
 
+    @property
+    def loses(self) -> bool:
+        """Whether it is lost motion: the same command ends elsewhere by the way that led there."""
+        return self.against in ("approach", "reversal")
+
     def interval(self, stroke: Range) -> Range:
         """First and last of its variable.
 
@@ -116,6 +121,7 @@ class Place:
             sentence=words,
             look_at=self.look_at,
             members=partial(_members, self),
+            words=Words(many=words),
             paired=True,
             names=self.names,
         )

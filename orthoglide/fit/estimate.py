@@ -24,6 +24,8 @@ from orthoglide.units import Unit
 if TYPE_CHECKING:
     import pandas as pd
 
+    from orthoglide.figures.style import Drawing
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -183,6 +185,20 @@ class Estimate:
             InputError: where pandas is not installed.
         """
         return data_frame(self._columns, index="parameter")
+
+    def plot(self, what: str = "residuals") -> Drawing:
+        """A figure of the fit, which notebooks show and ``save`` writes.
+
+        Args:
+            what: ``"residuals"`` or ``"readings"`` by setup, ``"parameters"`` against their
+                tolerances, or their ``"correlations"``.
+
+        Raises:
+            InputError: for a figure that there is not.
+        """
+        from orthoglide.figures.draw import draw_fit
+
+        return draw_fit(self, what)
 
     def _repr_html_(self) -> str:
         return html_table(repr(self)[1:-1], self._columns)

@@ -6,9 +6,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.approach import Ints
@@ -32,7 +34,7 @@ _COORDINATE = Column(number(MM), NAN)
 
 
 @dataclass(frozen=True, eq=False)
-class TcpPoints:
+class TcpPoints(Framed):
     """Measured TCP positions, each in the instrument's own frame.
 
     Attributes:
@@ -62,6 +64,13 @@ class TcpPoints:
     def name(self) -> str:
         """Of the file, without its folder and ending."""
         return Path(self.file).stem or "points"
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """A row a point: the command and what was measured, in millimetres."""
+        values = np.hstack([self.command, self.p, self.sigma[:, None]]) * 1e3
+        names = (*RHO, *POINT, "sigma_mm")
+        return {name: values[:, k].tolist() for k, name in enumerate(names)}
 
     def __repr__(self) -> str:
         return f"<TcpPoints: {len(self)} points{f' of {self.file}' if self.file else ''}>"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from orthoglide.planning.criteria import Determinant, EffectSeparation
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool, sheet
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Criterion = Literal["d-optimal", "discriminate"]
 
@@ -61,6 +64,21 @@ class Design:
     indices: Observability
     closest: tuple[Pair, ...] = ()
     never: tuple[Pair, ...] = ()
+
+    def __repr__(self) -> str:
+        count, names = len(self.campaign), len(self.names)
+        return f"<Design, {self.criterion}: {count} readings for {names} parameters>"
+
+    def to_frame(self) -> pd.DataFrame:
+        """The measuring sheet as a data frame, a row a reading.
+
+        Raises:
+            InputError: where pandas is not installed.
+        """
+        return self.campaign.to_frame()
+
+    def _repr_html_(self) -> str:
+        return self.campaign._repr_html_()
 
 
 def design(

@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, WeakDirection
+from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
@@ -46,7 +47,7 @@ _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
 
 
 @dataclass(frozen=True)
-class Suggestion:
+class Suggestion(Framed):
     """A few readings to take, and why.
 
     Attributes:
@@ -69,6 +70,15 @@ class Suggestion:
     def campaign(self) -> Campaign | None:
         """The readings without their values; ``None`` where nothing helps."""
         return sheet(self.pool, self.chosen) if self.chosen and self.pool is not None else None
+
+    def __repr__(self) -> str:
+        return f"<Suggestion, {len(self.chosen)} readings: {self.reason}>"
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """The rows as campaign files have them, by column; empty where nothing helps."""
+        rows = self.rows
+        return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
 
     @property
     def rows(self) -> tuple[dict[str, str], ...]:

@@ -9,14 +9,14 @@ import numpy as np
 
 from orthoglide.accuracy import mean_length
 from orthoglide.errors import InputError
-from orthoglide.frames import data_frame, html_table
+from orthoglide.frames import Framed, html_table
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.planning.sources import Sources, ToolError
 from orthoglide.units import Unit
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 LARGEST = 1e3
 """Scale of the tolerances from which on any will do."""
@@ -47,7 +47,7 @@ class NeededTolerance:
 
 
 @dataclass(frozen=True)
-class NeededTolerances:
+class NeededTolerances(Framed):
     """Tolerances that a wanted error of the tool needs.
 
     Attributes:
@@ -68,6 +68,7 @@ class NeededTolerances:
     noise: float
     sheet: str
     left_out: tuple[str, ...]
+    _index = "effect"
 
     @property
     def columns(self) -> dict[str, list[Any]]:
@@ -79,14 +80,6 @@ class NeededTolerances:
         ]  # fmt: skip
         titles = ("effect", "tolerance", "share", "all_alike", "equal_shares", "unit")
         return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
-
-    def to_frame(self) -> pd.DataFrame:
-        """The effects as a data frame; see :attr:`columns`.
-
-        Raises:
-            InputError: where pandas is not installed.
-        """
-        return data_frame(self.columns, index="effect")
 
     def __str__(self) -> str:
         how = f"Calibrated by {self.sheet}" if self.sheet else "Not calibrated"

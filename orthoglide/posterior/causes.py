@@ -129,7 +129,14 @@ class Curve:
 
     @property
     def size(self) -> float:
-        """Root mean square about its mean, SI."""
+        """How much it moves, SI: on an approach between the two sides, root mean square; after a
+        reversal from the turn to the farthest; else root mean square about its mean, for a level
+        may belong to the zeros.
+        """
+        if self.place.against == "approach":
+            return float(np.sqrt(np.mean(self.value**2)))
+        if self.place.against == "reversal":
+            return float(np.ptp(self.value))
         return float(np.std(self.value))
 
 

@@ -36,9 +36,9 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
         result: what was found.
         progress: called with each step.
     """
+    from orthoglide.figures.draw import draw
     from orthoglide.machine_file import machine_files
     from orthoglide.observations import campaign_text
-    from orthoglide.report.figures.draw import draw
     from orthoglide.report.page import page
     from orthoglide.report.tables import calibrated_machine, residual_table
 

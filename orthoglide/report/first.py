@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
 from orthoglide.report.phrases import sentence
-from orthoglide.report.wording import MEANINGS, claim, curve_size, evidence
+from orthoglide.report.wording import MEANINGS, claim, curve_words, evidence
+from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError
@@ -93,6 +94,7 @@ def finding(result: Result) -> Data:
         "tiles": tiles(result),
         "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",
         "legs": bool(after.problem.campaigns),
+        "loses": any(map(loses, result.effects)) or any(map(loses, result.located)),
         "actions": [_action(action) for action in result.actions],
         "most": MOST,
         "cautions": [*([first] if first else []), *result.cautions],
@@ -129,7 +131,7 @@ def _said(one: Explanation, probability: float, option: int) -> Said:
 def _of_place(found: Located, option: Iterator[int]) -> Claim:
     several = tuple(
         Said(
-            sentence(f"{c.place.words}, by {curve_size(c)} (root mean square)"),
+            sentence(f"{c.place.words}, by {curve_words(c)}"),
             sure_words(c.probability),
             next(option),
         )

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import RULE, withheld
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.observations import ToolCampaign
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
     from orthoglide.klipper import Corrections
     from orthoglide.observations import Campaign
+    from orthoglide.posterior import Located
     from orthoglide.result import Result, Workspace
     from orthoglide.result.firmware import FirmwareAdvice
 
@@ -56,9 +57,15 @@ def controller(result: Result) -> Data:
         "worked": numbers.drives[0].worked(numbers.names),
         "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        "left_over": listed(numbers.left_over),
+        "left_over": listed(numbers.beyond),
+        "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
         "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
     }
+
+
+def _kept(found: Located) -> bool:
+    """Whether a calibrated machine holds it."""
+    return found.members[0].place.of_machine
 
 
 def firmware(advice: FirmwareAdvice, found: Corrections, stands: bool) -> Data:

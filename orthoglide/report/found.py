@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.effects.words import toward
+from orthoglide.figures.causes import MOST_CURVES
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, decimals_for, probability, signed
+from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.figures.causes import MOST_CURVES
-from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import (
@@ -187,8 +187,8 @@ def budget(result: Result) -> Data:
                 "beyond": f"{item.beyond_tolerance:.2f}",
                 "readings": f"{item.readings_rms * 1e3:.4f}",
                 "tcp": f"{item.tcp_mean * 1e3:.4f} ± {item.tcp_sigma * 1e3:.4f}",
-                "gain": f"{item.gain * 1e3:.4f} ± {item.gain_sigma * 1e3:.4f}",
-                "share": f"{item.share:.0%}",
+                "gain": f"{plain(item.gain * 1e3, 4)} ± {item.gain_sigma * 1e3:.4f}",
+                "share": f"{plain(100 * item.share, 0)}%",
             }
             for item in result.budget[:_MOST_ITEMS]
         ]

@@ -13,9 +13,9 @@ import orthoglide.report.first as first
 import orthoglide.report.follows as follows
 import orthoglide.report.found as found
 from orthoglide import __version__
+from orthoglide.figures.style import Drawing
 from orthoglide.observations import ToolCampaign
 from orthoglide.pages import rendered
-from orthoglide.report.figures.style import Drawing
 from orthoglide.report.phrases import listed
 from orthoglide.scene import view_html
 from orthoglide.scene.view import view_style

@@ -179,6 +179,7 @@ def _located(found: Located) -> dict[str, Any]:
 
 def _place(curve: Curve) -> dict[str, Any]:
     place = curve.place
+    unit = "mrad" if place.turns else "mm"
     return {
         "leg": LEGS[place.leg],
         "part": place.part,
@@ -187,8 +188,9 @@ def _place(curve: Curve) -> dict[str, Any]:
         "by_leg": LEGS[place.by] if place.against == "command" else None,
         "setup": place.setup or None,
         "probability": number(curve.probability, _SHORT),
-        "rms_mm" if not place.turns else "rms_mrad": _mm(curve.size, _SHORT),
-        "unit": "mrad" if place.turns else "mm",
+        f"rms_{unit}": _mm(float(curve.value.std()), _SHORT),
+        f"size_{unit}": _mm(curve.size, _SHORT),
+        "unit": unit,
     }
 
 

@@ -124,7 +124,7 @@ def _alone(result: Result) -> Table:
 
 
 def _located(result: Result) -> Table:
-    shown = _table("place", "probability", "rms", "in words")
+    shown = _table("place", "probability", "size", "in words")
     for found in result.located:
         for k, c in enumerate(found.members):
             name = f"or {c.place.name}" if k else c.place.name

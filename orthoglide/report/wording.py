@@ -186,7 +186,7 @@ def _causes(result: Result) -> str:
 def located_words(found: Located) -> str:
     """Where something without a name was found, how large it is, and what else it could be."""
     first, *others = found.members
-    text = f"{first.place.words}, by {curve_size(first)} (root mean square)"
+    text = f"{first.place.words}, by {curve_words(first)}"
     if others:
         named = " or ".join(f"{c.place.words}, by {curve_size(c)}" for c in others[:_MOST_RIVALS])
         more = len(others) - _MOST_RIVALS
@@ -197,9 +197,20 @@ def located_words(found: Located) -> str:
     return f"{text}; no known shape explains it"
 
 
+def curve_words(curve: Curve) -> str:
+    """Size of a curve, and how it is counted."""
+    counted = {
+        "approach": "between the two ways of coming to a place",
+        "reversal": "from the turn on",
+    }
+    size = curve_size(curve).removesuffix(" rms")
+    return f"{size} ({counted.get(curve.place.against, 'root mean square')})"
+
+
 def curve_size(curve: Curve) -> str:
-    """Root mean square of a curve about its mean, in millimetres or milliradians."""
-    return f"{compact(curve.size * 1e3, 2)} {'mrad' if curve.place.turns else 'mm'}"
+    """Size of a curve in millimetres or milliradians, for a table."""
+    rms = "" if curve.place.loses else " rms"
+    return f"{compact(curve.size * 1e3, 2)} {'mrad' if curve.place.turns else 'mm'}{rms}"
 
 
 def alternatives(cause: Cause) -> str:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
-from orthoglide.numerals import plain
-from orthoglide.posterior import Cause, Explanation, Located
+from orthoglide.numerals import compact, plain
+from orthoglide.posterior import Cause, Curve, Explanation, Located
 
 if TYPE_CHECKING:
     from orthoglide.result.result import Result
 
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
+_LOST = "lost motion, which the errors of the tool above leave out"
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
@@ -64,7 +65,7 @@ def actions(result: Result) -> tuple[Action, ...]:
     if withheld(result.machine):
         return (*_found(result, "confirm"), *told)
     done = [*_zeros(result), *_found(result, "mend"), *_compensate(result)]
-    done.sort(key=lambda action: -action.gain)
+    done.sort(key=lambda action: -action.gain if math.isfinite(action.gain) else 0.0)
     return (*told, *done) if decides else (*done, *told)
 
 
@@ -94,15 +95,48 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
     several: tuple[Cause | Located, ...] = (*result.effects, *result.located)
     for one in several:
         name = one.name if isinstance(one, Cause) else one.members[0].place.effect.name
-        gain = gains.get(name, (0.0, 0.0)) if kind == "mend" else (math.nan, math.nan)
-        yield Action(kind, what[kind], *gain, options=options(one))
+        if kind == "mend" and not loses(one):
+            yield Action(kind, what[kind], *gains.get(name, (0.0, 0.0)), options=options(one))
+        else:
+            lost = f": {_LOST}" if kind == "mend" else ""
+            yield Action(kind, f"{what[kind]}{lost}", options=options(one))
+
+
+def loses(found: Cause | Located) -> bool:
+    """Whether it may be lost motion, which the tool's expected errors leave out."""
+    if isinstance(found, Located):
+        return any(curve.place.loses for curve in found.members)
+    of = found.chosen.catalogue.effect_of
+    return any("approach" in of(name).needs for name in found.chosen.parameters)
 
 
 def options(found: Cause | Located) -> tuple[Option, ...]:
     """What to look at for everything in a credible set."""
     if isinstance(found, Cause):
         return tuple(Option(e.words, e.look_at, confirm(e)) for e in found.explanations)
-    return tuple(Option(c.place.words, c.place.look_at, "") for c in found.members)
+    return tuple(Option(c.place.words, c.place.look_at, confirm_place(c)) for c in found.members)
+
+
+def confirm_place(curve: Curve) -> str:
+    """The test that shows lost motion without a name, with what to expect; else empty."""
+    place, size = curve.place, f"{compact(curve.size * 1e3, 2)} mm"
+    leg = place.names.legs[place.leg]
+    where = {
+        "drive": f"carriage {leg} along its travel",
+        "rail": f"carriage {leg} along {place.direction}",
+        "platform": f"the end of leg {leg} at the platform along {place.direction}",
+    }.get(place.part)
+    if not place.loses or where is None:
+        return ""
+    if place.against == "approach":
+        return (
+            f"set a dial on {where} and come to one place from smaller and from larger travel of "
+            f"{leg}: expect {size} between the two"
+        )
+    return (
+        f"set a dial on {where}, come to one place after a long way without a turn, then turn just "
+        f"before it: expect up to {size} between the two"
+    )
 
 
 def confirm(one: Explanation) -> str:

@@ -65,13 +65,14 @@ def picture(result: Result) -> Picture:
 def _placed(machine: Machine, curve: Curve) -> Option:
     """A place without a name: the joint that moves, by the curve that was found."""
     place = curve.place
-    size = f"{compact(curve.size * 1e3, 2)} {'mrad' if place.turns else 'mm'} rms"
+    unit = "mrad" if place.turns else "mm"
+    size = f"{compact(curve.size * 1e3, 2)} {unit}{'' if place.loses else ' rms'}"
     if place.setup:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
     if place.moves_lines:
         way = np.eye(3)[LEGS.index(place.direction)]
         return Option(place.words, (Mark("platform", place.leg, way, size, both=True),))
-    both, along = place.against in ("approach", "reversal"), place.against == "travel"
+    both, along = place.loses, place.against == "travel"
     bars = len(place.joints) > 1
     value = curve.value - curve.value.mean() if along else np.full(len(curve.at), curve.size)
     travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-import orthoglide.report.figures.style as style
+import orthoglide.figures.style as style
+from orthoglide.figures.setups import Mounting, mountings
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
-from orthoglide.report.figures.setups import Mounting, mountings
-from orthoglide.report.figures.style import Drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

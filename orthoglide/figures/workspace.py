@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-import orthoglide.report.figures.style as style
+import orthoglide.figures.style as style
+from orthoglide.figures.style import Drawing
 from orthoglide.geometry import Array
 from orthoglide.numerals import signed
-from orthoglide.report.figures.style import Drawing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
