@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,8 @@ import numpy as np
 from orthoglide.closing import Verdict, run
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, identify
+from orthoglide.fit import Estimate, Problem, account_for_changes, assemble, solve
+from orthoglide.fit.problem import Unknown
 from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.observations import Campaign, Readings, ToolCampaign
@@ -126,24 +127,20 @@ def check(
         raise InputError("there is nothing to compare: give readings of both states")
     machine, progress = machine or Machine.nominal(), progress or silent
     before, after = _told_apart(old, new)
-    every = (*before, *after)
-    dials = tuple(r for r in every if isinstance(r, Campaign))
-    tool = tuple(r for r in every if isinstance(r, ToolCampaign))
-    if sorted((*dials, *tool), key=every.index) != [*dials, *tool]:
-        raise InputError(
-            "one of the states has dial readings and the other readings of the tool as well: "
-            "compare readings of one kind at a time"
-        )
-    request = Request("close-loop", dials, machine, (), noise, seed, points=tool)
+    dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
+    tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
+    # A fit has the dials first and takes the tool's readings for those of the last state.
+    past = [r for r in before if r in tool and any(d in after for d in dials)]
+    points = tuple(r for r in tool if r not in past)
+    request = Request("close-loop", dials, machine, (), noise, seed, points=points)
     verdict = run(request, progress)
     progress(Step("comparing"))
     names = _compared(verdict)
     problem, later = verdict.before.problem, {a.name for a in after}
     # Rows taken for faulty have lost their weight there.
     kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
-    since = next(c.name for c in kept if c.name in later)
-    own = [f"{name}@{since}" for name in names]
-    apart = identify(kept, machine, names, own=own, noise=noise if dials else None)
+    both = assemble([*kept, *past], machine, names, own=names, noise=noise if dials else None)
+    apart = account_for_changes(solve(_two_states(both, later)))
     return Check(
         tuple(c.name for c in before),
         tuple(c.name for c in after),
@@ -165,6 +162,24 @@ def _told_apart(
         for several, side in sides
     )
     return before, after
+
+
+def _two_states(problem: Problem, later: Collection[str]) -> Problem:
+    """What every campaign has for itself, joined to one value in the old ones and one in the new.
+
+    Args:
+        problem: with unknowns that each belong to one campaign.
+        later: names of the new ones.
+    """
+    joined: dict[tuple[str, bool], Unknown] = {}
+    for unknown in problem.unknowns:
+        at = next(k for k, parts in enumerate(unknown.parts) if parts)
+        key = unknown.name.plain, problem.factors[at].name in later
+        one = joined.setdefault(key, unknown)
+        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
+        joined[key] = replace(one, parts=parts)
+    old_first = sorted(joined, key=lambda key: key[1])
+    return replace(problem, unknowns=tuple(joined[key] for key in old_first))
 
 
 def _compared(verdict: Verdict) -> list[str]:

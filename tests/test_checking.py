@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,10 @@ import orthoglide as og
 from orthoglide.checking import Check, check
 from orthoglide.cli import cli
 from orthoglide.errors import InputError
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.observations import Readings, ToolCampaign
+from orthoglide.planning.owning import sheet_of
+from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -125,3 +130,27 @@ def test_from_files_and_results_to_words_and_a_page(
     refused = run("check", "old.csv", "none.csv", "--out", "other")
     assert refused.exit_code == 2
     assert not (tmp_path / "other").exists()
+
+
+def test_dials_and_the_tool_are_compared_in_one_go() -> None:
+    """Zeros corrected between two visits, each with dials on the legs and a tracker at the tool."""
+    told = {"joint_offset.x": 1.2e-3, "axis_tilt.y.z": 2e-3}
+
+    def visit(seed: int, **changed: float) -> list[Readings]:
+        machine = og.Machine.nominal().with_parameters(told | changed)
+        sheet = sheet_of(machine, "tcp")
+        assert isinstance(sheet, ToolCampaign)
+        exact = ToolReadings.of(sheet, machine).predict(machine.model, machine.values)
+        noise = 5e-6 * np.random.default_rng(seed).standard_normal(len(sheet))
+        tracker = replace(sheet, reading=exact + noise, sigma=np.full(len(sheet), 5e-6))
+        return [simulate(machine, seed=seed), tracker]
+
+    found = check(visit(1), visit(2, **{"joint_offset.x": 0.2e-3}), og.Machine.nominal())
+    changed = {str(d.parameter): d for d in found.differences if d.changed}
+    assert list(changed) == ["joint_offset.x"]
+    by = changed["joint_offset.x"]
+    assert by.after - by.before == pytest.approx(-1e-3, abs=4 * by.sigma)
+    alone = check(visit(1)[1:], visit(2, **{"joint_offset.x": 0.2e-3})[:1], og.Machine.nominal())
+    (only,) = (d for d in alone.differences if str(d.parameter) == "joint_offset.x")
+    assert only.after - only.before == pytest.approx(-1e-3, abs=4 * only.sigma)
+    assert by.sigma < only.sigma
