@@ -164,6 +164,9 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
         assert false not in told
         assert false not in text, false
     assert "design --owns plate --machine machine.toml" in text
+    assert "With another instrument, or in another way To tell the causes apart measure a" in text
+    assert "Where no reading helps" not in text
+    assert "First the joint offsets, axis offsets and leg lengths were identified" in text
 
 
 def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: Path) -> None:
