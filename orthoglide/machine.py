@@ -273,7 +273,7 @@ class Machine:
         return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
 
     def _repr_svg_(self) -> str:
-        return drawing(self.posed(), title=f"The machine {self.spec.name}", alone=True)
+        return drawing(self.posed(), title=f"The machine {self.spec.name}".rstrip(), alone=True)
 
     def deformation(self, rho: ArrayLike, **seen: ArrayLike) -> Deformation:
         """What the machine fights against: deformation, forces and energy by joint.

@@ -25,6 +25,7 @@ from orthoglide.scene.view import MOST_WAYS
 Cause = tuple[str, Mapping[str, float]]
 """Words of a cause, and its parameters, SI."""
 
+_TINY = 0.01  # tolerances: less is nothing that anybody looks at
 _STATIONS = 33  # along the stroke
 _CLEAR = 0.3  # of the largest: what a path does at its outer end shows which way it goes
 _HOUR, _WARMER, _LOAD = 3600.0, 10.0, 10.0  # s, K, N: at which what depends on them is shown
@@ -160,10 +161,14 @@ def joint_mark(
 
 
 def causes_of(machine: Machine, most: int = MOST_WAYS) -> tuple[Cause, ...]:
-    """What is wrong with a machine by its parameters, those largest in their tolerances first."""
+    """What is wrong with a machine by its parameters, those largest in their tolerances first.
+
+    What is a hundred times smaller than its tolerance is left out.
+    """
     of = machine.catalogue.effect_of
     values = {n: v for n, v in machine.values.items() if v and not of(n).of_dial}
-    ranked = sorted(values, key=lambda n: -abs(values[n]) / machine.tolerance(n))
+    sizes = {n: abs(v) / machine.tolerance(n) for n, v in values.items()}
+    ranked = sorted((n for n in values if sizes[n] > _TINY), key=lambda n: -sizes[n])
     return tuple((cause_words(machine.catalogue, n, values), {n: values[n]}) for n in ranked[:most])
 
 

@@ -103,6 +103,12 @@ def test_the_page_says_where_each_dial_stands_and_which_way_it_counts() -> None:
     assert "grow when the leg moves toward −x; if it falls, write x in column" in told
 
 
+def test_a_sheet_for_a_machine_without_a_name_begins_with_a_word() -> None:
+    machine = og.Machine(replace(og.Machine.nominal().spec, name=""))
+    page = sheet_page(og.protocol("standard"), machine, "s")
+    assert "<p>The machine: 54 readings" in page
+
+
 def test_every_page_shows_where_its_dials_stand(tmp_path: Path) -> None:
     page = written(tmp_path, "protocol").with_suffix(".html").read_text(encoding="utf-8")
     titles = re.findall(r"<svg class=\"machine\".*?<title>(.*?)</title>", page, re.S)

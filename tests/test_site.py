@@ -129,6 +129,13 @@ def test_docstrings_refer_to_what_the_reference_has() -> None:
     assert not nowhere
 
 
+def test_the_reference_describes_nothing_twice() -> None:
+    text = "".join(reference.pages().values())
+    described = re.findall(r"^\.\. auto\w+:: (\S+)$", text, re.MULTILINE)
+    assert "orthoglide.frames.Framed" in described
+    assert len(described) == len(set(described))
+
+
 def test_the_reference_has_every_public_name_and_command() -> None:
     pages = reference.pages()
     directives = "\n".join(pages.values())

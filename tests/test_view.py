@@ -327,6 +327,12 @@ def test_the_first_screen_draws_what_it_says() -> None:
 # --- On the command line --------------------------------------------------------------------
 
 
+def test_what_is_nothing_in_its_tolerance_has_no_switch() -> None:
+    own = machine("orthoglide")
+    values = {"rail_bow.x.z": 2e-4, "encoder_scale.x": 5e-7, "backlash.y": -1e-8}
+    assert [list(v) for _, v in causes_of(own.with_parameters(values))] == [["rail_bow.x.z"]]
+
+
 def test_view_writes_a_page_of_a_machine(tmp_path: Path) -> None:
     worn = og.Machine.nominal().with_parameters({"axis_tilt.y.z": 2e-3, "joint_offset.x": 1e-3})
     worn.save(tmp_path / "worn.toml")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import re
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 
 import click
@@ -68,12 +70,23 @@ def _name(name: str) -> str:
         return _directive("function", f"orthoglide.{name}")
     kind = "exception" if issubclass(public, Exception) else "class"
     options = "\n   :members:\n   :inherited-members: object, Exception"
-    behind = [c for c in public.__mro__[1:] if c.__module__.startswith("orthoglide.")]
     return _directive(kind, f"orthoglide.{name}", options) + "".join(
         _directive("class", f"{c.__module__}.{c.__name__}")
-        for c in behind
-        if c.__name__ not in og.__all__
+        for c, owner in _behind().items()
+        if owner == name
     )
+
+
+@cache
+def _behind() -> dict[type, str]:
+    """Classes that public ones are made of, each with the first of these: described once."""
+    found: dict[type, str] = {}
+    for name in itertools.chain(*modules().values()):
+        public = getattr(og, name)
+        for c in public.__mro__[1:] if inspect.isclass(public) else ():
+            if c.__module__.startswith("orthoglide.") and c.__name__ not in og.__all__:
+                found.setdefault(c, name)
+    return found
 
 
 def _directive(kind: str, path: str, options: str = "") -> str:

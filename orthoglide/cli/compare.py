@@ -55,7 +55,7 @@ def compare(
         worst = (*whole[:1], *worst_by_effect(rows))
         figures = {} if no_figures else dict(_figures(machine, worst, step))
         sections = [
-            (f"{machine.spec.name}: all it has, and each alone", whole),
+            (f"{machine.spec.title}: all it has, and each alone", whole),
             ("Every effect at its tolerance", rows),
         ]
         told = "\n".join(map(str, worst))
@@ -93,7 +93,7 @@ def _figures(machine: Machine, rows: tuple[Row, ...], step: Progress) -> Iterato
     for row in rows:
         step(Step("computing", f"drawing {row.name}"))
         if not row.effect:
-            yield row.name, slice_figure(machine.spec.name, slices(machine))
+            yield row.name, slice_figure(machine.spec.title, slices(machine))
         elif not row.good_enough and row.fitted.max > 0:
             alone = machine.with_only({row.name: row.value})
             yield row.name, slice_figure(f"{row.name} at its tolerance", slices(alone))

@@ -27,7 +27,7 @@ def view(machine: Path | None, out: Path, effects_file: Path | None) -> None:
     shown = load_machine(machine, effects_file)
     causes = causes_of(shown)
     options = [option(shown, words, values) for words, values in causes[:1]]
-    title = f"The machine {shown.spec.name}"
+    title = f"The machine {shown.spec.name}".rstrip()
     still = drawing(shown.with_only({}).posed(), options, title=title)
     write_texts({out: view_page(view_of(shown, causes), still, title)})
     more = f", with {len(causes)} of its errors to switch on" if causes else ", without errors"

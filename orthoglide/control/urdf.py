@@ -106,7 +106,7 @@ def _comment(machine: Machine) -> str:
     left = [n for n, v in machine.values.items() if v and n not in constant]
     misfit = [n for n in held if not of(n).urdf]
     lines = [
-        f"Calibrated: {machine.spec.name}. Slide q is the commanded rho - L.",
+        f"Calibrated: {machine.spec.title}. Slide q is the commanded rho - L.",
         "Holds " + (", ".join(held) or "no correction") + ".",
         "Left out, for URDF holds constant geometry only: " + (", ".join(left) or "nothing") + ".",
     ]

@@ -26,22 +26,22 @@ class Kernel:
     Attributes:
         length: correlation length, over half the variable's range.
         count: of eigenfunctions.
-        smooth: Matern 3/2; else Ornstein-Uhlenbeck.
+        rough: share of the variance that has steps and corners, Ornstein-Uhlenbeck; the rest is
+            smooth, Matern 3/2.
     """
 
     length: float
     count: int
-    smooth: bool = True
+    rough: float = 0.0
 
     def weights(self) -> Array:
         """Standard deviation of each eigenfunction's coefficient ``(count,)``."""
         frequency = np.pi * np.arange(1, self.count + 1) / (2 * _ROOM)
-        if self.smooth:
-            rate = np.sqrt(3) / self.length
-            density = 4 * rate**3 / (rate**2 + frequency**2) ** 2
-        else:
-            rate = 1 / self.length
-            density = 2 * rate / (rate**2 + frequency**2)
+        rate = np.sqrt(3) / self.length
+        smooth = 4 * rate**3 / (rate**2 + frequency**2) ** 2
+        rate = 1 / self.length
+        stepped = 2 * rate / (rate**2 + frequency**2)
+        density = (1 - self.rough) * smooth + self.rough * stepped
         return np.asarray(np.sqrt(density / _ROOM))
 
     def functions(self, u: Any) -> list[Any]:

@@ -209,10 +209,11 @@ def _time_between(start: float, end: float, c: LegConditions) -> Any:
 
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
-_OU = Kernel(1 / 3, 24, smooth=False)  # a sixth of the session
-_DRIFT = Kernel(0.5, 8)  # warmth comes and goes slowly
+_DRIVE = Kernel(0.030 / _LENGTH, 24, rough=0.1)  # a coupling slips, an encoder misses a count
+_OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
+_DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
-_CREEP, _DIAL = Kernel(0.5, 8, smooth=False), Kernel(0.5, 6)
+_CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
 _UM = 1e-6
 
 
@@ -249,8 +250,8 @@ def places(
                 kernel: Functions, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
             found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
 
-        add("drive", drive, "", "travel", partial(_command_of, leg), _FINE, 100 * _UM)
-        add("drive", drive, "", "approach", partial(_command_of, leg), _COARSE, 50 * _UM)
+        add("drive", drive, "", "travel", partial(_command_of, leg), _DRIVE, 100 * _UM)
+        add("drive", drive, "", "approach", partial(_command_of, leg), _DRIVE, 50 * _UM)
         add("drive", drive, "", "reversal", _none, BUILD_UP, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
@@ -285,7 +286,7 @@ def places(
             if whole:
                 moving = (("drive", (("travel", 1.0),), ""),)
             for part, joints, way in moving:
-                unit = 50 * _UM
+                unit = (100 if whole else 50) * _UM
                 found.append(Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span))
     return tuple(replace(place, names=names) for place in found)
 
@@ -302,10 +303,10 @@ def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tup
     """
     found = []
     if time is not None:
-        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 20 * _UM, time, setup))
+        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 50 * _UM, time, setup))
     return (
         *found,
-        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 20 * _UM, reading, setup),
+        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 50 * _UM, reading, setup),
     )
 
 

@@ -130,6 +130,11 @@ class MachineFile:
     posterior: Posterior | None = field(default=None, compare=False, repr=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
 
+    @property
+    def title(self) -> str:
+        """What a page calls the machine, whether it has a name or not."""
+        return self.name or "The machine"
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
         object.__setattr__(

@@ -65,7 +65,7 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
         "orthoglide.measuring",
         "sheet.html.j2",
         file=file,
-        machine=machine.spec.name,
+        machine=machine.spec.title,
         axes=machine.geometry.leg_names,
         counted=counted(machine),
         readings=len(sheet),

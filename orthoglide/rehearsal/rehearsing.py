@@ -66,7 +66,7 @@ def rehearse(
     kept = None if out is None else Kept(Path(out), asked(scope, seed))
     weak = weak_spots(scope, seed)
     tried = _all(scope, campaigns, seed, jobs, kept, progress)
-    found = Rehearsal(machine.spec.name, len(scope.sheet), seed, tried, weak)
+    found = Rehearsal(machine.spec.title, len(scope.sheet), seed, tried, weak)
     if kept is not None:
         kept.conclude(f"{found}\n")
     return found
