@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
+from orthoglide.closing import close_loop
 from orthoglide.effects.wording import confirm_words
 from orthoglide.machine import Machine
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.mixed import mixed_sheet, whitened
 from orthoglide.planning.owning import sheet_of
+from orthoglide.report.wording import headline
 from tests.klipper_files import DATA
 
 
@@ -164,6 +167,9 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
         assert false not in told
         assert false not in text, false
     assert "design --owns plate --machine machine.toml" in text
+    assert "With another instrument, or in another way To tell the causes apart measure a" in text
+    assert "Where no reading helps" not in text
+    assert "First the joint offsets, axis offsets and leg lengths were identified" in text
 
 
 def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: Path) -> None:
@@ -200,3 +206,10 @@ def test_legs_that_must_twist_go_by_their_own_names(imported: Path) -> None:
     told = machine.pose([0.0, 0.0, 0.0]).warnings
     assert {text[:16] for text in told} <= {f"leg {leg} must twist" for leg in "abc"}
     assert told[1].startswith("leg b must twist")
+
+
+def test_what_is_left_of_touches_is_held_against_their_own_noise() -> None:
+    points, machine = forty_one_points()
+    told = headline(close_loop([points], machine))
+    assert "mm rms, where the noise of one is 0.019 mm" in told
+    assert "dial" not in told

@@ -56,7 +56,7 @@ class Suggestion(Framed):
             ``none`` where nothing helps.
         gain: for rivals the sigmas between the two least separated; for a direction how many times
             narrower it gets; nan of what nothing explains.
-        pool: the readings to choose from.
+        pool: the readings to choose from; ``None`` where another instrument is what helps.
         chosen: those chosen, with repetitions; none where nothing helps.
     """
 

@@ -17,6 +17,7 @@ from orthoglide.observations import ToolCampaign
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
+from orthoglide.report.wording import effects_named
 
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
@@ -107,7 +108,8 @@ def following(result: Result, sheet: str) -> Data:
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": suggestions,
-        "hopeless": [_reason(s.reason) for s in suggested if s.campaign is None],
+        "others": [_reason(s.reason) for s in suggested if s.pool is None],
+        "hopeless": [_reason(s.reason) for s in suggested if s.pool is not None and not s.chosen],
         "hidden": bool(result.after.weak),
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
         "readings": len(proposed or ()),
@@ -228,6 +230,7 @@ def method(result: Result) -> Data:
     problem = fit.problem
     return {
         "searches": request.searches,
+        "base": effects_named(fit),
         "seed": request.seed,
         "inputs": [(i["file"], len(i["rows"]), i["sha256"]) for i in request.inputs],
         "again": request.command_line,
