@@ -303,10 +303,10 @@ def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tup
     """
     found = []
     if time is not None:
-        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 50 * _UM, time, setup))
+        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 20 * _UM, time, setup))
     return (
         *found,
-        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 50 * _UM, reading, setup),
+        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 20 * _UM, reading, setup),
     )
 
 
