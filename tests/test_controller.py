@@ -355,7 +355,7 @@ def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]
             assert (then - first) * 1e3 == pytest.approx(check[key], abs=1e-5)
         assert abs(check["expected_mm"] - check["expected_if_wrong_mm"]) > 0.2
     assert list(exported["checks"]) == ["x", "y", "z"]
-    assert "moved the wrong way it would read" in numbers.text()
+    assert "moved the wrong way it would read" in " ".join(numbers.text().split())
     assert exported["rule"] == RULE
 
 
