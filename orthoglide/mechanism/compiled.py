@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,9 @@ def library(
     if command is None:
         return None
     try:
-        digest = _digest("\n".join([content, command, *flags, _target(command, flags)]).encode())
+        digest = _digest(
+            "\n".join([content, command, *flags, _target(command, tuple(flags))]).encode()
+        )
         folder = _own_folder()
         found = _library(folder, digest)
         return found if found or not build else _build(command, flags, source(), folder, digest)
@@ -84,7 +87,8 @@ def library(
         return None
 
 
-def _target(command: str, flags: Sequence[str]) -> str:
+@cache
+def _target(command: str, flags: tuple[str, ...]) -> str:
     """What the compiler says of the computer that these flags compile for."""
     asked = [command, *flags, "-dM", "-E", "-x", "c", "-"]
     return subprocess.run(asked, check=True, input="", capture_output=True, text=True).stdout

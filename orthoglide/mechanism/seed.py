@@ -44,9 +44,8 @@ def commands(geometry: Geometry, p: Array) -> Array:
     """
     reach = p[:, None] - _centres(geometry, np.zeros((1, 3)))  # from each leg's sphere at zero
     along = np.einsum("nli,li->nl", reach, geometry.slides)
-    across = np.hypot.reduce(
-        np.cross(reach, geometry.slides), axis=-1
-    )  # far points overflow a square
+    # Far points overflow a square.
+    across = np.hypot.reduce(np.cross(reach, geometry.slides), axis=-1)
     excess = across - geometry.L
     short = np.flatnonzero((excess >= 0).any(axis=0))
     if short.size:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.planning.sources import Sources, ToolError
 from orthoglide.units import Unit
-
-if TYPE_CHECKING:
-    pass
 
 LARGEST = 1e3
 """Scale of the tolerances from which on any will do."""

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.effects import LegConditions
 from orthoglide.effects.places import BUILD_UP, Place, Session, dial_places, places
 from orthoglide.fit import Problem
-from orthoglide.fit.factors import ByJoints, DialReadings
+from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
@@ -53,42 +52,40 @@ def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
     model = problem.machine.model
     blocks: dict[str, list[Array]] = {}
     kept = places_of(problem)
+    turning = any(place.against == "reversal" for place in kept)
     for k, factor in enumerate(problem.factors):
         values = problem.values(k, x)
         by_joints = factor.by_joints(model, values)
         legs = model.leg_conditions(values, factor.conditions())
-        if isinstance(factor, DialReadings):
+        if isinstance(factor, DialReadings) and turning:
             half = np.ptp(model.geometry.stroke) / 2
             after = factor.campaign.built_up([half * length for length in BUILD_UP.lengths])
             legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
         for place in kept:
-            column = _column(place, by_joints, legs[place.leg])
+            functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
+            column = by_joints(_joints(place), functions)
             if place.moves_lines and isinstance(factor, DialReadings):
-                column += _shifted(place, factor.campaign, legs[place.leg])
+                column += _touching(place, factor.campaign)[:, None] * functions
             blocks.setdefault(place.name, []).append(column)
     if not kept:
         return np.zeros((len(problem.measured), 0)), ()
     return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
 
 
-def _column(place: Place, by_joints: ByJoints, conditions: LegConditions) -> Array:
-    """Rows ``(n, K)`` by a place's coefficients in its unit."""
+def _joints(place: Place) -> Array:
+    """Share of every virtual joint in a place ``(30,)``."""
     names = VIRTUAL_NAMES
     joints = np.zeros(len(LEGS) * len(names))
     for joint, share in place.joints:
-        joints[place.leg * len(names) + names.index(joint)] = share * place.unit
-    return by_joints(joints, np.stack(place.functions(conditions), axis=1))
+        joints[place.leg * len(names) + names.index(joint)] = share
+    return joints
 
 
-def _shifted(place: Place, campaign: Campaign, conditions: LegConditions) -> Array:
-    """Rows ``(n, K)`` of dials that a leg touches as it moves along a place's direction."""
+def _touching(place: Place, campaign: Campaign) -> Array:
+    """What dials show ``(n,)`` of a leg that moves along a place's direction as a whole."""
     sees = [s.sign * (s.leg == place.leg and LEGS[s.axis] == place.direction)
             for s in campaign.setups]  # fmt: skip
-    return (
-        place.unit
-        * np.stack(place.functions(conditions), 1)
-        * np.take(sees, campaign.setup)[:, None]
-    )
+    return np.take(np.asarray(sees, dtype=float), campaign.setup)
 
 
 def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place, ...]]:
