@@ -102,7 +102,7 @@ def design(
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    wanted = quantities("--want", want, "TCP=0.01")
+    wanted = quantities("--want", want)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
         found = choose(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]

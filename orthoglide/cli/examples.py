@@ -25,9 +25,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "measure --machine machine.toml --out april.csv",
         "measure --sheet sheet.csv --out april.csv",
     ),
-    "simulate": (
-        "simulate --machine machine.toml --kind sweep --error rail_bow.x.z=0.15 --out bent.csv",
-    ),
+    "simulate": ("simulate --machine bent.toml --kind sweep --seed 1 --out bent.csv",),
     "design": (
         "design --machine machine.toml --count 24 --out sheet.csv",
         "design sheet.csv --want TCP=0.02 --detect",

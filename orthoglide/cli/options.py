@@ -116,13 +116,12 @@ def fit_options(command: Command) -> Command:
     return command
 
 
-def quantities(option: str, items: tuple[str, ...], example: str) -> dict[str, float]:
+def quantities(option: str, items: tuple[str, ...]) -> dict[str, float]:
     """``NAME=NUMBER`` of an option in SI; the number is in the unit of files, of TCP millimetres.
 
     Args:
         option: its name, for errors.
         items: its values.
-        example: of one of them.
 
     Raises:
         InputError: where one is not of this form, or names nothing.
@@ -135,6 +134,7 @@ def quantities(option: str, items: tuple[str, ...], example: str) -> dict[str, f
         try:
             value = float(number)
         except ValueError:
+            example = f"{CATALOGUE.base[0]}.x=0.5"
             raise InputError(
                 f"{option} takes NAME=NUMBER such as {example}, not {item!r}"
             ) from None

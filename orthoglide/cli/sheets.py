@@ -89,7 +89,7 @@ def simulate(
         raise InputError(f"--seed must be 0 or more, not {seed}")
     if noise_mm is not None and not 0 <= noise_mm < 1e3:
         raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
-    added = quantities("--error", errors, "rail_bow.x.z=0.15")
+    added = quantities("--error", errors)
     machine = load_machine(machine_path).with_parameters(added)
     draw = np.random.default_rng(seed)
     noise = None if noise_mm is None else noise_mm * 1e-3
