@@ -32,23 +32,25 @@ orthoglide import klipper printer.cfg --out DIR
 orthoglide close-loop DIR/*.csv --machine DIR/machine.toml --out OUT
 ```
 
-The importer reads what the firmware stores: its numbers, the heights and distances of `[delta_calibrate]` with
-their step positions, and meshes, taken as probed with the numbers that are stored now. What the firmware does
-not store (the platform's radius, the distance of an arm's rods, how far the nozzle hangs below the joints) is
-taken as 32, 50 and 40 mm; the sizes of causes that turn the platform depend on it. Correct them in
-`machine.toml`.
+The importer reads what the firmware stores: its numbers, the heights and distances of
+`[delta_calibrate]` with their step positions, and meshes, taken as probed with the numbers that
+are stored now. What the firmware does not store (the platform's radius, the distance of an arm's
+rods, how far the nozzle hangs below the joints) is taken as 32, 50 and 40 mm; the sizes of causes
+that turn the platform depend on it. Correct them in `machine.toml`.
 
-The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model holds three
-endstops, one radius, three angles and three arms, and no other cause. Where the arms that it has fitted differ
-from the rods by more than half a millimetre, the report begins with that.
+The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
+holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms
+that it has fitted differ from the rods by more than half a millimetre, the report begins with
+that.
 
-A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the endstops;
-what no polynomial of the fourth degree follows counts as noise of the touches. Many causes draw the same
-surface, the bed's own shape among them: they are told as a class, each with its size. A level on the platform,
-distances around the rim with both widths, or a mesh with the plate turned by 60 degrees decide between them;
-every result says which, and by how much. Seven points cannot see a twist that is common to the towers.
-[The truth table of the linear delta](linear-delta-truth.md) has which instrument sees which cause, and how
-often the verdict is right.
+A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
+endstops; what no polynomial of the fourth degree follows counts as noise of the touches. Many
+causes draw the same surface, the bed's own shape among them: they are told as a class, each with
+its size. A level on the platform, distances around the rim with both widths, or a mesh with the
+plate turned by 60 degrees decide between them; every result says which, and by how much. Seven
+points cannot see a twist that is common to the towers. [The truth table of the linear
+delta](linear-delta-truth.md) has which instrument sees which cause, and how often the verdict is
+right.
 
 ## Real machines
 

@@ -61,7 +61,7 @@ def _section(effect: Effect) -> str:
         "",
         f"{_capital(effect.sentence)}.",
         "",
-        f"- Look at: {effect.look_at.removesuffix('.')}{'' if effect.look_at.endswith('?') else '.'}",
+        f"- Look at: {effect.look_at}{'' if effect.look_at.endswith('?') else '.'}",
         f"- Tolerance {effect.tolerance:g} {_unit(effect)}: {effect.because}.",
         f"- Said, at one tolerance of `{first}`: {one_words(effect, first, effect.tolerance_si)}.",
         f"- Confirmed: {confirm_words(effect, first, effect.tolerance_si)}.",
