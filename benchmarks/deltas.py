@@ -59,8 +59,8 @@ right.
 Up to the fourth degree a plate has more shapes than the bowl and three lobes that are named:
 standard deviations of {sizes} mm are expected of those of the second, third and fourth
 degree. No cause in the machine is named for what they may draw, however well distances fix the
-towers. Where they are needed to explain what is left, the verdict is *partial* or *unexplained*, and
-says that the plate may be behind it.
+towers. Where they are needed to explain what is left, the verdict is *partial* or *unexplained*,
+and says that the plate may be behind it.
 
 ## Real machines
 
