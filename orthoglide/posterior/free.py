@@ -77,7 +77,9 @@ def plates(problem: Problem) -> tuple[Array, Array]:
     """Rows ``(n, F)`` by the own shapes of every probed plate, and their standard deviations."""
     columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
-        for k, setup in enumerate(factor.points.setups if isinstance(factor, ToolReadings) else ()):
+        if not isinstance(factor, ToolReadings):
+            continue
+        for k, setup in enumerate(factor.points.setups):
             if setup.kind == "plate":
                 at = np.flatnonzero(factor.setup == k)
                 for shape, size in own_shapes(factor.place[at]):
