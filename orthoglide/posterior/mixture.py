@@ -325,12 +325,8 @@ class Mixture:
         return float(sum(weight[rare].sum() for weight in self.weights.values()))
 
     def precision(self, state: State, scale: Scale, *, unnamed: bool = False) -> Array:
-        """Inverse covariance of the readings in a state ``(m, m)``.
-
-        Args:
-            state: what is out.
-            scale: of the background.
-            unnamed: whether what has neither name nor place may explain too.
+        """Inverse covariance of the readings in a state ``(m, m)``; what has neither name nor
+        place explains nothing there unless asked.
         """
         columns = self.linear.columns
         out = columns @ self._spread(state)
