@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +19,8 @@ from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import data_frame
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.parameters import Parameter
 from orthoglide.posterior import (
     BudgetItem,
     CandidateScore,
@@ -211,9 +213,35 @@ class Result:
     # --- What is left -----------------------------------------------------------------------
 
     @cached_property
-    def invisible(self) -> tuple[str, ...]:
-        """Parameters that these readings cannot show: not absent, not visible."""
-        return () if self.posterior is None else self.posterior.about.invisible
+    def invisible(self) -> tuple[Parameter, ...]:
+        """Parameters that these readings would not show at three tolerances: not absent."""
+        return () if self.posterior is None else self.posterior.invisible
+
+    @cached_property
+    def unshown(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The same by effect: in words, and which of its parameters where it is not all of them."""
+        asked = [] if self.posterior is None else self.posterior.about.asked
+        every, hidden = (Counter(n.effect for n in names) for names in (asked, self.invisible))
+        return tuple(
+            (
+                cause_short(self.catalogue, effect),
+                tuple(
+                    str(n).removeprefix(f"{effect}.")
+                    for n in self.invisible
+                    if n.effect == effect and count < every[effect]
+                ),
+            )
+            for effect, count in hidden.items()
+        )
+
+    @property
+    def instruments(self) -> tuple[str, ...]:
+        """Kinds of readings that were taken: ``leg``, ``plate`` ..."""
+        problem = self.after.problem
+        tool = [p.points for p in problem.points if isinstance(p.points, ToolCampaign)]
+        kinds = {setup.kind for campaign in tool for setup in campaign.setups}
+        points = ["tcp"] if len(tool) < len(problem.points) and "tcp" not in kinds else []
+        return (*(["leg"] if problem.campaigns else []), *points, *sorted(kinds))
 
     @property
     def stopped(self) -> str:
