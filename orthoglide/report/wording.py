@@ -114,6 +114,11 @@ def _weighed(result: Result) -> str:
 
 def where_left(result: Result) -> str:
     """Where what nothing explains lives: which leg, which direction, at which station most."""
+    if result.left.shaped > _CHANCE > result.left.p_value:
+        return (
+            " The plate's own shape would explain it, finer than a bowl or three lobes: touch the "
+            "plate again, turned by 60 degrees on its seat; what turns with it is its own."
+        )
     if not result.rest:
         return ""
     most = result.rest[0]
