@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option
+from orthoglide.cli.options import PATH, Names, load_machine, machine_option, quantities
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
@@ -46,7 +46,9 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
 
 @click.command()
 @click.option("--machine", "machine_path", type=PATH, required=True, metavar="FILE",
-              help="Machine file whose [parameters] are the machine's errors.")  # fmt: skip
+              help="Machine file; its [parameters] are errors of the machine.")  # fmt: skip
+@click.option("--error", "errors", type=Names(), default=(), metavar="NAME=NUMBER,...",
+              help="More errors of the machine, in the units of files.")  # fmt: skip
 @click.option("--out", type=PATH, required=True, metavar="CSV", help="Campaign to write.")
 @_kind_option
 @click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
@@ -58,6 +60,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
               help="Also write 60 exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
+    errors: tuple[str, ...],
     out: Path,
     kind: str,
     seed: int,
@@ -86,7 +89,9 @@ def simulate(
         raise InputError(f"--seed must be 0 or more, not {seed}")
     if noise_mm is not None and not 0 <= noise_mm < 1e3:
         raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
-    machine, draw = load_machine(machine_path), np.random.default_rng(seed)
+    added = quantities("--error", errors)
+    machine = load_machine(machine_path).with_parameters(added)
+    draw = np.random.default_rng(seed)
     noise = None if noise_mm is None else noise_mm * 1e-3
     filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
     texts = {out: campaign_text(filled)}
