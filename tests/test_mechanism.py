@@ -140,13 +140,13 @@ def test_platform_does_not_turn_while_nothing_is_displaced() -> None:
 def test_velocity_jacobian_equals_eq_5() -> None:
     rho = np.concatenate([commands(100, 6), CORNERS])
     p = reduction.forward(rho)
-    for r, expected in zip(rho, reduction.velocity_jacobian(p, rho), strict=True):
+    for r, expected in zip(rho, reduction.jacobians(p, rho).rho, strict=True):
         own = mechanism().velocity_jacobian(mechanism().close(r))
         assert np.abs(own - expected).max() < 1e-9
     batch = mechanism().nominal_batch
     given = mechanism().given(rho)[:, :3]
     _, by_given = batch.tangent(batch.close(given), given)
-    assert np.abs(by_given[:, TCP] - reduction.velocity_jacobian(p, rho)).max() < 1e-9
+    assert np.abs(by_given[:, TCP] - reduction.jacobians(p, rho).rho).max() < 1e-9
 
 
 # -- the constraint Jacobian -----------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -130,8 +129,6 @@ class Estimate:
     @cached_property
     def predicted_before(self) -> Array:
         """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
-        from orthoglide.fit.least_squares import predict
-
         value = predict(self.problem, np.zeros(len(self.x)))
         return value + self.nuisance.fitted(self.problem.measured - value)
 
@@ -219,12 +216,3 @@ def fit_report(estimate: Estimate) -> str:
     lines.extend(str(weak) for weak in estimate.weak)
     lines.extend(estimate.warnings)
     return "\n".join(lines)
-
-
-def as_mapping(estimate: Estimate) -> Mapping[str, tuple[float, float, str]]:
-    """Identified values as files show them: value, sigma and unit by name."""
-    shown = {}
-    for name, value in estimate.values.items():
-        unit = estimate.unit(name)
-        shown[name] = (value / unit.si, estimate.sigmas[name] / unit.si, unit.name)
-    return shown
