@@ -136,7 +136,9 @@ def ways(problem: Problem) -> dict[str, Callable[[], Array]]:
         "programme over the mechanism, solved again": lambda: (
             warm.solve(problem.measured, first.x, joints).x
         ),
-        "mechanism nested": lambda: solve_nested(problem, nuisance, linearise(problem, first.x)).x,
+        "mechanism nested": lambda: (
+            solve_nested(problem, nuisance, linearise(problem, first.x))[0].x
+        ),
         "reduction, its own Newton": lambda: reduction_fit(problem, nuisance).values[:-1],
         "reduction, scipy.optimize.least_squares": lambda: by_scipy(problem, nuisance),
     }

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.errors import InputError
@@ -75,20 +73,6 @@ class Signatures:
         matrix = candidate.columns(self.names)
         size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
         return np.asarray(matrix * size)
-
-    @cached_property
-    def degrees(self) -> int:
-        """Degrees of freedom of the residual."""
-        return max(self.count - self.fitted.shape[1] + self._prior_rows, 0)
-
-    @property
-    def _prior_rows(self) -> int:
-        return len(self.fitted) - self.count
-
-    @cached_property
-    def groups(self) -> NDArray[np.intp]:
-        """Station of each reading, approaches apart ``(n,)``."""
-        return self.estimate.problem.station
 
 
 def signatures(estimate: Estimate) -> Signatures:
