@@ -97,7 +97,7 @@ def _run(
     out: Path | None,
 ) -> None:
     if (table is None) != (out is None):
-        raise InputError("--csv and --out go opt.together: name a file to read and a file to write")
+        raise InputError("--csv and --out go together: name a file to read and a file to write")
     if (table is None) == (not numbers):
         raise InputError("give either three numbers in mm, or --csv and --out")
     if table is None or out is None:
