@@ -162,8 +162,7 @@ def causes_of(machine: Machine) -> tuple[Cause, ...]:
 
     What is a hundred times smaller than its tolerance is left out.
     """
-    of = machine.catalogue.effect_of
-    values = {n: v for n, v in machine.values.items() if v and not of(n).of_dial}
+    values = {n: v for n, v in machine.catalogue.of_machine(machine.values).items() if v}
     sizes = {n: abs(v) / machine.tolerance(n) for n, v in values.items()}
     ranked = sorted((n for n in values if sizes[n] > _TINY), key=lambda n: -sizes[n])
     return tuple(

@@ -159,14 +159,17 @@ class Catalogue(Mapping[str, Effect]):
             return {n.at(parameter.campaign): w for n, w in weights.items()}
         return {parameter: 1.0}
 
+    def of_machine(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameters by name without those of dials and plates."""
+        return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
+
     def moved_by(self, values: Mapping[str, float]) -> dict[Parameter, float]:
         """Single parameters of the machine by what names stand for, campaigns and dials apart."""
         found: dict[Parameter, float] = {}
-        for name, value in values.items():
-            if not self.effect_of(name).of_dial:
-                for part, weight in self.elementary(name).items():
-                    plain = self.parameter(part).plain
-                    found[plain] = found.get(plain, 0.0) + weight * value
+        for name, value in self.of_machine(values).items():
+            for part, weight in self.elementary(name).items():
+                plain = self.parameter(part).plain
+                found[plain] = found.get(plain, 0.0) + weight * value
         return found
 
     def expand(self, chosen: Iterable[str], setups: Iterable[str] = ()) -> tuple[Parameter, ...]:

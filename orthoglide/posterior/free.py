@@ -9,7 +9,6 @@ import numpy as np
 from orthoglide.effects.places import BUILD_UP, Place, Session, dial_places, places
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import DialReadings
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
@@ -17,7 +16,7 @@ from orthoglide.observations import Campaign
 
 def one_surface(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
-    tools = [p.points for p in problem.points if isinstance(p, ToolReadings)]
+    tools = problem.tool_campaigns
     kinds = {s.kind for tool in tools for s in tool.setups}
     alone = not problem.campaigns and len(tools) == len(problem.points)
     return alone and kinds <= {"plate", "distance"}
