@@ -21,14 +21,11 @@ DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
 STEPS_A_MM = 106.667
 """Of the 41 points, as their source says."""
 
-MOST = 5
+MOST = 3
 """Members of a class that are listed."""
 
 TO_TELL = "to tell the causes apart measure "
 HEAD = """# Linear deltas
-
-Printed by `python -m benchmarks.deltas` from numbers that owners stored for their own machines
-(`tests/data/delta`, with their sources). Nothing is simulated.
 
 ```
 orthoglide import klipper printer.cfg --out DIR
@@ -36,32 +33,29 @@ orthoglide close-loop DIR/*.csv --machine DIR/machine.toml --out OUT
 ```
 
 The importer reads what the firmware stores: its numbers, the heights and distances of
-`[delta_calibrate]` with their step positions, and meshes. A mesh is taken as probed with the
-numbers that are stored now. What the firmware does not store (the platform's radius, the distance
-of an arm's rods, how far the nozzle hangs below the joints) is taken as typical, 32, 50 and 40 mm:
-the sizes of causes that turn the platform depend on it.
+`[delta_calibrate]` with their step positions, and meshes, taken as probed with the numbers that
+are stored now. What the firmware does not store (the platform's radius, the distance of an arm's
+rods, how far the nozzle hangs below the joints) is taken as 32, 50 and 40 mm; the sizes of causes
+that turn the platform depend on it. Correct them in `machine.toml`.
 
-A probe sees one surface. The plate's height and slopes are fitted with every setup, and go into the
+The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
+holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms
+that it has fitted differ from the rods by more than half a millimetre, the report begins with
+that.
+
+A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches. Many
 causes draw the same surface, the bed's own shape among them: they are told as a class, each with
-its size.
-"""
+its size. A level on the platform, distances around the rim with both widths, or a mesh with the
+plate turned by 60 degrees decide between them; every result says which, and by how much. Seven
+points cannot see a twist that is common to the towers. [The truth table of the linear
+delta](linear-delta-truth.md) has which instrument sees which cause, and how often the verdict is
+right.
 
-TAIL = """
-## What is certain and what is not
+## Real machines
 
-- That six numbers leave a pattern: its probability by noise alone stands in every result.
-- Not which member of a class it is. A level on the platform, distances around the rim with both
-  widths, or a mesh with the plate turned by 60 degrees decide; every result says which would, and
-  by how much.
-- Seven points cannot see a twist that is common to the towers: after their fit no height changes.
-- The arms that a firmware has fitted need not be the rods: where they differ by more than half a
-  millimetre the report begins with that.
-- New numbers for the firmware stand beside the old ones, to paste and to undo. Its model holds
-  three endstops, one radius, three angles and three arms, and none of the causes above.
-
-Which instrument sees which cause at all, and how often the tool is right on simulated machines:
-[the truth table of the linear delta](linear-delta-truth.md).
+Printed by `python -m benchmarks.deltas` from numbers that owners stored for their own machines
+(`tests/data/delta`, with their sources). Nothing is simulated; probabilities stand in brackets.
 """
 
 
@@ -108,7 +102,7 @@ def cases() -> Iterator[tuple[str, Sequence[ToolCampaign], Machine]]:
 def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iterator[str]:
     """A section on one machine."""
     before, after = verdict.before.scores, verdict.after.scores
-    yield f"\n## {name}\n"
+    yield f"\n### {name}\n"
     yield (
         f"{sum(map(len, campaigns))} readings. Base: {before.rms * 1e3:.3f} mm rms. With what was "
         f"found: {after.rms * 1e3:.3f} mm. Verdict: **{verdict.word}**.\n"
@@ -130,7 +124,7 @@ def page() -> str:
     lines = [HEAD]
     for name, campaigns, machine in cases():
         lines += told(name, campaigns, close_loop(list(campaigns), machine))
-    return "\n".join([*lines, TAIL])
+    return "\n".join(lines).rstrip() + "\n"
 
 
 if __name__ == "__main__":

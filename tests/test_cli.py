@@ -607,6 +607,17 @@ def test_a_simulated_machine_is_found_again(here: Path) -> None:
     assert result["after"]["max_mm"] < 1e-8
 
 
+def test_errors_of_the_command_line_are_those_of_a_machine_file(here: Path) -> None:
+    planted_machine(here)
+    og.Machine.nominal().save("nominal.toml")
+    errors = ",".join(f"{name}={1e3 * value}" for name, value in PLANTED.items())
+    done("simulate", "--machine", "planted.toml", "--seed", "3", "--out", "a.csv")
+    done(
+        "simulate", "--machine", "nominal.toml", "--error", errors, "--seed", "3", "--out", "b.csv"
+    )
+    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
+
+
 def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
     planted_machine(here)
     common = ("simulate", "--machine", "planted.toml", "--kind", "two-gauges")

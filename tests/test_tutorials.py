@@ -53,7 +53,7 @@ def typed(told: str) -> tuple[str, str]:
 
 
 def commands(block: str, folder: Path) -> None:
-    for part in block.removeprefix("$ ").split("\n$ "):
+    for part in block.replace(" \\\n", " ").removeprefix("$ ").split("\n$ "):
         line, _, told = part.partition("\n")
         program, *words = line.split()
         assert program == "orthoglide"

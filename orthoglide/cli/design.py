@@ -80,7 +80,7 @@ def design(
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    wanted = _wanted(want)
+    wanted = opt.quantities("--want", want)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
         found = choose(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
@@ -153,21 +153,6 @@ def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
         read = [read_campaign(p, machine.spec, require_readings=False) for p in paths]
         return {c.name: c for c in read}
     return {kind: protocol(kind, machine.geometry) for kind in opt.PROTOCOLS}  # type: ignore[arg-type]
-
-
-def _wanted(want: tuple[str, ...]) -> dict[str, float]:
-    """``NAME=SIGMA`` in SI."""
-    from orthoglide.effects import CATALOGUE
-
-    found = {}
-    for item in want:
-        name, _, number = item.partition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            raise InputError(f"--want takes NAME=SIGMA such as TCP=0.01, not {item!r}") from None
-        found[name] = value * (1e-3 if name == "TCP" else CATALOGUE.effect_of(name).unit.si)
-    return found
 
 
 def _repeats(

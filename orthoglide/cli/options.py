@@ -66,6 +66,32 @@ def out(required: bool = True, help: str = "") -> Decorator:
 out_or_nothing = out(False, "Folder for the results; nothing is written where absent.")
 
 
+def quantities(option: str, items: tuple[str, ...]) -> dict[str, float]:
+    """``NAME=NUMBER`` of an option in SI; the number is in the unit of files, of TCP millimetres.
+
+    Args:
+        option: its name, for errors.
+        items: its values.
+
+    Raises:
+        InputError: where one is not of this form, or names nothing.
+    """
+    from orthoglide.effects import CATALOGUE
+
+    found = {}
+    for item in items:
+        name, _, number = item.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            example = f"{CATALOGUE.base[0]}.x=0.5"
+            raise InputError(
+                f"{option} takes NAME=NUMBER such as {example}, not {item!r}"
+            ) from None
+        found[name] = value * (1e-3 if name == "TCP" else CATALOGUE.effect_of(name).unit.si)
+    return found
+
+
 _NOISE = (1e-6, 1e3)  # millimetres: an atom, and more than any dial shows
 
 

@@ -33,7 +33,9 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
 
 @click.command()
 @click.option("--machine", "machine_path", type=opt.PATH, required=True, metavar="FILE",
-              help="Machine file whose [parameters] are the machine's errors.")  # fmt: skip
+              help="Machine file; its [parameters] are errors of the machine.")  # fmt: skip
+@click.option("--error", "errors", type=opt.Names(), default=(), metavar="NAME=NUMBER,...",
+              help="More errors of the machine, in the units of files.")  # fmt: skip
 @click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Campaign to write.")
 @_kind_option
 @opt.seed
@@ -45,6 +47,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
               help="Also write 60 exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
+    errors: tuple[str, ...],
     out: Path,
     kind: str,
     seed: int,
@@ -73,7 +76,9 @@ def simulate(
         raise InputError(f"--seed must be 0 or more, not {seed}")
     if noise_mm is not None and not 0 <= noise_mm < 1e3:
         raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
-    machine, draw = opt.load_machine(machine_path), np.random.default_rng(seed)
+    added = opt.quantities("--error", errors)
+    machine = opt.load_machine(machine_path).with_parameters(added)
+    draw = np.random.default_rng(seed)
     noise = None if noise_mm is None else noise_mm * 1e-3
     filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
     texts = {out: campaign_text(filled)}

@@ -17,17 +17,15 @@ GROUPS = {
 
 _HEAD = f"""# The catalogue of effects
 
-What real machines have and the nominal one lacks. This page is printed by
-`python -m orthoglide.effects.page`, and a test fails when it is stale: change the catalogue, not
-the page. How to add an effect is told in [CONTRIBUTING](../CONTRIBUTING.md).
+What real machines have and the nominal one lacks, printed by `python -m orthoglide.effects.page`.
+[Contributing](../CONTRIBUTING.md#add-an-effect-in-four-steps) says how to add one.
 
-- **Tolerance** is the standard deviation to expect of a carefully built machine. It acts as the
-  prior of the parameter; your own goes into `[tolerance]` of the [machine file](files.md).
+- **Tolerance** is the standard deviation to expect of a carefully built machine, and the prior of
+  the parameter; your own goes into `[tolerance]` of the [machine file](files.md).
 - **Parameters** carry a leg (`x`, `y`, `z`) and, where a second letter follows, the direction of
-  the error ([conventions](conventions.md)); those of dials carry the name of the setup.
-- **Together** lists patterns that parts of the machine's symmetry make likely, one parameter each.
-- {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are the parameters of the papers, and every
-  identification begins with them.
+  the error ([conventions](conventions.md#signs-of-errors)); those of dials the name of the setup.
+- **Together** lists patterns that symmetry makes likely, one parameter each.
+- {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are identified always.
 """
 
 
@@ -63,7 +61,7 @@ def _section(effect: Effect) -> str:
         "",
         f"{_capital(effect.sentence)}.",
         "",
-        f"- Look at: {effect.look_at}.",
+        f"- Look at: {effect.look_at}{'' if effect.look_at.endswith('?') else '.'}",
         f"- Tolerance {effect.tolerance:g} {_unit(effect)}: {effect.because}.",
         f"- Said, at one tolerance of `{first}`: {one_words(effect, first, effect.tolerance_si)}.",
         f"- Confirmed: {confirm_words(effect, first, effect.tolerance_si)}.",
