@@ -30,28 +30,3 @@ from orthoglide.reduction.linear import (
     system11,
 )
 from orthoglide.reduction.spheres import intersect_spheres, reading
-
-__all__ = [
-    "COLUMNS",
-    "CONFIGURATIONS",
-    "NOMINAL",
-    "G",
-    "LinearFit",
-    "LinearSystem",
-    "ReadingFit",
-    "coefficients",
-    "covariance",
-    "fit_readings",
-    "forward",
-    "intersect_spheres",
-    "inverse",
-    "jacobians",
-    "leg_deviations",
-    "observe",
-    "reading",
-    "reduced_system",
-    "solve",
-    "stroke_angles",
-    "system8",
-    "system11",
-]
