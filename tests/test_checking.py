@@ -26,11 +26,6 @@ RIG = Path(__file__).parent / "data" / "rig"
 WORN = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "leg_length.z": -6e-5}
 
 
-@pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(RIG / "machine.toml")
-
-
 def rows(seed: int, protocol: str = "standard", **errors: float) -> list[rc.Row]:
     """One machine, but for ``errors``; other dials, another day."""
     rig = Rig().with_errors(WORN | errors).with_background(np.random.default_rng(99), 0.02)

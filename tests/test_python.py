@@ -35,11 +35,6 @@ Travel = Callable[[Any], Any]
 
 
 @pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(RIG / "machine.toml")
-
-
-@pytest.fixture(scope="module")
 def campaign(machine: og.Machine) -> og.Campaign:
     return og.read_campaign(RIG / "rig-3.csv", machine.spec)
 
