@@ -59,8 +59,8 @@ def test_two_causes_are_found_that_an_effect_whole_could_draw() -> None:
     residual = 2.0 * columns[:, 0] - 1.7 * columns[:, 3] + noise
     count = columns.shape[1]
     linear = Linear(
-        columns, residual, np.full(count, np.nan), np.zeros(count, bool), tuple(groups),
-        np.zeros((60, 1)),
+        columns, residual, np.full(count, np.nan), np.zeros(count, bool), np.zeros(count, bool),
+        tuple(groups), np.zeros((60, 1)),
     )  # fmt: skip
     mixture = Mixture(linear)
     assert {groups[k].name for k, _ in mixture.best} == {"single.0", "single.3"}

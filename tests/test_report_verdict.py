@@ -187,7 +187,7 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert "0.043 to 0.003 mm rms, which is the noise of the dial" in text
     assert "no effect of the catalogue and no free function" in headline(verdict_of("unexplained"))
     partial = headline(verdict_of("partial"))
-    assert "This is not all" in partial
+    assert "Something else is wrong as well" in partial
     assert "(or the y rail leans" in partial
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")

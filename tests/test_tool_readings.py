@@ -9,7 +9,8 @@ import pytest
 import orthoglide as og
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
-from orthoglide.fit.tool import ToolReadings, roughness
+from orthoglide.fit.surface import roughness
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine

@@ -58,14 +58,18 @@ class ZeroCheck:
         return (
             f"drive {self.drive}: dial on leg {self.touched} toward {self.direction}, "
             f"{self.gauge * 1e3:.1f} mm along it. From Zero ({_triple(self.at_zero)}) to "
-            f"{self.posture.capitalize()} ({_triple(self.at_posture)}) it reads "
-            f"{self.right * 1e3:+.3f} mm more; with the zero of {self.drive} moved the wrong way "
-            f"it would read {self.wrong * 1e3:+.3f} mm more."
+            f"{self.posture.capitalize()} ({_triple(self.at_posture)}) it must read "
+            f"{_more(self.right)}; with the zero of {self.drive} moved the wrong way it would read "
+            f"{_more(self.wrong)}."
         )
 
 
 def _triple(shown: Shown) -> str:
-    return ", ".join(f"{v * 1e3:.3f}" for v in shown)
+    return ", ".join(f"{round(v * 1e3, 3) + 0.0:.3f}" for v in shown)
+
+
+def _more(change: float) -> str:
+    return f"{abs(change) * 1e3:.3f} mm {'less' if change < 0 else 'more'}"
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:

@@ -28,10 +28,12 @@ class Left:
         p_value: of as much being left by noise alone.
         rare: probability that the machine is beyond its tolerances altogether, or that stations
             have errors without structure.
+        shaped: ``p_value`` where probed plates may have shapes that no effect names.
     """
 
     p_value: float
     rare: float = 0.0
+    shaped: float = 0.0
 
 
 def left_over(estimate: Estimate) -> Left:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.noise import copied
 from orthoglide.notes import Note
@@ -47,7 +48,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         if far:
             unit = estimate.unit(unknown.name)
             text = (
-                f"{unknown.name} is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
+                f"{parameter_words(estimate.problem.machine.catalogue.parameter(unknown.name))} "
+                f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
                 f"{compact(unknown.tolerance / unit.si, 2)} {unit.name}: measure it, or correct "
                 f"the tolerance in the machine file"
             )

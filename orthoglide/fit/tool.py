@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, Linear
+from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
@@ -30,7 +31,6 @@ SCALE_SD, OFFSET_SD = 0.01, 2e-4
 """What is known of a setup of distances: a printed part's shrinkage, the width of its pillars."""
 
 _FEWEST_REPEATS = 6
-_DEGREE, _FEWEST_ROUGH = 4, 12
 _LEAST = 0.05
 _STEPS = 10
 
@@ -277,26 +277,6 @@ def _sigma(
                 found[rows] = np.maximum(found[rows], rough)
     declared = campaign.sigma if noise is None else np.full(len(campaign), np.nan)
     return np.where(np.isfinite(declared), declared, found)
-
-
-def roughness(place: Array, height: Array) -> float:
-    """Standard deviation of heights about the smoothest surface, metres; 0 where there are too few.
-
-    A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
-    more than any rigid cause makes, counts as noise of its touches.
-
-    Args:
-        place: on the plate over its radius ``(n, 2)``.
-        height: ``(n,)``, metres.
-    """
-    x, y = place.T
-    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-    columns = np.stack([x**i * y**j for i, j in powers], axis=1)
-    found, _, rank, _ = np.linalg.lstsq(columns, height, rcond=1e-9)
-    dof = len(height) - int(rank)
-    if dof < _FEWEST_ROUGH:
-        return 0.0
-    return float(np.sqrt(np.sum((height - columns @ found) ** 2) / dof))
 
 
 def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:

@@ -68,9 +68,8 @@ def deciding(fit: Estimate, causes: Sequence[Cause]) -> tuple[tuple[str, float],
         one, other = (s.words for s in best)
         found.append(
             (
-                f"{what}: that {one}, and that {other}, would differ by up to "
-                f"{compact(apart * 1e3, 2)} {unit}, where one reading repeats to "
-                f"{compact(sigma * 1e3, 2)} {unit}",
+                f"{what}: it differs by up to {compact(apart * 1e3, 2)} {unit} between two of them "
+                f"({one}; {other}), and one reading repeats to {compact(sigma * 1e3, 2)} {unit}",
                 apart / sigma,
             )
         )

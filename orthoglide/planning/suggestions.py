@@ -274,8 +274,8 @@ def _to_narrow(
     gain = float(before / after)
     if not rows or after > _WORTH * before:
         reason = (
-            f"no {count} readings of a dial on a leg narrow {along} noticeably: sigma stays at "
-            f"{before:.2g} {unit.name}, which is knowledge of the tolerances"
+            f"no {count} readings of a dial on a leg narrow {' and '.join(shares)} noticeably: "
+            f"sigma along {along} stays at {before:.2g} {unit.name}, as the tolerances have it"
         )
         return Suggestion(reason, "none", gain, here.campaign)
     reason = (

@@ -38,6 +38,6 @@ def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
     reason = (
         f"what nothing explains shows most on leg {leg} along {axis}: {len(rows) * _TWICE} "
         f"readings of both its bars along {axis}, over its whole travel and from both sides, "
-        f"show whether it is bent or turned, lost motion or a bar"
+        f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
     )
     return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))

@@ -18,7 +18,7 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
-from orthoglide.posterior.free import curves, curves_of_dials, one_surface
+from orthoglide.posterior.free import curves, curves_of_dials, one_surface, plates
 from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
@@ -49,7 +49,8 @@ class Everything:
     Attributes:
         problem: with every parameter of the catalogue that could matter free.
         x: where it was linearised ``(P,)``, SI.
-        scale: SI of one unit of each coefficient ``(C,)``: the parameters, then the places'.
+        scale: SI of one unit of each coefficient ``(C,)``: the parameters, then the places', then
+            those of the plates' own shapes.
         places: with their coefficients behind the parameters, in order.
         candidates: causes that the readings could show, in the order of the linear groups.
         linear: for the mixture.
@@ -139,7 +140,9 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     project, sd = estimate.nuisance.project, wide.tolerance
     free_rows, found = curves(wide, x)
     of_dials, dials = curves_of_dials(wide, here.value)
-    rows, found = np.hstack([here.jacobian * sd, free_rows, of_dials]), (*found, *dials)
+    of_plates, sizes = plates(wide)
+    rows = np.hstack([here.jacobian * sd, free_rows, of_dials, of_plates])
+    found = (*found, *dials)
     value = here.value - here.jacobian @ x
     many, beyond = len(value) > MANY, (0.0, 0.0, 1.0)
     if many:
@@ -147,8 +150,10 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         columns, residual, stations, beyond = compressed(nuisance, rows, rest)
     else:
         columns, residual = project(rows), project(problem.measured - value)
-    scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found)])
+    scale = np.concatenate([sd, *(np.full(p.kernel.count, p.unit) for p in found), sizes])
     fixed, known = _fixed(problem, len(scale))
+    unnamed = np.arange(len(scale)) >= len(scale) - len(sizes)
+    fixed[unnamed] = 1.0
     slopes = tool_slopes(wide, x) * sd
     same = twins(wide, free, columns[:, : len(sd)], slopes)
     gone = {other.plain for others in same.values() for other, _ in others}
@@ -171,7 +176,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
                            * problem.sigma[:, None])  # fmt: skip
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
-    linear = Linear(columns, residual, fixed, is_free, groups, stations, beyond=beyond)
+    linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
     if one_surface(problem):
         quiet = tuple(s for s in SHARES if s <= _QUIET)
         linear = replace(linear, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))

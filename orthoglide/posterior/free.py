@@ -9,6 +9,8 @@ import numpy as np
 from orthoglide.effects.places import BUILD_UP, Place, Session, dial_places, places
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import DialReadings
+from orthoglide.fit.surface import own_shapes
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
@@ -69,6 +71,23 @@ def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
     if not kept:
         return np.zeros((len(problem.measured), 0)), ()
     return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
+
+
+def plates(problem: Problem) -> tuple[Array, Array]:
+    """Rows ``(n, F)`` by the own shapes of every probed plate, and their standard deviations."""
+    columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
+    for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
+        if not isinstance(factor, ToolReadings):
+            continue
+        for k, setup in enumerate(factor.points.setups):
+            if setup.kind == "plate":
+                at = np.flatnonzero(factor.setup == k)
+                for shape, size in own_shapes(factor.place[at]):
+                    column = np.zeros((len(problem.measured), 1))
+                    column[rows.start + at, 0] = shape * size
+                    columns.append(column)
+                    sd.append(size)
+    return np.hstack(columns), np.array(sd)
 
 
 def _joints(place: Place) -> Array:

@@ -64,6 +64,8 @@ class Linear:
         residual: what the readings say of the sum ``(m,)``.
         fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
         free: which belong to free functions ``(C,)``.
+        unnamed: which belong to shapes of a plate that no effect names ``(C,)``: these explain
+            readings without telling anything.
         groups: that may stand out.
         stations: an error of one sigma at each station ``(m, s)``.
         shares: scales that the effects' background may have, in tolerances.
@@ -76,6 +78,7 @@ class Linear:
     residual: Array
     fixed: Array
     free: NDArray[np.bool_]
+    unnamed: NDArray[np.bool_]
     groups: tuple[Group, ...]
     stations: Array
     shares: tuple[float, ...] = SHARES

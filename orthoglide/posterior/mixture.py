@@ -28,6 +28,7 @@ from orthoglide.posterior.linear import SOUND, STRANGE, Linear, Scale, scales
 
 _MOST = 6  # groups that stand out together
 _FEW = 2  # coefficients of one cause: more are an effect whole
+_NEARLY, _STARTS = 3.0, 2  # log odds of causes that may stand for one, and how many are tried
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
 _KEPT = 60  # of them at most
 
@@ -94,20 +95,39 @@ class Mixture:
         return state
 
     def _split(self, state: State) -> State:
-        """Two lesser causes in place of an effect whole, where that is better.
+        """Two lesser causes in place of one, where that is better.
 
-        An effect whole costs no more than one cause and may draw what two make: then neither of
-        them alone is better than it, and no exchange finds the two.
+        One may draw what two make, an effect whole most of all, and be better than either of them
+        alone: then no exchange of one against another finds the two.
         """
+        found = state
         for out in state:
-            group = self.linear.groups[out[0]]
-            if group.free or out[0] in self._known or group.size <= _FEW:
+            if out[0] in self._known or self.linear.groups[out[0]].free:
                 continue
-            one = self._best_child(tuple(s for s in state if s is not out), _FEW)
-            two = one and self._best_child(one, _FEW)
-            if two:
-                return max(state, self._exchanged(two), key=self._total)
-        return state
+            for one in self._instead(tuple(s for s in state if s is not out), out[0]):
+                if two := self._best_child(one, small=True):
+                    found = max(found, self._exchanged(two), key=self._total)
+        return found
+
+    def _instead(self, rest: State, out: int) -> list[State]:
+        """A state with the causes that are nearly as likely as one that it had besides; of an
+        effect whole with the likeliest, however much less likely.
+        """
+        self._best_child(rest)
+        table = self.children[rest]
+        pooled = np.logaddexp.reduce(table, axis=(0, 2))
+        whole = self.linear.groups[out].size > _FEW
+        least = -np.inf if whole else pooled[out] - _NEARLY
+        likely = [
+            k
+            for k in np.argsort(-pooled, kind="stable").tolist()
+            if k != out and pooled[k] > least and self._small(k)
+        ]
+        return [self.child(rest, k) for k in likely[: 1 if whole else _STARTS]]
+
+    def _small(self, group: int) -> bool:
+        """Whether it is a cause of few coefficients, and no free function."""
+        return not self.linear.groups[group].free and self.linear.groups[group].size <= _FEW
 
     def _exchanged(self, state: State) -> State:
         """Each group exchanged against the best of all others, as long as that is better."""
@@ -129,12 +149,12 @@ class Mixture:
         top = weights.max()
         return float(top + np.log(np.exp(weights - top).sum()))
 
-    def _best_child(self, state: State, most: int | None = None) -> State | None:
+    def _best_child(self, state: State, *, small: bool = False) -> State | None:
         """Let one more group out: all of them at all scales, the best returned.
 
         Args:
             state: what is out already.
-            most: size of what is added; free functions are left out then.
+            small: whether only causes of few coefficients may be added.
         """
         if state not in self.children:
             self.children[state] = self._expand(state)
@@ -143,8 +163,8 @@ class Mixture:
             return None
         top = table.max()
         pooled = np.exp(table - top).sum(axis=0)
-        if most is not None:
-            pooled[[g.free or g.size > most for g in self.linear.groups]] = 0.0
+        if small:
+            pooled[[not self._small(k) for k in range(len(pooled))]] = 0.0
         group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
         return self._child(state, int(group), int(tau))
 
@@ -304,11 +324,14 @@ class Mixture:
         rare = np.array([s.rare > 0 for s in self.scales])
         return float(sum(weight[rare].sum() for weight in self.weights.values()))
 
-    def precision(self, state: State, scale: Scale) -> Array:
-        """Inverse covariance of the readings in a state ``(m, m)``."""
+    def precision(self, state: State, scale: Scale, *, unnamed: bool = False) -> Array:
+        """Inverse covariance of the readings in a state ``(m, m)``; what has neither name nor
+        place explains nothing there unless asked.
+        """
         columns = self.linear.columns
         out = columns @ self._spread(state)
-        cov = (columns * scale.spike) @ columns.T + out @ out.T
+        spike = scale.spike if unnamed else np.where(self.linear.unnamed, 0.0, scale.spike)
+        cov = (columns * spike) @ columns.T + out @ out.T
         return np.asarray(np.linalg.inv(cov + np.eye(len(cov))), dtype=np.float64)
 
     def _spread(self, state: State) -> Array:

@@ -23,9 +23,17 @@ def remains(posterior: FullPosterior) -> Left:
     Args:
         posterior: of everything.
     """
-    mixture, noise = posterior.mixture, posterior.before.problem.noise
-    linear = mixture.linear
-    inverse = mixture.precision(*mixture.named)
+    state, scale = posterior.mixture.named
+    p = _chance(posterior, posterior.mixture.precision(state, scale))
+    if not posterior.mixture.linear.unnamed.any():
+        return Left(p, posterior.mixture.rare)
+    shaped = posterior.mixture.precision(state, scale, unnamed=True)
+    return Left(p, posterior.mixture.rare, _chance(posterior, shaped))
+
+
+def _chance(posterior: FullPosterior, inverse: Array) -> float:
+    """Probability of as much being left by noise alone, the inverse covariance given."""
+    linear, noise = posterior.mixture.linear, posterior.before.problem.noise
     rest = inverse @ linear.residual
     vectors, size, _ = np.linalg.svd(linear.stations, full_matrices=False)
     means = vectors[:, size > _VISIBLE * size.max(initial=1.0)]
@@ -33,7 +41,7 @@ def remains(posterior: FullPosterior) -> Left:
     p = _tail(means.T @ rest, means.T @ inverse @ means, square, count, noise.dof)
     if count == 0 and noise.source != "repeats" and noise.common == 0:
         p = float(np.nanmin([1.0, 2 * p, 2 * _tail(rest, inverse, 0.0, 0.0, np.inf)]))
-    return Left(p if np.isfinite(p) else 1.0, mixture.rare)
+    return p if np.isfinite(p) else 1.0
 
 
 def _tail(rest: Array, spread: Array, square: float, count: float, known: float) -> float:

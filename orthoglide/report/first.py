@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
 from orthoglide.report.phrases import sentence
-from orthoglide.report.wording import MEANINGS, claim, curve_words, evidence
+from orthoglide.report.wording import BESIDES, MEANINGS, claim, curve_words, evidence
 from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def finding(result: Result) -> Data:
         "options": len(result.picture.options),
         "dials": bool(result.picture.dials),
         "text": claim(result),
-        "more": result.word == "partial",
+        "more": BESIDES if result.word == "partial" else "",
         "evidence": evidence(result) if searches else "",
         "tiles": tiles(result),
         "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import RULE, withheld
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, decimals_for, plain, signed
+from orthoglide.numerals import compact, plain, signed
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
@@ -36,20 +36,17 @@ _WHY = "What speaks against acting on them is said at the top."
 def controller(result: Result) -> Data:
     """Numbers for the controller; withheld where the verdict says not to act on them."""
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
-    effects, known = result.catalogue, spec.parameters.items()
-    zeros = {n: e.sigma * 1e3 for n, e in known if effects.effect_of(n).controller == "zero"}
-    sigmas = {effects.parameter(n).leg: sigma for n, sigma in zeros.items()}
+    effects = result.catalogue
     rows = [
         {
             "axis": d.leg,
-            "offset": signed(d.offset * 1e3, 3),
-            "sigma": f"{(s := sigmas.get(d.leg, 0.0)):.{decimals_for(s, 3)}f}",
+            "old": plain(d.zero * 1e3, 3),
             "zero": plain(d.new_zero * 1e3, 3),
             "add": signed(d.correction * 1e3, 3),
-            "alone": plain(alone * 1e3, 3),
         }
-        for d, alone in zip(numbers.drives, numbers.zeros_only, strict=True)
+        for d in numbers.drives
     ]
+    zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
     return {
         "rows": rows if zeros else [],
         "withheld": _WHY if result.cautions else sentence(why) if why else "",

@@ -36,6 +36,9 @@ MEANINGS: Mapping[str, str] = {
 }
 """What the verdict's words mean."""
 
+BESIDES = "Something else is wrong as well."
+"""Behind what was found, where it does not explain all."""
+
 
 def headline(result: Result) -> str:
     """The result in a few sentences: what must be known first, what is wrong, and by what."""
@@ -51,7 +54,7 @@ def claim(result: Result) -> str:
         fit = result.after
         return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
     if result.found:
-        more = " This is not all." if result.word == "partial" else ""
+        more = f" {BESIDES}" if result.word == "partial" else ""
         return f"{_causes(result)}{more}"
     if result.word == "unexplained":
         return f"{_nothing_explains(result)}{where_left(result)}"
@@ -111,6 +114,11 @@ def _weighed(result: Result) -> str:
 
 def where_left(result: Result) -> str:
     """Where what nothing explains lives: which leg, which direction, at which station most."""
+    if result.left.shaped > _CHANCE > result.left.p_value:
+        return (
+            " The plate's own shape would explain it, finer than a bowl or three lobes: touch the "
+            "plate again, turned by 60 degrees on its seat; what turns with it is its own."
+        )
     if not result.rest:
         return ""
     most = result.rest[0]
@@ -119,8 +127,8 @@ def where_left(result: Result) -> str:
     alike = most.share < 2 / len(result.rest)
     spread = ", though all dials show some" if alike else ""
     return (
-        f" The largest part of what is left ({most.share:.0%}) shows on leg {leg} read along "
-        f"{LEGS[most.axis]}{spread}: there the dial is off by up to "
+        f" The largest part of what is left ({100 * most.share:.0f} %) shows on leg {leg} read "
+        f"along {LEGS[most.axis]}{spread}: there the dial is off by up to "
         f"{compact(abs(most.most) * 1e3, 2)} mm, toward {way}{at}."
     )
 
@@ -230,7 +238,7 @@ def _fall(result: Result) -> str:
     places = decimals_for(after, 3)
     verb = "hardly falls" if after > _SLIGHT * first else "falls"
     return (
-        f"what prediction leaves of the readings {verb} from {first:.{places}f} to "
+        f"the difference between readings and prediction {verb} from {first:.{places}f} to "
         f"{after:.{places}f} mm rms"
     )
 

@@ -296,12 +296,12 @@ class Result(Framed):
 
     @cached_property
     def numbers(self) -> ControllerNumbers:
-        """What a controller takes of the calibrated machine, and the errors to expect of the TCP.
+        """The best zeros of a controller that takes nothing else, and the TCP's errors to expect.
 
         They are here whatever the verdict says; where it is not to be acted on, reports do not
         show them.
         """
-        return controller_numbers(self.machine, force=True)
+        return controller_numbers(self.machine, zeros_only=True, force=True)
 
     @cached_property
     def firmware(self) -> FirmwareAdvice | None:

@@ -1,0 +1,64 @@
+"""What the surface of a probed plate has besides a plane: its own shape, and its roughness."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orthoglide.geometry import Array
+
+DEGREE = 4
+"""Of the smoothest surface: no rigid cause makes more waves than a polynomial of this degree."""
+
+_FLAT = 1e-4
+"""Standard deviation of the shapes that effects name, a bowl or three lobes, metres."""
+
+_FEWEST_ROUGH = 12
+
+
+def own_shapes(place: Array) -> list[tuple[Array, float]]:
+    """Shapes of degree 2 to 4 that no effect names, each ``(n,)`` with its standard deviation.
+
+    No plate is flat but for a bowl and three lobes, and what is left of it is no cause in the
+    machine. A finer shape is smaller: half for each degree of the polynomial.
+
+    Args:
+        place: on the plate over its radius ``(n, 2)``.
+    """
+    x, y = place.T
+    square = x**2 + y**2
+    two = (x**2 - y**2, 2 * x * y)
+    by_degree = {
+        2: two,
+        3: (x * (3 * square - 2), y * (3 * square - 2)),
+        4: (
+            6 * square**2 - 6 * square + 1,
+            *(shape * (4 * square - 3) for shape in two),
+            x**4 - 6 * x**2 * y**2 + y**4,
+            4 * x * y * (x**2 - y**2),
+        ),
+    }
+    return [
+        (shape, _FLAT / 2 ** (degree - 1))
+        for degree, shapes in by_degree.items()
+        for shape in shapes
+    ]
+
+
+def roughness(place: Array, height: Array) -> float:
+    """Standard deviation of heights about the smoothest surface, metres; 0 where there are too few.
+
+    A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
+    more than any rigid cause makes, counts as noise of its touches.
+
+    Args:
+        place: on the plate over its radius ``(n, 2)``.
+        height: ``(n,)``, metres.
+    """
+    x, y = place.T
+    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    columns = np.stack([x**i * y**j for i, j in powers], axis=1)
+    found, _, rank, _ = np.linalg.lstsq(columns, height, rcond=1e-9)
+    dof = len(height) - int(rank)
+    if dof < _FEWEST_ROUGH:
+        return 0.0
+    return float(np.sqrt(np.sum((height - columns @ found) ** 2) / dof))
