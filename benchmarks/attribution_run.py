@@ -161,7 +161,7 @@ def metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Recor
         "nearest": nearest,
         "distance": rest.get(nearest, float(np.linalg.norm(left))),
         "visible": cause.name in {c.name for c in seen.candidates},
-        "place": cause.place,
+        "places": cause.places,
     }
 
 

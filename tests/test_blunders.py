@@ -194,6 +194,35 @@ def test_a_dial_that_stuck_from_its_first_reading(protocol, machine, nominal):
         assert [row for _, row in blunder.rows] == own
 
 
+@pytest.mark.parametrize("noise", [1e-6, 5e-6])
+@pytest.mark.parametrize("tilt", [0.0, 2e-3])
+def test_a_dial_that_stuck_where_an_effect_would_undo_what_it_missed(tilt, noise, machine, nominal):
+    """A tilt of just the right size is no better explanation, whatever else is tilted."""
+    errors = {"joint_offset.x": 3e-4, "joint_offset.y": -2e-4, "joint_offset.z": 2.5e-4}
+    rig = Rig(errors=errors | {"axis_tilt.x.y": tilt})
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(3), noise=noise, background=0.015)
+    moved = np.ptp([row["reading_mm"] for row in rows if row["setup"] == "zx-0.5"])
+    assert 0.05 < moved < 0.25
+    spoilt, touched = rc.stuck_dial(rows, "zx-0.5", 0.0)
+    for judge in (machine, nominal):
+        (blunder,) = found_in(spoilt, judge)
+        assert (blunder.kind, blunder.setups) == ("stuck", ("zx-0.5",))
+        assert [row for _, row in blunder.rows] == touched
+
+
+@pytest.mark.parametrize("effect", ["axis_offset.x.y", "rail_tilt.y.x"])
+def test_a_dial_that_has_nothing_to_show_did_not_stick(effect, machine, nominal):
+    """Without that effect the fit would have it move by many divisions."""
+    rig = Rig(errors={effect: 8e-4})
+    rows = rc.simulate(rig, "two-gauges", np.random.default_rng(1), noise=2e-7, background=0.01)
+    shown = {
+        s: [r["reading_mm"] for r in rows if r["setup"] == s] for s in {r["setup"] for r in rows}
+    }
+    assert any(np.ptp(readings) == 0 for readings in shown.values())
+    for judge in (machine, nominal):
+        assert found_in(rows, judge) == ()
+
+
 def test_several_faults(machine):
     rows = rc.outlier(rows_of(seed=5), 30, 0.3).rows
     rows = rc.knocked_stand(rows, "zx-0.5", 0.2).rows
