@@ -11,6 +11,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
+from orthoglide.numerals import compact
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +139,16 @@ class Curve:
         if self.place.against == "reversal":
             return float(np.ptp(self.value))
         return float(np.std(self.value))
+
+    @property
+    def unit(self) -> str:
+        """In which people read it: millimetres, or milliradians of what turns."""
+        return "mrad" if self.place.turns else "mm"
+
+    @property
+    def size_words(self) -> str:
+        """Its size with its unit, and whether that is a root mean square."""
+        return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if self.place.loses else ' rms'}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,10 @@ from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
-from orthoglide.frames import data_frame
+from orthoglide.frames import Framed
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import (
     BudgetItem,
@@ -38,8 +38,6 @@ from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_
 from orthoglide.scene import View
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from orthoglide.planning import Suggestion
 
 Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
@@ -51,7 +49,7 @@ _PROPOSED = 12
 
 
 @dataclass(frozen=True)
-class Result:
+class Result(Framed):
     """What a run found.
 
     Attributes:
@@ -88,6 +86,7 @@ class Result:
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
     alone: tuple[Explanation, ...] = ()
+    _index = "parameter"
 
     @property
     def nominal(self) -> Scores:
@@ -197,14 +196,6 @@ class Result:
         """Parameters that tables show: those of the base, and of the causes found."""
         return tuple(self.columns["parameter"])
 
-    def to_frame(self) -> pd.DataFrame:
-        """What was identified as a data frame; see :attr:`columns`.
-
-        Raises:
-            InputError: where pandas is not installed.
-        """
-        return data_frame(self.columns, index="parameter")
-
     @cached_property
     def budget(self) -> tuple[BudgetItem, ...]:
         """What is wrong by what mending it gains, largest first; none of ``identify``."""
@@ -238,7 +229,7 @@ class Result:
     def instruments(self) -> tuple[str, ...]:
         """Kinds of readings that were taken: ``leg``, ``plate`` ..."""
         problem = self.after.problem
-        tool = [p.points for p in problem.points if isinstance(p.points, ToolCampaign)]
+        tool = problem.tool_campaigns
         kinds = {setup.kind for campaign in tool for setup in campaign.setups}
         points = ["tcp"] if len(tool) < len(problem.points) and "tcp" not in kinds else []
         return (*(["leg"] if problem.campaigns else []), *points, *sorted(kinds))
