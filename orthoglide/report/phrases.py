@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import compact, signed
-from orthoglide.planning import INSTRUMENTS
 
 if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
@@ -81,9 +80,8 @@ def unshown_words(result: Result) -> str:
     if not result.unshown:
         return ""
     parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in result.unshown)
-    taken = listed(INSTRUMENTS[kind] for kind in result.instruments)
     return (
-        f"not visible to {taken} even at three times its tolerance, which is not absent: "
+        f"not visible to {listed(result.instruments.values())} even at three times its tolerance, which is not absent: "
         f"{'; '.join(parts)}"
     )
 

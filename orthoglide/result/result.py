@@ -225,14 +225,16 @@ class Result(Framed):
             for effect, count in hidden.items()
         )
 
-    @property
-    def instruments(self) -> tuple[str, ...]:
-        """Kinds of readings that were taken: ``leg``, ``plate`` ..."""
+    @cached_property
+    def instruments(self) -> dict[str, str]:
+        """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
+        from orthoglide.planning import INSTRUMENTS
+
         problem = self.after.problem
-        tool = problem.tool_campaigns
-        kinds = {setup.kind for campaign in tool for setup in campaign.setups}
-        points = ["tcp"] if len(tool) < len(problem.points) and "tcp" not in kinds else []
-        return (*(["leg"] if problem.campaigns else []), *points, *sorted(kinds))
+        kinds = {setup.kind for campaign in problem.tool_campaigns for setup in campaign.setups}
+        kinds |= {"leg"} if problem.campaigns else set()
+        kinds |= {"tcp"} if len(problem.tool_campaigns) < len(problem.points) else set()
+        return {kind: words for kind, words in INSTRUMENTS.items() if kind in kinds}
 
     @property
     def stopped(self) -> str:
