@@ -80,8 +80,9 @@ def unshown_words(result: Result) -> str:
     if not result.unshown:
         return ""
     parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in result.unshown)
+    taken = listed(result.instruments.values())
     return (
-        f"not visible to {listed(result.instruments.values())} even at three times its tolerance, which is not absent: "
+        f"not visible to {taken} even at three times its tolerance, which is not absent: "
         f"{'; '.join(parts)}"
     )
 

@@ -231,9 +231,10 @@ class Result(Framed):
         from orthoglide.planning import INSTRUMENTS
 
         problem = self.after.problem
-        kinds = {setup.kind for campaign in problem.tool_campaigns for setup in campaign.setups}
+        several = problem.tool_campaigns
+        kinds: set[str] = {setup.kind for campaign in several for setup in campaign.setups}
         kinds |= {"leg"} if problem.campaigns else set()
-        kinds |= {"tcp"} if len(problem.tool_campaigns) < len(problem.points) else set()
+        kinds |= {"tcp"} if len(several) < len(problem.points) else set()
         return {kind: words for kind, words in INSTRUMENTS.items() if kind in kinds}
 
     @property
