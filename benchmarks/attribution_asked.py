@@ -110,11 +110,6 @@ def wrongly_explained(record: Record) -> bool:
     return record["word"] in ("explained", "ambiguous")
 
 
-def cause_named(record: Record) -> bool:
-    """Whether any cause was added, be it with the verdict ``partial``."""
-    return bool(record["effects"])
-
-
 def upper_bound(hits: int, count: int) -> float:
     """Clopper and Pearson's one-sided upper 95 % bound of a share."""
     from scipy.special import betaincinv

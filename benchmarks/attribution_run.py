@@ -121,7 +121,7 @@ def _shown(cause: Cause, size: float, bare: Rig, rows: list[rc.Row], seen: Signa
 
 
 def _stations(seen: Signatures) -> int:
-    return int(seen.groups.max()) + 1
+    return int(seen.estimate.problem.station.max()) + 1
 
 
 def rms_of(shown: Array, seen: Signatures) -> float:

@@ -21,11 +21,6 @@ BASE |= {"leg_length.x": 4e-5, "leg_length.z": -6e-5}
 
 
 @pytest.fixture(scope="module")
-def machine() -> Machine:
-    return Machine.load(RIG / "machine.toml")
-
-
-@pytest.fixture(scope="module")
 def nominal() -> Machine:
     return Machine.nominal()
 

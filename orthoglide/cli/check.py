@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option, noise_metres, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.rerun import read_result
 from orthoglide.cli.terminal import say
@@ -26,25 +26,19 @@ _STYLE = "body{font:1rem/1.5 sans-serif;max-width:56rem;margin:2rem auto;padding
 
 
 @click.command()
-@click.argument("old", type=PATH)
-@click.argument("new", type=PATH)
-@machine_option
-@out_option(required=False, help="Folder for the results; nothing is written where absent.")
-@click.option(
-    "--noise",
-    "noise_mm",
-    type=float,
-    metavar="MM",
-    help="Standard deviation of one reading; else from machine file, rows or repeats.",
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
-@click.option("--quiet", is_flag=True, help="No progress and no tables.")
+@click.argument("old", type=opt.PATH)
+@click.argument("new", type=opt.PATH)
+@opt.machine
+@opt.out_or_nothing
+@opt.noise("from machine file, rows or repeats")
+@opt.seed
+@opt.quiet
 def check(
     old: Path,
     new: Path,
     machine_path: Path | None,
     out: Path | None,
-    noise_mm: float | None,
+    noise: float | None,
     seed: int,
     quiet: bool,
 ) -> None:
@@ -58,12 +52,11 @@ def check(
         check_folder(out)
     if seed < 0:
         raise InputError(f"--seed must be 0 or more, not {seed}")
-    noise = noise_metres(noise_mm)
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.checking import check as compare
 
-        machine = None if machine_path is None else load_machine(machine_path)
+        machine = None if machine_path is None else opt.load_machine(machine_path)
         machine, before = _readings(old, machine)
         machine, after = _readings(new, machine)
         found = compare(before, after, machine, noise=noise, seed=seed, progress=step)
@@ -125,15 +118,11 @@ def _table(found: Check) -> str:
 def _page(found: Check) -> str:
     from orthoglide.checking import COLUMNS
     from orthoglide.frames import html_table
+    from orthoglide.pages import small_page
 
     cells = [(d.parameter, *d.cells) for d in found.differences]
     columns = dict(zip(("parameter", *COLUMNS), zip(*cells, strict=True), strict=True))
     title = f"What changed: {', '.join(found.old)} and {', '.join(found.new)}"
     told = "".join(f"<p>{escape(line)}</p>" for line in _told(found).split("\n") if line)
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>"
-        f"<h1>{escape(title)}</h1>{told}{html_table('Both states', columns, len(cells))}"
-        '<p><a href="report.html">The report of all readings together</a></p></body></html>\n'
-    )
+    link = '<p><a href="report.html">The report of all readings together</a></p>'
+    return small_page(title, _STYLE, told + html_table("Both states", columns, len(cells)) + link)

@@ -13,7 +13,6 @@ from orthoglide.control import RULE, withheld
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, plain, signed
-from orthoglide.observations import ToolCampaign
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
@@ -203,8 +202,7 @@ def unseen(result: Result, figures: Figures) -> Data:
 def _instruments(result: Result) -> list[str]:
     """Kinds of readings that were taken."""
     problem = result.after.problem
-    tool = [p.points for p in problem.points if isinstance(p.points, ToolCampaign)]
-    kinds = {setup.kind for campaign in tool for setup in campaign.setups}
+    kinds = {setup.kind for campaign in problem.tool_campaigns for setup in campaign.setups}
     return [*(["leg"] if problem.campaigns else []), *sorted(kinds)]
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from orthoglide.numerals import compact, hundredths, signed
 from orthoglide.report.phrases import sentence, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import MEANINGS, curve_size, headline
+from orthoglide.report.wording import MEANINGS, headline
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -128,7 +128,7 @@ def _located(result: Result) -> Table:
     for found in result.located:
         for k, c in enumerate(found.members):
             name = f"or {c.place.name}" if k else c.place.name
-            shown.add_row(name, f"{c.probability:.2f}", curve_size(c), c.place.words)
+            shown.add_row(name, f"{c.probability:.2f}", c.size_words, c.place.words)
     return shown
 
 

@@ -15,7 +15,7 @@ from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
-from orthoglide.frames import data_frame
+from orthoglide.frames import Framed
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
@@ -36,8 +36,6 @@ from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_
 from orthoglide.scene import View
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from orthoglide.planning import Suggestion
 
 Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
@@ -49,7 +47,7 @@ _PROPOSED = 12
 
 
 @dataclass(frozen=True)
-class Result:
+class Result(Framed):
     """What a run found.
 
     Attributes:
@@ -86,6 +84,7 @@ class Result:
     hold_out: HoldOut | None = None
     tcp: dict[str, TcpErrors] | None = None
     alone: tuple[Explanation, ...] = ()
+    _index = "parameter"
 
     @property
     def nominal(self) -> Scores:
@@ -194,14 +193,6 @@ class Result:
     def shown(self) -> tuple[str, ...]:
         """Parameters that tables show: those of the base, and of the causes found."""
         return tuple(self.columns["parameter"])
-
-    def to_frame(self) -> pd.DataFrame:
-        """What was identified as a data frame; see :attr:`columns`.
-
-        Raises:
-            InputError: where pandas is not installed.
-        """
-        return data_frame(self.columns, index="parameter")
 
     @cached_property
     def budget(self) -> tuple[BudgetItem, ...]:
