@@ -171,8 +171,11 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     faulty = before if blunders else None
     if blunders:
         problem = without(problem, blunders)
-    # What a change put right is no cause now; what is still wrong is named as one.
-    causes = [c for c in changes if c.is_cause and c.parameter not in before.names]
+    # What a change put right is no cause now; what is still wrong is named as one, if it is known
+    # which it was.
+    causes = [
+        c for c in changes if c.is_cause and not c.members[1:] and c.parameter not in before.names
+    ]
     if changes:
         problem = separated(problem, [c for c in changes if c not in causes])
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))

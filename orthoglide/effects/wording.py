@@ -65,16 +65,14 @@ def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Clause for one parameter and its value, SI."""
     if effect.words.one is not None:
         return effect.words.one(parameter, value)
-    sign = "+" if value >= 0 else MINUS
-    return f"{_short(effect, parameter)}, by {sign}{size_words(effect, value)}"
+    return f"{_short(effect, parameter)}, by {signed_size(effect, value)}"
 
 
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """A test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
         return effect.words.confirm(parameter, value)
-    sign = "+" if value >= 0 else MINUS
-    return f"look at {effect.look_at}: expect {sign}{size_words(effect, value)}"
+    return f"look at {effect.look_at}: expect {signed_size(effect, value)}"
 
 
 def size_words(effect: Effect, value: float) -> str:
@@ -84,6 +82,11 @@ def size_words(effect: Effect, value: float) -> str:
     if effect.unit.name in _SIZES:
         return _SIZES[effect.unit.name](value)
     return f"{compact(abs(value) / effect.unit.si, 2)} {effect.unit.name}"
+
+
+def signed_size(effect: Effect, value: float) -> str:
+    """A size with its sign."""
+    return f"{'+' if value >= 0 else MINUS}{size_words(effect, value)}"
 
 
 def parameter_words(parameter: Parameter) -> str:
