@@ -52,18 +52,19 @@ def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], N
 
 
 @dataclass(frozen=True)
-class Readings:
-    """Predicted readings of a campaign, datums apart.
+class LinearRows:
+    """Predicted readings around one machine, datums apart.
 
     Attributes:
-        value: ``(n,)``, metres.
+        value: ``(n,)``, metres (radians of a level).
         jacobian: by the parameters asked for ``(n, P)``, SI.
-        by_gauge: by the dial's place along the leg ``(n,)``.
+        slopes: what their nuisances need to know of the pose ``(n, k)``; of dials the derivative by
+            the dial's place along the leg.
     """
 
     value: Array
     jacobian: Array
-    by_gauge: Array
+    slopes: Array
 
 
 class Model:
@@ -332,7 +333,7 @@ class Model:
 
     def linearised(
         self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
-    ) -> Readings:
+    ) -> LinearRows:
         """Readings with their derivative by parameters of the machine and of the dials.
 
         Args:
@@ -365,4 +366,4 @@ class Model:
             if name in dials:
                 row, k = dials[name]
                 column[:] = np.where(campaign.setup == row, by_dial[:, k], 0.0)
-        return Readings(shown, jacobian, by_gauge)
+        return LinearRows(shown, jacobian, by_gauge[:, None])
