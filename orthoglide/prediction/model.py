@@ -204,13 +204,6 @@ class Model:
             return np.zeros((len(conditions), self.displacement.size1_out(0)))
         return self._displacement(theta, self.seen(conditions))[0]
 
-    def displacement_derivative(
-        self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
-    ) -> tuple[Array, Array]:
-        """Displacements ``(n, 30)`` and their derivative by machine parameters ``(n, 30, P)``."""
-        moves, by_theta = self._displacement_tangent(self.vector(values), self.seen(conditions))
-        return moves, by_theta[:, :, [self._place[name] for name in names]]
-
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         batch, given = self.closing(values, conditions)
@@ -233,13 +226,14 @@ class Model:
     ) -> tuple[Outputs, Array]:
         """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed."""
         batch, given = self.closing(values, conditions)
-        x, n = batch.close(given), len(conditions)
+        x, n, theta = batch.close(given), len(conditions), self.vector(values)
+        places = [self._place[name] for name in names]
         outputs, by_name = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
             shown, by_given = batch.tangent(x[part], given[part])
-            _, by_theta = self.displacement_derivative(values, conditions.part(part), names)
+            _, by_theta = self._displacement_tangent(theta, self.seen(conditions.part(part)))
             by_virtual = by_given[:, :, 3 : 3 + by_theta.shape[1]]
-            outputs[part], by_name[part] = shown.values, by_virtual @ by_theta
+            outputs[part], by_name[part] = shown.values, by_virtual @ by_theta[:, :, places]
         return Outputs(outputs), by_name
 
     def merged(
