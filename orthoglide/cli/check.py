@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from orthoglide.cli.rerun import read_result
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
+from orthoglide.numerals import plain
 from orthoglide.progress import Step
 
 if TYPE_CHECKING:
@@ -104,12 +106,13 @@ def _told(found: Check) -> str:
     checks = [str(c) for c in numbers.checks]
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     parts = [*(f"- {sentence}." for sentence in found.sentences), "", "What is left now:",
-             headline(verdict),
+             headline(replace(verdict, changed=())),  # said above, parameter by parameter
              f"The tool is {now} off on average over the workspace, a shift of the whole left out; "
              f"{zeros} once the zeros are right."]  # fmt: skip
     parts += [f"Caution: {text}" for text in verdict.cautions]
     if checks:
-        parts += ["", "Once new zeros are entered, these readings prove their signs:"]
+        zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
+        parts += ["", f"Once new zeros are entered ({zero} mm), these readings prove their signs:"]
         parts += [f"- {text}" for text in checks]
     return "\n".join(parts)
 

@@ -16,12 +16,12 @@ from orthoglide.units import MM
 
 def index_rows(compared: Sequence[tuple[str, Observability]]) -> list[str]:
     """A table of observability indices: campaigns or protocols by name."""
-    head = f"{'':<16}{'readings':>9}{'seen':>9}" + "".join(f"{f'O{k}':>10}" for k in range(1, 6))
+    head = f"{'':<15}{'readings':>9}{'seen':>7}" + "".join(f"{f'O{k}':>9}" for k in range(1, 6))
     return [
         head,
         *(
-            f"{name:<16}{o.readings:>9}{f'{o.rank}/{o.unknowns}':>9}"
-            + "".join(f"{v:>10.3g}" for v in o.indices.values())
+            f"{name:<15}{o.readings:>9}{f'{o.rank}/{o.unknowns}':>7}"
+            + "".join(f"{v:>9.2g}" for v in o.indices.values())
             for name, o in compared
         ),
     ]
@@ -63,8 +63,17 @@ def detectable_rows(found: Detectability) -> list[str]:
     lines = [f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit  nearest"]
     lines += [_effect_row(name, members) for name, members in by_effect.items()]
     if found.invisible:
-        lines.append(f"not visible, which is not absent: {', '.join(found.invisible)}")
+        lines.append(f"not visible, which is not absent: {', '.join(_by_effect(found.invisible))}")
     return lines
+
+
+def _by_effect(names: Sequence[str]) -> list[str]:
+    """Parameters of one effect together: ``encoder_scale (x, y, z)``."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        effect, _, member = name.partition(".")
+        groups.setdefault(effect, []).append(member)
+    return [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
 
 
 def _effect_row(name: str, members: Sequence[SmallestEffect]) -> str:
