@@ -106,7 +106,7 @@ def test_from_files_and_results_to_words_and_a_page(
     options = ("--machine", RIG / "machine.toml")
     plain = run("check", "old.csv", "new.csv", *options)
     assert plain.exit_code == 0, plain.output
-    assert "joint offset of leg x changed from" in plain.stdout
+    assert "- Joint offset of leg x changed from" in plain.stdout
     assert "What is left now:" in plain.stdout
     told = re.search(
         r"The tool is (\S+) mm off .*; (\S+) mm once the zeros are right", plain.stdout
@@ -121,7 +121,9 @@ def test_from_files_and_results_to_words_and_a_page(
     assert kept.exit_code == 0, kept.output
     assert kept.stdout.splitlines()[:3] == plain.stdout.splitlines()[:3]
     page = (tmp_path / "out" / "check.html").read_text()
-    assert "joint offset of leg x changed from" in page
+    assert "Joint offset of leg x changed from" in page
+    assert "<svg" in page
+    assert "it must read" in page
     table = list(csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text())))
     by_name = {row["parameter"]: row for row in table}
     assert by_name["joint_offset.x"]["changed"] == "yes"
