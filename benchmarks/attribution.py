@@ -137,7 +137,8 @@ def failures(found: Sequence[Record]) -> list[str]:
 
 def _told(r: Record) -> str:
     truth = " + ".join(
-        f"{t['name']} {t['place']} rms {t['rms']:.1f}, {t['distance']:.1f} from {t['nearest']}"
+        f"{t['name']} {' '.join(t['places'])} rms {t['rms']:.1f}, "
+        f"{t['distance']:.1f} from {t['nearest']}"
         for t in r["truth"]
     )
     effects = " + ".join(

@@ -53,16 +53,23 @@ def seen(record: Record) -> bool:
 
 def placed(record: Record) -> bool:
     """Whether the class of the true place was located."""
-    place = record["truth"][0]["place"]
-    return any(place in found["places"] for found in record["located"])
+    return bool(classes(record))
+
+
+def classes(record: Record) -> list[Sequence[str]]:
+    """Classes that were located and hold the true place."""
+    own = set(record["truth"][0]["places"])
+    return [found["places"] for found in record["located"] if own & set(found["places"])]
 
 
 def misplaced(record: Record) -> bool:
     """Whether a place or a name was claimed for what lies outside that is not its own."""
-    place = record["truth"][0]["place"]
-    elsewhere = any(place not in found["places"] for found in record["located"])
-    others = [e for e in record["effects"]
-              if not any(is_shape_of(place, parts) for _, parts, _ in e["members"])]  # fmt: skip
+    elsewhere = len(classes(record)) < len(record["located"])
+    own = record["truth"][0]["places"]
+    others = [
+        e for e in record["effects"]
+        if not any(is_shape_of(p, parts) for p in own for _, parts, _ in e["members"])
+    ]  # fmt: skip
     return elsewhere or (record["word"] in ("explained", "ambiguous", "located") and bool(others))
 
 
@@ -101,11 +108,6 @@ def worse(record: Record) -> bool:
 def wrongly_explained(record: Record) -> bool:
     """Whether a verdict claims to have explained what no effect of the catalogue is."""
     return record["word"] in ("explained", "ambiguous")
-
-
-def cause_named(record: Record) -> bool:
-    """Whether any cause was added, be it with the verdict ``partial``."""
-    return bool(record["effects"])
 
 
 def upper_bound(hits: int, count: int) -> float:

@@ -166,7 +166,7 @@ class Cause:
         errors: parameters at one tolerance, SI; empty outside.
         extra: from size to what `tests.rig.Rig` adds, outside the catalogue only.
         into: the rig's field that takes it.
-        place: where it is, as the tool calls places; outside the catalogue only.
+        places: where it is, as the tool calls places; outside the catalogue only.
     """
 
     name: str
@@ -174,12 +174,16 @@ class Cause:
     errors: Mapping[str, float]
     extra: Callable[[float], Any] | None = None
     into: str = "extra"
-    place: str = ""
+    places: tuple[str, ...] = ()
 
     @property
     def largest(self) -> float:
-        """Sizes beyond this are not asked for."""
-        return LARGEST if self.extra is None else 1e-3
+        """Sizes beyond this are not asked for; a worn dial is wrong by three times its standard's
+        limit (DIN 878: 17 um).
+        """
+        if self.extra is None:
+            return LARGEST
+        return 5e-5 if self.into == "extra_dial" else 1e-3
 
     def added_to(self, rig: Rig, size: float) -> Rig:
         """The machine with this cause at a size (tolerances, or metres outside)."""
@@ -229,7 +233,7 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
         "kinked_rail": (rail, lambda v: rc.kinked_rail(leg, across, v, at), "extra"),
         "drive_cubic": (f"{drive}/travel", lambda v: rc.s_curve(leg, leg, v), "extra"),
         "drive_step": (f"{drive}/travel", lambda v: rc.drive_step(leg, v, at), "extra"),
-        "stick_slip": (f"{drive}/approach", lambda v: rc.stick_slip(leg, v), "extra"),
+        "stick_slip": (f"{drive}/travel", lambda v: rc.stick_slip(leg, v), "extra"),
         "hysteresis": (f"{drive}/reversal", lambda v: rc.hysteresis(leg, v), "extra"),
         "growing_lash": (f"{drive}/approach", lambda v: rc.growing_lash(leg, v), "extra"),
         "cross_coupling": (f"{drive}/command.{other}",
@@ -247,7 +251,9 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
         "dial_curve": (f"dial.{setup}/reading", lambda v: {setup: rc.dial_curve(v)}, "extra_dial"),
     }  # fmt: skip
     place, extra, into = made[kind]
-    return Cause(kind, kind, {}, extra, into, place)
+    # Its sawtooth comes later by the side of approach: one of travel, and lost motion.
+    also = (f"{drive}/approach",) if kind == "stick_slip" else ()
+    return Cause(kind, kind, {}, extra, into, (place, *also))
 
 
 def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:

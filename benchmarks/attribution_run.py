@@ -121,7 +121,7 @@ def _shown(cause: Cause, size: float, bare: Rig, rows: list[rc.Row], seen: Signa
 
 
 def _stations(seen: Signatures) -> int:
-    return int(seen.groups.max()) + 1
+    return int(seen.estimate.problem.station.max()) + 1
 
 
 def rms_of(shown: Array, seen: Signatures) -> float:
@@ -161,7 +161,7 @@ def metric(shown: Array, seen: Signatures, cause: Cause, others: Array) -> Recor
         "nearest": nearest,
         "distance": rest.get(nearest, float(np.linalg.norm(left))),
         "visible": cause.name in {c.name for c in seen.candidates},
-        "place": cause.place,
+        "places": cause.places,
     }
 
 

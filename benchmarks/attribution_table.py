@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.attribution_asked import (
     alarmed,
     both_found,
+    classes,
     clear,
     fault_found,
     holds_alone,
@@ -93,10 +94,7 @@ def requirements(records: Sequence[Record]) -> Table:
     weak = [r for r in single if not clear(r["truth"][0])]
     both = [r for r in kinds["pair"] if r["truth"] and all(map(clear, r["truth"]))]
     outside = [r for r in kinds["outside"] if r["truth"] and seen(r)]
-    members = [
-        len(f["places"]) for r in outside for f in r["located"]
-        if r["truth"][0]["place"] in f["places"]
-    ]  # fmt: skip
+    members = [len(c) for r in outside for c in classes(r)]
     gain = [r["tcp"]["after"][0] / r["tcp"]["before"][0] for r in outside]
     alarms = sum(map(alarmed, kinds["nothing"]))
     sizes = [len(e["members"]) for r in strong for e in r["effects"][:1]]
@@ -195,11 +193,7 @@ def places(records: Sequence[Record]) -> Table:
         if not every:
             continue
         right = [r for r in shown if placed(r)]
-        place = [r["truth"][0]["place"] for r in right]
-        size = [
-            len(f["places"]) for r, p in zip(right, place, strict=True) for f in r["located"]
-            if p in f["places"]
-        ]  # fmt: skip
+        size = [len(c) for r in right for c in classes(r)]
         silent = sum(not placed(r) and not misplaced(r) for r in shown)
         tcp = [np.mean([r["tcp"][k][0] for r in shown] or [np.nan]) for k in ("before", "after")]
         rows.append(

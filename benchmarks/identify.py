@@ -106,11 +106,11 @@ def by_scipy(problem: Problem, nuisance: Nuisances) -> Array:
     gauges = np.array([s.gauge for s in setups])
 
     def rows(six: Array) -> Array:
-        shown = reduction.readings(data.command, legs, axes, gauges, six[:3], six[3:])
+        shown = reduction.observe(data.command, legs, axes, gauges, six[:3], six[3:]).values
         return np.append(nuisance.project(problem.measured - shown), six / problem.tolerance)
 
     def slopes(six: Array) -> Array:
-        by_six = reduction.reading_jacobian(data.command, legs, axes, gauges, six[:3], six[3:])
+        by_six = reduction.observe(data.command, legs, axes, gauges, six[:3], six[3:]).gradient
         return np.vstack([-nuisance.project(by_six), np.diag(1 / problem.tolerance)])
 
     exact = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15}
@@ -136,7 +136,9 @@ def ways(problem: Problem) -> dict[str, Callable[[], Array]]:
         "programme over the mechanism, solved again": lambda: (
             warm.solve(problem.measured, first.x, joints).x
         ),
-        "mechanism nested": lambda: solve_nested(problem, nuisance, linearise(problem, first.x)).x,
+        "mechanism nested": lambda: (
+            solve_nested(problem, nuisance, linearise(problem, first.x))[0].x
+        ),
         "reduction, its own Newton": lambda: reduction_fit(problem, nuisance).values[:-1],
         "reduction, scipy.optimize.least_squares": lambda: by_scipy(problem, nuisance),
     }

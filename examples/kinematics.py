@@ -55,7 +55,7 @@ def compute() -> Shown:
 
     # (5): the velocity Jacobian
     jacobian = (
-        reduction.velocity_jacobian(p, rho),
+        reduction.jacobians(p, rho).rho,
         mechanism.velocity_jacobian(mechanism.close(rho)),
     )
 

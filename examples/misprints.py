@@ -188,7 +188,7 @@ def jacobian_2006() -> Misprint:
     step = 1e-5
     measured = (_at_xmax(step)[1] - _at_xmax(-step)[1]) / (2 * step)
     rho = MACHINE.command("xmax")
-    inverse = np.linalg.inv(reduction.velocity_jacobian(reduction.forward(rho), rho))
+    inverse = np.linalg.inv(reduction.jacobians(reduction.forward(rho), rho).rho)
     return Misprint(
         "2006 (5)",
         "the inverse Jacobian",
@@ -205,8 +205,8 @@ def right_side_2006() -> Misprint:
         np.subtract(
             *(
                 (
-                    reduction.readings(commands, 0, 1, L / 2, o)
-                    - reduction.readings(commands, 0, 1, L / 2, -o)
+                    reduction.observe(commands, 0, 1, L / 2, o).values
+                    - reduction.observe(commands, 0, 1, L / 2, -o).values
                 )
                 / (2 * step)
             )

@@ -44,6 +44,17 @@ def vectors(values: ArrayLike, name: str) -> Array:
     return array
 
 
+def moved_onto(points: Array, source: Array, target: Array) -> Array:
+    """Points ``(n, 3)`` by the rigid motion that brings points ``source`` nearest to ``target``.
+
+    In the least squares, by singular values (Kabsch 1976), and never by a mirror.
+    """
+    centre, goal = source.mean(axis=0), target.mean(axis=0)
+    left, _, right = np.linalg.svd((source - centre).T @ (target - goal))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray((points - centre) @ (left @ flip @ right) + goal)
+
+
 def axis_index(name: str) -> int:
     """Index of a leg or base axis.
 

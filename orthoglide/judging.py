@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, TcpPoints, ToolCampaign
 from orthoglide.prediction import Conditions
@@ -69,7 +69,7 @@ def hold_out(
 def _left_out(
     values: Mapping[str, float], machine: Machine, held: Sequence[Readings], own: Sequence[str]
 ) -> float:
-    kept = _of_the_machine(machine, values)
+    kept = machine.catalogue.of_machine(values)
     problem = assemble(held, machine.with_only(kept), own or machine.catalogue.base)
     if own:
         estimate = solve(problem, method="nested")
@@ -122,7 +122,7 @@ def tcp_errors(
     conditions = Conditions.at(points.command, approach=points.approach)
     found = {}
     predicted = {
-        name: machine.model.outputs(_of_the_machine(machine, values), conditions).p
+        name: machine.model.outputs(machine.catalogue.of_machine(values), conditions).p
         for name, values in (("nominal", {}), ("before", before), ("after", after))
     }
     for fit in ("none", "translation", "rigid"):
@@ -147,13 +147,4 @@ def _aligned(p: Array, measured: Array, fit: str) -> Array:
     complete = np.isfinite(measured).all(axis=1)
     if fit == "translation" or complete.sum() < 3:
         return p + np.nanmean(measured - p, axis=0)
-    source, target = p[complete], measured[complete]
-    centre, goal = source.mean(axis=0), target.mean(axis=0)
-    left, _, right = np.linalg.svd((source - centre).T @ (target - goal))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return np.asarray((p - centre) @ (left @ flip @ right) + goal)
-
-
-def _of_the_machine(machine: Machine, values: Mapping[str, float]) -> dict[str, float]:
-    """Parameters without those of dials."""
-    return {n: v for n, v in values.items() if not machine.catalogue.effect_of(n).of_dial}
+    return moved_onto(p, p[complete], measured[complete])

@@ -289,7 +289,7 @@ class Machine:
 
     @property
     def _machine_values(self) -> dict[str, float]:
-        return {n: v for n, v in self.values.items() if not self.catalogue.effect_of(n).of_dial}
+        return self.catalogue.of_machine(self.values)
 
     def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""

@@ -60,17 +60,14 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
     groups: dict[tuple[str, ...], dict[Parameter, float]] = {}
     catalogue, marks = machine.catalogue, []
     for name, value in values.items():
-        effect, p = catalogue.effect_of(name), catalogue.parameter(name)
+        effect = catalogue.effect_of(name)
         if effect.of_dial:
-            size = size_words(effect, value)
+            size, setup = size_words(effect, value), catalogue.parameter(name).setup
             part: Part = "plate" if effect.plate else "dial"
-            marks.append(Mark(part, -1, np.zeros(3), size, setup=p.setup))
-            continue
-        for one, weight in catalogue.elementary(name).items():
-            p = catalogue.parameter(one).plain
-            key = (p.effect, p.leg, "" if effect.paired else p.direction)
-            group = groups.setdefault(key, {})
-            group[p] = group.get(p, 0.0) + weight * value
+            marks.append(Mark(part, -1, np.zeros(3), size, setup=setup))
+    for p, value in catalogue.moved_by(values).items():
+        direction = "" if catalogue.effect_of(p).paired else p.direction
+        groups.setdefault((p.effect, p.leg, direction), {})[p] = value
     marks += [mark for group in groups.values() for mark in _marks(machine, group)]
     labels = {mark.label for mark in marks}
     if len(labels) == 1 < len(marks):  # said once for all
@@ -160,16 +157,17 @@ def joint_mark(
     return Mark(part, leg, way, label, bar, float(travel[k]), shape, both)
 
 
-def causes_of(machine: Machine, most: int = MOST_WAYS) -> tuple[Cause, ...]:
+def causes_of(machine: Machine) -> tuple[Cause, ...]:
     """What is wrong with a machine by its parameters, those largest in their tolerances first.
 
     What is a hundred times smaller than its tolerance is left out.
     """
-    of = machine.catalogue.effect_of
-    values = {n: v for n, v in machine.values.items() if v and not of(n).of_dial}
+    values = {n: v for n, v in machine.catalogue.of_machine(machine.values).items() if v}
     sizes = {n: abs(v) / machine.tolerance(n) for n, v in values.items()}
     ranked = sorted((n for n in values if sizes[n] > _TINY), key=lambda n: -sizes[n])
-    return tuple((cause_words(machine.catalogue, n, values), {n: values[n]}) for n in ranked[:most])
+    return tuple(
+        (cause_words(machine.catalogue, n, values), {n: values[n]}) for n in ranked[:MOST_WAYS]
+    )
 
 
 def view(machine: Machine, causes: Sequence[Cause]) -> View:
@@ -181,15 +179,7 @@ def view(machine: Machine, causes: Sequence[Cause]) -> View:
     """
     geometry = machine.geometry
     where = _shown(workspace(geometry)[_path(geometry)])
-    parts: list[dict[str, float]] = []
-    for _, values in causes:
-        own: dict[str, float] = {}
-        for name, value in values.items():
-            if not machine.catalogue.effect_of(name).of_dial:
-                for part, weight in machine.catalogue.elementary(name).items():
-                    plain = machine.catalogue.parameter(part).plain
-                    own[plain] = own.get(plain, 0.0) + weight * value
-        parts.append(own)
+    parts = [machine.catalogue.moved_by(values) for _, values in causes]
     names = tuple(dict.fromkeys(name for own in parts for name in own))
     rest = Conditions.at(where.command)
     out = machine.model.outputs({}, rest)

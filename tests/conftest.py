@@ -7,7 +7,17 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+from pathlib import Path
+
 import pytest
+
+import orthoglide as og
+
+
+@pytest.fixture(scope="session")
+def machine() -> og.Machine:
+    """The machine that the rig's campaigns were measured on, as its file has it."""
+    return og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

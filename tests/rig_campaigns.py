@@ -287,11 +287,19 @@ def dial_curve(value: float, period: float = 1.0e-3) -> Callable[[Array], Array]
 
 
 def stick_slip(leg: int, value: float, step: float = 0.013) -> Extra:
-    """The carriage sticks and jumps: it lags by a sawtooth of its travel, up to value."""
+    """The carriage sticks and jumps: it lags by a sawtooth of its travel, up to value.
+
+    Where no approach is known: the mean of both sides.
+    """
+
+    def lag(travel: Array, side: float) -> Array:
+        way = side * travel / step
+        return np.asarray(-value * side * (way - np.floor(way)))
 
     def effect(travel: Array, approach: Array, time: Array) -> Array:
-        way = travel[:, leg] * approach[:, leg] / step
-        return _along(leg, leg, -value * approach[:, leg] * (way - np.floor(way)))
+        s, near = travel[:, leg], approach[:, leg]
+        up, down = lag(s, 1.0), lag(s, -1.0)
+        return _along(leg, leg, ((1 + near) * up + (1 - near) * down) / 2)
 
     return effect
 

@@ -64,7 +64,7 @@ def test_what_is_in_no_catalogue_is_not_explained() -> None:
 @pytest.mark.parametrize("kind", ["hysteresis", "platform_play"])
 def test_what_depends_on_the_way_there_is_located(kind: str) -> None:
     record = ended(Case("outside", kind, "sweep", 12.0, 0))
-    assert [place["places"] for place in record["located"]] == [[record["truth"][0]["place"]]]
+    assert [place["places"] for place in record["located"]] == [list(record["truth"][0]["places"])]
     assert record["effects"] == []
     assert record["tcp"]["after"][0] < 0.3 * record["tcp"]["before"][0]
 

@@ -21,11 +21,6 @@ BASE |= {"leg_length.x": 4e-5, "leg_length.z": -6e-5}
 
 
 @pytest.fixture(scope="module")
-def machine() -> Machine:
-    return Machine.load(RIG / "machine.toml")
-
-
-@pytest.fixture(scope="module")
 def nominal() -> Machine:
     return Machine.nominal()
 
@@ -197,6 +192,42 @@ def test_a_dial_that_stuck_from_its_first_reading(protocol, machine, nominal):
         (blunder,) = found_in(rows, judge)
         assert (blunder.kind, blunder.setups) == ("stuck", ("zx-0.5",))
         assert [row for _, row in blunder.rows] == own
+
+
+@pytest.mark.parametrize("noise", [1e-6, 5e-6])
+@pytest.mark.parametrize("tilt", [0.0, 2e-3])
+def test_a_dial_that_stuck_where_an_effect_would_undo_what_it_missed(tilt, noise, machine, nominal):
+    """A tilt of just the right size is no better explanation, whatever else is tilted."""
+    errors = {"joint_offset.x": 3e-4, "joint_offset.y": -2e-4, "joint_offset.z": 2.5e-4}
+    rig = Rig(errors=errors | {"axis_tilt.x.y": tilt})
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(3), noise=noise, background=0.015)
+    moved = np.ptp([row["reading_mm"] for row in rows if row["setup"] == "zx-0.5"])
+    assert 0.05 < moved < 0.25
+    spoilt, touched = rc.stuck_dial(rows, "zx-0.5", 0.0)
+    for judge in (machine, nominal):
+        (blunder,) = found_in(spoilt, judge)
+        assert (blunder.kind, blunder.setups) == ("stuck", ("zx-0.5",))
+        assert [row for _, row in blunder.rows] == touched
+
+
+@pytest.mark.parametrize(
+    ("protocol", "effect", "size"),
+    [
+        ("two-gauges", "axis_offset.x.y", 8e-4),
+        ("two-gauges", "rail_tilt.y.x", 8e-4),
+        ("sweep", "parallelogram_width.x", 2.9e-3),
+    ],
+)
+def test_a_dial_that_has_nothing_to_show_did_not_stick(protocol, effect, size, machine, nominal):
+    """Without that effect, far beyond its tolerance or not, it would have many divisions to go."""
+    rig = Rig(errors={effect: size})
+    rows = rc.simulate(rig, protocol, np.random.default_rng(1), noise=2e-7, background=0.01)
+    shown = {
+        s: [r["reading_mm"] for r in rows if r["setup"] == s] for s in {r["setup"] for r in rows}
+    }
+    assert any(np.ptp(readings) == 0 for readings in shown.values())
+    for judge in (machine, nominal):
+        assert found_in(rows, judge) == ()
 
 
 def test_several_faults(machine):

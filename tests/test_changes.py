@@ -1,7 +1,6 @@
 """Two campaigns of one machine: what changed between them, from what to what."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,14 +15,8 @@ from orthoglide.observations import Campaign
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
-RIG = Path(__file__).parent / "data" / "rig"
 BASE = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "joint_offset.z": 0.6e-3}
 BASE |= {"leg_length.x": 4e-5, "leg_length.z": -6e-5}
-
-
-@pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(RIG / "machine.toml")
 
 
 def campaign(

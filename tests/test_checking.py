@@ -10,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 import orthoglide as og
 from orthoglide.checking import Check, check
-from orthoglide.cli import cli
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.observations import Readings, ToolCampaign
@@ -22,14 +20,10 @@ from orthoglide.planning.owning import sheet_of
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
 from tests.rig import Rig
+from tests.test_cli import run
 
 RIG = Path(__file__).parent / "data" / "rig"
 WORN = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "leg_length.z": -6e-5}
-
-
-@pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(RIG / "machine.toml")
 
 
 def rows(seed: int, protocol: str = "standard", **errors: float) -> list[rc.Row]:
@@ -91,10 +85,6 @@ def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
 def test_both_sides_have_readings(machine: og.Machine) -> None:
     with pytest.raises(InputError, match="readings of both states"):
         check([], [campaign(machine, "c", rows(1))], machine)
-
-
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, [str(a) for a in arguments])
 
 
 def test_from_files_and_results_to_words_and_a_page(

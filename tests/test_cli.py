@@ -34,6 +34,7 @@ from orthoglide.observations import campaign_text, protocol
 EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
 EXPERIMENT_3 = (files("orthoglide") / "data" / "experiment3.csv").read_text()
 ROOT = Path(__file__).parents[1]
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 NEVER = {"PATH": os.environ["PATH"], "HOME": os.environ.get("HOME", "/"), "PYTHONPATH": str(ROOT)}
 
 
@@ -381,7 +382,7 @@ def test_interrupted_inside_a_compiled_solver(
 @contextlib.contextmanager
 def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """This process takes signals as the command line does, for a while."""
-    before = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
+    before = {s: signal.getsignal(s) for s in SIGNALS}
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     try:

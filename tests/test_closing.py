@@ -32,11 +32,6 @@ HIDDEN: dict[str, tuple[str, ...]] = {
 
 
 @pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(RIG / "machine.toml")
-
-
-@pytest.fixture(scope="module")
 def verdicts(machine: og.Machine) -> dict[str, Verdict]:
     found = {}
     for case in HIDDEN:

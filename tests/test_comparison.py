@@ -123,7 +123,7 @@ def test_no_six_parameters_come_nearer_to_the_readings(name: str) -> None:
     pose = rig.pose(c.command, c.approach, c.time, c.temperature - c.temperature[0], c.load)
     shown = rig.readings(pose.lines, c.leg, [c.setups[k].direction for k in c.setup], gauges)
     columns = np.hstack(
-        [reduction.reading_jacobian(c.command, c.leg, axes, gauges), np.eye(len(c.setups))[c.setup]]
+        [reduction.observe(c.command, c.leg, axes, gauges).gradient, np.eye(len(c.setups))[c.setup]]
     )
     linear = shown - columns @ np.linalg.lstsq(columns, shown, rcond=None)[0]
     rms = np.sqrt(np.mean(linear**2))

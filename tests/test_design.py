@@ -51,11 +51,6 @@ RIG = Path(__file__).parent / "data" / "rig"
 TEXT = {"setup", "leg", "direction", "posture", "bar", "kind"}
 
 
-@pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(RIG / "machine.toml")
-
-
 def measured(machine, rig, rows, seed, name="a") -> Campaign:
     made = simulate(rig, rows, np.random.default_rng(seed), placement=machine.spec.dial.placement)
     return Campaign.from_frame(pd.DataFrame(made), name=name, machine_file=machine.spec)

@@ -325,7 +325,7 @@ def test_moved_carriages_and_changed_bars_agree_with_three_spheres(name: str, ti
     turn = 2 * np.pi * told / PITCH
     p = reduction.forward(seen.command)
     # Force of the load on the drive by virtual work: the row of z in dp/drho.
-    force = -seen.load * reduction.velocity_jacobian(p, seen.command)[:, 2, leg]
+    force = -seen.load * reduction.jacobians(p, seen.command).rho[:, 2, leg]
     along: dict[str, Array | float] = {
         "joint_offset": 1.0, "encoder_scale": told, "backlash": -seen.approach[:, leg] / 2,
         "screw_error": np.sin(turn) if name.endswith("sin") else np.cos(turn),

@@ -8,36 +8,29 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 
-from orthoglide.cli import cli, running
-from orthoglide.cli.run import stop_cleanly
+from orthoglide.cli import running
 from orthoglide.cli.terminal import say
 from orthoglide.errors import FileError
 from orthoglide.files import check_new, write_files
 from orthoglide.machine_file import machine_text, nominal_machine_file
 from orthoglide.mechanism.compiled import compiler
 from orthoglide.report import write_folder
+from tests.test_cli import EXPERIMENT_2, SIGNALS, listening, run
 
 ROOT = Path(__file__).parents[1]
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of one's own with the published campaign, to work in."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "c.csv").write_text((files("orthoglide") / "data" / "experiment2.csv").read_text())
+    (tmp_path / "c.csv").write_text(EXPERIMENT_2)
     return tmp_path
-
-
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, [str(a) for a in arguments])
 
 
 def process(
@@ -127,19 +120,6 @@ def test_a_stream_that_broke_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 # --- Late signals -------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """This process takes signals as the command line does, for a while."""
-    before = {s: signal.getsignal(s) for s in SIGNALS}
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    try:
-        stop_cleanly()
-        yield
-    finally:
-        for which, handler in before.items():
-            signal.signal(which, handler)
 
 
 @pytest.mark.parametrize("sent", SIGNALS)

@@ -7,19 +7,15 @@ import io
 import json
 import os
 import threading
-from collections.abc import Callable
 from html.parser import HTMLParser
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
-from click.testing import CliRunner, Result
 from rich.table import Table
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.comparison import slices
 from orthoglide.comparison.tables import slice_figure
 from orthoglide.control import export_files
@@ -32,24 +28,20 @@ from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import campaign_text, read_campaign
 from orthoglide.parameters import Parameter
 from orthoglide.report.text import console_text
+from tests.test_cli import EXPERIMENT_2, rows, run
 
-EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
 TOML = machine_text(nominal_machine_file())
 SETUPS = ("xy", "xz", "yx", "yz", "zx", "zy")
 
 
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli, [str(a) for a in arguments])
-
-
-def renamed(names: tuple[str, ...], text: str = EXPERIMENT_2) -> str:
+def renamed(names: tuple[str, ...]) -> str:
     """The published campaign with other names of its setups, in their order."""
-    table = list(csv.reader(io.StringIO(text)))
-    for row in table[1:]:
-        row[0] = names[SETUPS.index(row[0])]
-    stream = io.StringIO(newline="")
-    csv.writer(stream, lineterminator="\n").writerows(table)
-    return stream.getvalue()
+
+    def edit(table: list[list[str]]) -> None:
+        for row in table[1:]:
+            row[0] = names[SETUPS.index(row[0])]
+
+    return rows(edit)
 
 
 @pytest.fixture
@@ -234,20 +226,12 @@ def test_a_file_name_that_is_no_text(here: Path) -> None:
 # --- Files that are hardly any ------------------------------------------------------------------
 
 
-def table(edit: Callable[[list[list[str]]], object]) -> str:
-    rows = list(csv.reader(io.StringIO(EXPERIMENT_2)))
-    edit(rows)
-    stream = io.StringIO(newline="")
-    csv.writer(stream, lineterminator="\n").writerows(rows)
-    return stream.getvalue()
-
-
 def with_column(name: str, cell: str) -> str:
-    return table(lambda rows: [row.append(cell if k else name) for k, row in enumerate(rows)])
+    return rows(lambda t: [row.append(cell if k else name) for k, row in enumerate(t)])
 
 
 def first_cell(column: str, cell: str) -> str:
-    return table(lambda rows: rows[1].__setitem__(rows[0].index(column), cell))
+    return rows(lambda t: t[1].__setitem__(t[0].index(column), cell))
 
 
 CAMPAIGNS: dict[str, tuple[str | bytes, str]] = {

@@ -28,7 +28,6 @@ from orthoglide.fit import (
     noise_of,
     solve,
 )
-from orthoglide.fit.estimate import as_mapping
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nlp import Nlp, NlpResult
 from orthoglide.geometry import LEGS
@@ -707,9 +706,9 @@ def test_estimate_in_numbers_and_words() -> None:
     found = identify(measured("standard"), MACHINE)
     assert np.allclose(np.diag(found.correlation), 1)
     assert np.all(np.abs(found.correlation) <= 1 + 1e-12)
-    shown = as_mapping(found)
-    assert shown["joint_offset.x"][0] == pytest.approx(found.values["joint_offset.x"] * 1e3)
-    assert shown["joint_offset.x"][2] == "mm"
+    shown = found.to_frame().loc["joint_offset.x"]
+    assert shown["value"] == pytest.approx(found.values["joint_offset.x"] * 1e3)
+    assert shown["unit"] == "mm"
     text = str(found)
     assert all(name in text for name in found.names)
     assert "chi2" in text

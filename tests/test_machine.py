@@ -85,7 +85,7 @@ def test_jacobian_by_differences() -> None:
 
 def test_nominal_jacobian_is_equation_5() -> None:
     rho = commands(50)
-    expected = reduction.velocity_jacobian(reduction.forward(rho), rho)
+    expected = reduction.jacobians(reduction.forward(rho), rho).rho
     assert np.allclose(NOMINAL.jacobian(rho), expected, rtol=0, atol=1e-9)
 
 

@@ -31,11 +31,6 @@ MACHINE = ROOT / "tests" / "data" / "rig" / "machine.toml"
 TILTED = {"axis_tilt.y.z": 4e-3, "joint_offset.x": 0.6e-3, "joint_offset.z": -0.4e-3}
 
 
-@pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(MACHINE)
-
-
 # --- What is typed ----------------------------------------------------------------------------
 
 

@@ -86,24 +86,22 @@ def cell(column: str, value: str, *lines: int) -> Fault:
     return apply
 
 
-def scaled(factor: float, *columns: str) -> Fault:
+def changed(change: Callable[[float], float], *columns: str) -> Fault:
     def apply(rows: Rows) -> Rows:
         for place in map(rows[0].index, columns):
             for row in rows[1:]:
-                row[place] = f"{float(row[place]) * factor:.12g}"
+                row[place] = f"{change(float(row[place])):.12g}"
         return rows
 
     return apply
+
+
+def scaled(factor: float, *columns: str) -> Fault:
+    return changed(lambda value: value * factor, *columns)
 
 
 def shifted(offset: float, *columns: str) -> Fault:
-    def apply(rows: Rows) -> Rows:
-        for place in map(rows[0].index, columns):
-            for row in rows[1:]:
-                row[place] = f"{float(row[place]) + offset:.12g}"
-        return rows
-
-    return apply
+    return changed(lambda value: value + offset, *columns)
 
 
 def renamed(**names: str) -> Fault:

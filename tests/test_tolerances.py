@@ -21,11 +21,6 @@ WANTED = 5e-5
 
 
 @pytest.fixture(scope="module")
-def machine() -> og.Machine:
-    return og.Machine.load(MACHINE)
-
-
-@pytest.fixture(scope="module")
 def sheet(machine: og.Machine) -> og.Campaign:
     return og.protocol("sweep", machine.geometry)
 

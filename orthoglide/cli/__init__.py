@@ -34,8 +34,6 @@ from orthoglide.cli.examples import with_examples
 from orthoglide.cli.run import Commands, stop_cleanly
 from orthoglide.cli.terminal import speak_plainly
 
-__all__ = ["cli", "main"]
-
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="orthoglide")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option, noise_metres, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.rerun import read_result
 from orthoglide.cli.terminal import say
@@ -22,25 +22,19 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("old", type=PATH)
-@click.argument("new", type=PATH)
-@machine_option
-@out_option(required=False, help="Folder for the results; nothing is written where absent.")
-@click.option(
-    "--noise",
-    "noise_mm",
-    type=float,
-    metavar="MM",
-    help="Standard deviation of one reading; else from machine file, rows or repeats.",
-)
-@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
-@click.option("--quiet", is_flag=True, help="No progress and no tables.")
+@click.argument("old", type=opt.PATH)
+@click.argument("new", type=opt.PATH)
+@opt.machine
+@opt.out_or_nothing
+@opt.noise("from machine file, rows or repeats")
+@opt.seed
+@opt.quiet
 def check(
     old: Path,
     new: Path,
     machine_path: Path | None,
     out: Path | None,
-    noise_mm: float | None,
+    noise: float | None,
     seed: int,
     quiet: bool,
 ) -> None:
@@ -54,13 +48,12 @@ def check(
         check_folder(out)
     if seed < 0:
         raise InputError(f"--seed must be 0 or more, not {seed}")
-    noise = noise_metres(noise_mm)
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.checking import check as compare
         from orthoglide.cli.changes import changes_page, changes_text
 
-        machine = None if machine_path is None else load_machine(machine_path)
+        machine = None if machine_path is None else opt.load_machine(machine_path)
         machine, before = _readings(old, machine)
         machine, after = _readings(new, machine)
         found = compare(before, after, machine, noise=noise, seed=seed, progress=step)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.options import PATH, fit_options, out_option, run_options
+import orthoglide.cli.options as opt
 from orthoglide.cli.running import execute, performed, read_request
 
 if TYPE_CHECKING:
@@ -20,25 +20,20 @@ DEMO_CAMPAIGN, DEMO_HELD_OUT = "experiment2.csv", "experiment3.csv"
 DEMO_MACHINE = "made-up.toml"
 
 
-def judge_options(command: Any) -> Any:
-    """``--holdout`` and ``--tcp``."""
-    options = (
-        click.option("--holdout", type=PATH, metavar="FILE",
-                     help="Campaign that only judges the finished result."),
-        click.option("--tcp", type=PATH, metavar="FILE",
-                     help="Measured TCP points that only judge the finished result."),
-    )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+judge_options = opt.together(
+    click.option("--holdout", type=opt.PATH, metavar="FILE",
+                 help="Campaign that only judges the finished result."),
+    click.option("--tcp", type=opt.PATH, metavar="FILE",
+                 help="Measured TCP points that only judge the finished result."),
+)  # fmt: skip
 
 
 @click.command("close-loop")
-@click.argument("campaigns", nargs=-1, type=PATH)
-@out_option()
+@click.argument("campaigns", nargs=-1, type=opt.PATH)
+@opt.out()
 @judge_options
-@fit_options
-@run_options
+@opt.fit_options
+@opt.run_options
 def close_loop(
     campaigns: tuple[Path, ...], out: Path, quiet: bool, as_json: bool, **options: Any
 ) -> None:
@@ -49,11 +44,11 @@ def close_loop(
 
 
 @click.command()
-@click.argument("campaigns", nargs=-1, type=PATH)
-@out_option(required=False, help="Folder for the results; nothing is written where absent.")
+@click.argument("campaigns", nargs=-1, type=opt.PATH)
+@opt.out_or_nothing
 @judge_options
-@fit_options
-@run_options
+@opt.fit_options
+@opt.run_options
 def diagnose(
     campaigns: tuple[Path, ...], out: Path | None, quiet: bool, as_json: bool, **options: Any
 ) -> None:
@@ -65,8 +60,8 @@ def diagnose(
 
 
 @click.command()
-@out_option(required=False, help=f"Folder for the results.  [default: {DEMO_FOLDER}]")
-@run_options
+@opt.out(required=False, help=f"Folder for the results.  [default: {DEMO_FOLDER}]")
+@opt.run_options
 def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     """Close the loop on a machine with a known fault, and on the published Orthoglide (2008).
 

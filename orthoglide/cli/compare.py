@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import Names, load_machine, machine_option, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
@@ -22,16 +22,11 @@ _TITLE = "When the simplified model is good enough"
 
 
 @click.command()
-@machine_option
-@out_option()
-@click.option(
-    "--effects",
-    "names",
-    type=Names(),
-    default=(),
-    metavar="NAME,...",
-    help="Effects or parameters to compare; the whole catalogue where absent.",
-)
+@opt.machine
+@opt.out()
+@click.option("--effects", "names", type=opt.Names(), default=(), metavar="NAME,...",
+              help="Effects or parameters to compare; the whole catalogue where absent.",
+              )  # fmt: skip
 @click.option("--no-figures", is_flag=True, help="Tables only.")
 @click.option("--quiet", is_flag=True, help="No progress and no table.")
 def compare(
@@ -47,7 +42,7 @@ def compare(
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
-    machine = load_machine(machine_path)
+    machine = opt.load_machine(machine_path)
     with progress(quiet) as step:
         step(Step("computing", "comparing effects"))
         rows = compare_effects(machine, names or None)

@@ -6,35 +6,27 @@ from pathlib import Path
 
 import click
 
-from orthoglide.cli.options import PATH, effects_option, load_machine, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results, write_texts
 from orthoglide.errors import FileError, InputError, UnreachableError
 
-_MACHINE = click.option(
-    "--machine",
-    "machine_path",
-    type=PATH,
-    required=True,
-    metavar="FILE",
-    help="Machine file, such as calibrated.toml.",
-)
-
-
+_MACHINE = click.option("--machine", "machine_path", type=opt.PATH, required=True, metavar="FILE",
+                        help="Machine file, such as calibrated.toml.")  # fmt: skip
 _FORCE = click.option(
     "--force", is_flag=True, help="Even where the verdict says not to act on the numbers."
 )
 
 
 @click.command()
-@click.argument("path", type=PATH, metavar="PATH.csv")
+@click.argument("path", type=opt.PATH, metavar="PATH.csv")
 @_MACHINE
-@click.option("--out", type=PATH, required=True, metavar="COMMANDS.csv", help="File to write.")
+@click.option("--out", type=opt.PATH, required=True, metavar="COMMANDS.csv", help="File to write.")
 @click.option("--load", "load_N", type=float, default=0.0, metavar="N", show_default=True,
               help="Weight at the TCP.")  # fmt: skip
 @click.option("--warming", type=float, default=0.0, metavar="K", show_default=True,
               help="Kelvin above the calibration's first reading.")  # fmt: skip
-@effects_option
+@opt.effects
 @_FORCE
 def compensate(
     path: Path,
@@ -54,7 +46,7 @@ def compensate(
 
     if not (0 <= load_N < 1e4 and -100 < warming < 100):
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
-    points, machine = control.read_path(path), load_machine(machine_path, effects_file)
+    points, machine = control.read_path(path), opt.load_machine(machine_path, effects_file)
     try:
         found = control.compensate(machine, points.p, load=load_N, warming=warming, force=force)
     except UnreachableError as error:
@@ -70,9 +62,9 @@ def compensate(
 @click.command()
 @_MACHINE
 @click.option("--zeros-only", is_flag=True, help="For a controller that takes nothing but zeros.")
-@effects_option
+@opt.effects
 @_FORCE
-@out_option()
+@opt.out()
 def export(
     machine_path: Path, out: Path, zeros_only: bool, effects_file: Path | None, force: bool
 ) -> None:
@@ -85,7 +77,7 @@ def export(
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
-    machine = load_machine(machine_path, effects_file)
+    machine = opt.load_machine(machine_path, effects_file)
     write_results(out, export_files(machine, zeros_only=zeros_only, force=force))
     say(f"written: {click.format_filename(out)}")
 

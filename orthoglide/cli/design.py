@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import (
-    PATH,
-    Names,
-    load_machine,
-    machine_option,
-    noise_metres,
-    quantities,
-)
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_sheet, write_texts
@@ -27,46 +20,32 @@ if TYPE_CHECKING:
     from orthoglide.planning import Repeats
 
 _COUNT = 24
-KINDS = ("standard", "sweep", "two-gauges")
 
 
 @click.command()
-@click.argument("campaigns", nargs=-1, type=PATH, metavar="[SHEET.csv ...]")
-@machine_option
-@click.option(
-    "--out",
-    type=PATH,
-    metavar="SHEET.csv",
-    help="Measuring sheet to write, with a page to print beside it.",
-)
-@click.option(
-    "--free",
-    type=Names(),
-    default=(),
-    metavar="NAME,...",
-    help="Effects or parameters it is for.  [default: zeros and bar lengths; with "
-    "--criterion discriminate all that a design can show]",
-)
+@click.argument("campaigns", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
+@opt.machine
+@click.option("--out", type=opt.PATH, metavar="SHEET.csv",
+              help="Measuring sheet to write, with a page to print beside it.")  # fmt: skip
+@click.option("--free", type=opt.Names(), default=(), metavar="NAME,...",
+              help="Effects or parameters it is for.  [default: zeros and bar lengths; with "
+                   "--criterion discriminate all that a design can show]")  # fmt: skip
 @click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
-@click.option(
-    "--criterion",
-    type=click.Choice(("d-optimal", "discriminate")),
-    default="d-optimal",
-    show_default=True,
-    help="To identify what is free as well as can be, or to tell effects apart.",
-)
-@click.option("--want", type=Names(), default=(), metavar="NAME=SIGMA,...",
+@click.option("--criterion", type=click.Choice(("d-optimal", "discriminate")),
+              default="d-optimal", show_default=True,
+              help="To identify what is free as well as can be, or to tell effects apart.",
+              )  # fmt: skip
+@click.option("--want", type=opt.Names(), default=(), metavar="NAME=SIGMA,...",
               help="Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
                    "repeat.")  # fmt: skip
-@click.option("--owns", type=Names(), default=(), metavar="KIND,...",
+@click.option("--owns", type=opt.Names(), default=(), metavar="KIND,...",
               help="Instruments that you have (leg, tcp, plate, distance, ballbar, incline): what "
                    "they would tell together, and what each of the others would add; with --count "
                    "as many of the tool's readings as tell most together.")  # fmt: skip
 @click.option("--detect", is_flag=True, help="Also tell the smallest effects found and named.")
-@click.option("--noise", "noise_mm", type=float, metavar="MM",
-              help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
-@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
-@click.option("--quiet", is_flag=True, help="No progress and no tables.")
+@opt.noise()
+@opt.seed
+@opt.quiet
 def design(
     campaigns: tuple[Path, ...],
     machine_path: Path | None,
@@ -77,7 +56,7 @@ def design(
     want: tuple[str, ...],
     owns: tuple[str, ...],
     detect: bool,
-    noise_mm: float | None,
+    noise: float | None,
     seed: int,
     quiet: bool,
 ) -> None:
@@ -93,8 +72,7 @@ def design(
 
     if out is not None:
         check_new(out)
-    noise = noise_metres(noise_mm)
-    machine = load_machine(machine_path)
+    machine = opt.load_machine(machine_path)
     if owns:
         _of_owned(machine, owns, count, out, seed, quiet)
         return
@@ -102,7 +80,7 @@ def design(
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    wanted = quantities("--want", want)
+    wanted = opt.quantities("--want", want)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
         found = choose(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
@@ -174,7 +152,7 @@ def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
     if paths:
         read = [read_campaign(p, machine.spec, require_readings=False) for p in paths]
         return {c.name: c for c in read}
-    return {kind: protocol(kind, machine.geometry) for kind in KINDS}  # type: ignore[arg-type]
+    return {kind: protocol(kind, machine.geometry) for kind in opt.PROTOCOLS}  # type: ignore[arg-type]
 
 
 def _repeats(

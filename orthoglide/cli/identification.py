@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orthoglide.cli.options import PATH, Names, fit_options, out_option, run_options
+import orthoglide.cli.options as opt
 from orthoglide.cli.running import execute, read_request
 
 if TYPE_CHECKING:
@@ -15,19 +15,15 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("campaigns", nargs=-1, type=PATH)
-@out_option()
-@click.option(
-    "--free",
-    type=Names(),
-    default=(),
-    metavar="NAME,...",
-    help="Effects or parameters to identify.  [default: zeros and bar lengths]",
-)
+@click.argument("campaigns", nargs=-1, type=opt.PATH)
+@opt.out()
+@click.option("--free", type=opt.Names(), default=(), metavar="NAME,...",
+              help="Effects or parameters to identify.  [default: zeros and bar lengths]",
+              )  # fmt: skip
 @click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
-@fit_options
+@opt.fit_options
 @click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
-@run_options
+@opt.run_options
 def identify(
     campaigns: tuple[Path, ...],
     out: Path,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orthoglide.cli.options import PATH, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
@@ -18,8 +18,8 @@ def import_() -> None:
 
 
 @import_.command()
-@click.argument("config", type=PATH)
-@out_option(help="Folder for machine.toml and the campaigns; must be new or empty.")
+@click.argument("config", type=opt.PATH)
+@opt.out(help="Folder for machine.toml and the campaigns; must be new or empty.")
 def klipper(config: Path, out: Path) -> None:
     """Read a linear delta's printer.cfg: its numbers, heights, distances and meshes."""
     from orthoglide.klipper import import_printer

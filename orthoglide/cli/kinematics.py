@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from orthoglide.cli.options import PATH, effects_option, load_machine, machine_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_texts
 from orthoglide.errors import InputError
@@ -38,19 +38,14 @@ class _Coordinate(click.ParamType):
             self.fail(f"{value!r} is not a number.", param, ctx)
 
 
-def _arguments(metavar: str) -> Callable[[click.decorators.FC], click.decorators.FC]:
-    def decorate(command: click.decorators.FC) -> click.decorators.FC:
-        for decorator in (
-            click.option("--out", type=PATH, metavar="CSV", help="With --csv: file to write."),
-            click.option("--csv", "table", type=PATH, metavar="CSV", help="Rows to compute."),
-            effects_option,
-            machine_option,
-            click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
-        ):
-            command = decorator(command)
-        return command
-
-    return decorate
+def _arguments(metavar: str) -> opt.Decorator:
+    return opt.together(
+        click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
+        opt.machine,
+        opt.effects,
+        click.option("--csv", "table", type=opt.PATH, metavar="CSV", help="Rows to compute."),
+        click.option("--out", type=opt.PATH, metavar="CSV", help="With --csv: file to write."),
+    )
 
 
 @click.command(context_settings=_NUMBERS)
@@ -106,7 +101,7 @@ def _run(
     if (table is None) == (not numbers):
         raise InputError("give either three numbers in mm, or --csv and --out")
     if table is None or out is None:
-        machine = load_machine(machine_path, effects_file)
+        machine = opt.load_machine(machine_path, effects_file)
         found = solve(machine, _vector(numbers), False, _refuse)
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
@@ -114,7 +109,7 @@ def _run(
     from orthoglide.observations.table import read_table
 
     rows = read_table(table)
-    machine = load_machine(machine_path, effects_file)
+    machine = opt.load_machine(machine_path, effects_file)
     legs = machine.geometry.leg_names
     if solve is _forward:
         names, new = command_names(rows, machine.spec), POINT

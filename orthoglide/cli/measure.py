@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.run import INTERRUPTED, Refusal
 from orthoglide.cli.terminal import is_terminal, say
 from orthoglide.errors import InputError
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--out", type=PATH, required=True, metavar="CAMPAIGN.csv",
+@click.option("--out", type=opt.PATH, required=True, metavar="CAMPAIGN.csv",
               help="Campaign to write, or to go on with.")  # fmt: skip
-@machine_option
-@click.option("--sheet", type=PATH, metavar="SHEET.csv",
+@opt.machine
+@click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Measuring sheet to read first; its own where absent.")  # fmt: skip
 @click.option("--most", type=int, default=126, show_default=True,
               help="Readings after which no more are asked for.")  # fmt: skip
@@ -42,7 +42,7 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
 
     if most < 2:
         raise InputError(f"--most must be 2 or more, not {most}")
-    machine = load_machine(machine_path)
+    machine = opt.load_machine(machine_path)
     first = None if sheet is None else read_campaign(sheet, machine.spec, require_readings=False)
     record = Record(out, machine.spec)
     session = Session(machine, record, _ask, say, sheet=first, most=most)

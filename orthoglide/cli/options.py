@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,8 +14,7 @@ from orthoglide.errors import InputError
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
 
-Command = TypeVar("Command", bound=Callable[..., Any])
-Decorator = Callable[[Command], Command]
+Decorator = Callable[[Any], Any]
 
 PATH = click.Path(path_type=Path)
 """A file or folder; that it is there and readable is checked where it is read."""
@@ -33,87 +32,38 @@ class Names(click.ParamType):
         return tuple(part.strip() for part in str(value).split(",") if part.strip())
 
 
-def machine_option(command: Command) -> Command:
-    """``--machine FILE``."""
-    return click.option(
-        "--machine",
-        "machine_path",
-        type=PATH,
-        metavar="FILE",
-        help="Machine file (machine.toml); the nominal Orthoglide where absent.",
-    )(command)
+def together(*options: Decorator) -> Decorator:
+    """Several options as one decorator; help lists them in this order."""
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
 
 
-def effects_option(command: Command) -> Command:
-    """``--effects-file FILE.py``."""
-    return click.option(
-        "--effects-file",
-        type=PATH,
-        metavar="FILE.py",
-        help="Python file with effects of your own, beside the catalogue.",
-    )(command)
+PROTOCOLS = ("standard", "sweep", "two-gauges")
+
+machine = click.option(
+    "--machine", "machine_path", type=PATH, metavar="FILE",
+    help="Machine file (machine.toml); the nominal Orthoglide where absent.",
+)  # fmt: skip
+effects = click.option(
+    "--effects-file", type=PATH, metavar="FILE.py",
+    help="Python file with effects of your own, beside the catalogue.",
+)  # fmt: skip
+seed = click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+quiet = click.option("--quiet", is_flag=True, help="No progress and no tables.")
 
 
-def out_option(required: bool = True, help: str = "") -> Decorator[Any]:
+def out(required: bool = True, help: str = "") -> Decorator:
     """``--out DIR`` of the commands that write a folder."""
-    return click.option(
-        "--out",
-        type=PATH,
-        metavar="DIR",
-        required=required,
-        help=help or "Folder for the results; must be new or empty.",
-    )
+    usual = "Folder for the results; must be new or empty."
+    return click.option("--out", type=PATH, metavar="DIR", required=required, help=help or usual)
 
 
-def run_options(command: Command) -> Command:
-    """``--seed``, ``--quiet`` and ``--json``."""
-    options = (
-        click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws."),
-        click.option("--quiet", is_flag=True, help="No progress and no tables."),
-        click.option("--json", "as_json", is_flag=True, help="Print result.json and nothing else."),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
-
-
-def fit_options(command: Command) -> Command:
-    """What every fit takes: ``--own``, ``--machine``, ``--fit-tcp``, ``--noise`` and their like."""
-    options = (
-        click.option(
-            "--own",
-            type=Names(),
-            default=(),
-            metavar="NAME,...",
-            help="What each campaign has for itself while the rest is shared.",
-        ),
-        machine_option,
-        effects_option,
-        click.option(
-            "--fit-tcp",
-            type=PATH,
-            multiple=True,
-            metavar="FILE",
-            help="TCP points that are readings like the others; may be given several times.",
-        ),
-        click.option(
-            "--frame",
-            type=click.Choice(("rigid", "translation", "none")),
-            default="rigid",
-            show_default=True,
-            help="How the instrument of --fit-tcp may stand to the machine.",
-        ),
-        click.option(
-            "--noise",
-            "noise_mm",
-            type=float,
-            metavar="MM",
-            help="Standard deviation of one reading; else from machine file, rows or repeats.",
-        ),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+out_or_nothing = out(False, "Folder for the results; nothing is written where absent.")
 
 
 def quantities(option: str, items: tuple[str, ...]) -> dict[str, float]:
@@ -145,17 +95,45 @@ def quantities(option: str, items: tuple[str, ...]) -> dict[str, float]:
 _NOISE = (1e-6, 1e3)  # millimetres: an atom, and more than any dial shows
 
 
-def noise_metres(noise_mm: float | None) -> float | None:
-    """The standard deviation of ``--noise``; `InputError` where no dial can have it."""
-    if noise_mm is None:
+def _metres(_: Any, __: Any, value: float | None) -> float | None:
+    if value is None:
         return None
     low, high = _NOISE
-    if not low <= noise_mm <= high:
+    if not low <= value <= high:
         raise InputError(
             f"--noise must be a positive number of millimetres from {low:g} to {high:g}, "
-            f"not {noise_mm:g}"
+            f"not {value:g}"
         )
-    return noise_mm * 1e-3
+    return value * 1e-3
+
+
+def noise(otherwise: str = "the machine file's") -> Decorator:
+    """``--noise MM`` as metres, and what counts where it is absent."""
+    return click.option(
+        "--noise", type=float, metavar="MM",
+        callback=_metres,
+        help=f"Standard deviation of one reading; else {otherwise}.",
+    )  # fmt: skip
+
+
+run_options = together(
+    seed,
+    quiet,
+    click.option("--json", "as_json", is_flag=True, help="Print result.json and nothing else."),
+)
+
+fit_options = together(
+    click.option("--own", type=Names(), default=(), metavar="NAME,...",
+                 help="What each campaign has for itself while the rest is shared."),
+    machine,
+    effects,
+    click.option("--fit-tcp", type=PATH, multiple=True, metavar="FILE",
+                 help="TCP points that are readings like the others; may be given several times."),
+    click.option("--frame", type=click.Choice(("rigid", "translation", "none")), default="rigid",
+                 show_default=True,
+                 help="How the instrument of --fit-tcp may stand to the machine."),
+    noise("from machine file, rows or repeats"),
+)  # fmt: skip
 
 
 def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.run import keep_on_interrupt
 from orthoglide.cli.terminal import say
@@ -16,16 +16,16 @@ from orthoglide.errors import InputError
 
 
 @click.command()
-@machine_option
-@click.option("--sheet", type=PATH, metavar="SHEET.csv",
+@opt.machine
+@click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Measuring sheet; the protocol sweep where absent.")  # fmt: skip
 @click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+@opt.seed
 @click.option("--jobs", type=int, metavar="N",
               help="Processes side by side.  [default: one for every processor]")  # fmt: skip
 @click.option("--dask", metavar="ADDRESS",
               help="Scheduler of a Dask cluster that does the work instead.")  # fmt: skip
-@out_option(required=False, help="Folder for finished campaigns and the table; a run that was "
+@opt.out(required=False, help="Folder for finished campaigns and the table; a run that was "
                                  "stopped goes on from there.")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="No progress and no table.")
 def rehearse(
@@ -48,7 +48,7 @@ def rehearse(
 
     if jobs is not None and dask is not None:
         raise InputError("--jobs and --dask exclude each other: the cluster has its own workers")
-    machine = load_machine(machine_path)
+    machine = opt.load_machine(machine_path)
     if out is not None:
         name = click.format_filename(out)
         keep_on_interrupt(f"{name} keeps what was finished, and the same command goes on")

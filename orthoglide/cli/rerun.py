@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from orthoglide.cli.options import PATH, out_option
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
@@ -30,15 +30,15 @@ SCHEMAS = (1, 2)
 
 
 @click.command()
-@click.argument("result", type=PATH, metavar="result.json")
-@out_option(required=False, help="Folder for the results; nothing is written where absent.")
+@click.argument("result", type=opt.PATH, metavar="result.json")
+@opt.out_or_nothing
 @click.option(
     "--inputs",
-    type=PATH,
+    type=opt.PATH,
     metavar="FOLDER",
     help="Where the files lie that were read; else beside the result, or above it, or here.",
 )
-@click.option("--effects-file", type=PATH, metavar="FILE.py", help="As the run was given.")
+@click.option("--effects-file", type=opt.PATH, metavar="FILE.py", help="As the run was given.")
 @click.option("--quiet", is_flag=True, help="No progress; only what differs is said.")
 def rerun(
     result: Path, out: Path | None, inputs: Path | None, effects_file: Path | None, quiet: bool

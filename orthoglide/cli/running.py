@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from orthoglide.cli.options import load_machine, noise_metres
+import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
@@ -29,7 +29,7 @@ def read_request(
     *,
     machine_path: Path | None = None,
     own: tuple[str, ...] = (),
-    noise_mm: float | None = None,
+    noise: float | None = None,
     seed: int = 0,
     holdout: Path | None = None,
     tcp: Path | None = None,
@@ -46,12 +46,11 @@ def read_request(
     from orthoglide.observations import read_tcp
     from orthoglide.request import Request
 
-    noise = noise_metres(noise_mm)
     if seed < 0 and command != "identify":
         raise InputError(f"--seed must be 0 or more, not {seed}")
     if not campaigns and not fit_tcp:
         raise InputError("name at least one campaign, or TCP points with --fit-tcp")
-    machine = load_machine(machine_path, effects_file)
+    machine = opt.load_machine(machine_path, effects_file)
     fitted = tuple(read_tcp(path, machine.spec) for path in fit_tcp)
     several, tool = sorted_out((*campaigns, *fitted), machine)
     held = () if holdout is None else readings_of([holdout], machine)

@@ -4,59 +4,46 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import click
 
-from orthoglide.cli.options import PATH, Names, load_machine, machine_option, quantities
+import orthoglide.cli.options as opt
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
 
-KINDS = ("standard", "sweep", "two-gauges")
-
-
-def _kind_option(command: Any) -> Any:
-    return click.option(
-        "--kind",
-        type=click.Choice(KINDS),
-        default="standard",
-        show_default=True,
-        help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg.",
-    )(command)
+_kind_option = click.option(
+    "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
+    help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg.",
+)  # fmt: skip
 
 
 @click.command()
-@click.option(
-    "--out",
-    type=PATH,
-    required=True,
-    metavar="SHEET.csv",
-    help="File to write; SHEET.html, to print, is written beside it.",
-)
+@click.option("--out", type=opt.PATH, required=True, metavar="SHEET.csv",
+              help="File to write; SHEET.html, to print, is written beside it.")  # fmt: skip
 @_kind_option
-@machine_option
+@opt.machine
 def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
     """Write a measuring sheet: every row but the reading, and the same rows as a page to print."""
     from orthoglide.observations import protocol as make
 
-    machine = load_machine(machine_path)
+    machine = opt.load_machine(machine_path)
     say(write_sheet(out, make(kind, machine.geometry), machine))  # type: ignore[arg-type]
 
 
 @click.command()
-@click.option("--machine", "machine_path", type=PATH, required=True, metavar="FILE",
+@click.option("--machine", "machine_path", type=opt.PATH, required=True, metavar="FILE",
               help="Machine file; its [parameters] are errors of the machine.")  # fmt: skip
-@click.option("--error", "errors", type=Names(), default=(), metavar="NAME=NUMBER,...",
+@click.option("--error", "errors", type=opt.Names(), default=(), metavar="NAME=NUMBER,...",
               help="More errors of the machine, in the units of files.")  # fmt: skip
-@click.option("--out", type=PATH, required=True, metavar="CSV", help="Campaign to write.")
+@click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Campaign to write.")
 @_kind_option
-@click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+@opt.seed
 @click.option("--noise", "noise_mm", type=float, metavar="MM",
               help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
 @click.option("--exact", is_flag=True,
               help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
-@click.option("--tcp", type=PATH, metavar="TCP.csv",
+@click.option("--tcp", type=opt.PATH, metavar="TCP.csv",
               help="Also write 60 exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
@@ -89,8 +76,8 @@ def simulate(
         raise InputError(f"--seed must be 0 or more, not {seed}")
     if noise_mm is not None and not 0 <= noise_mm < 1e3:
         raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
-    added = quantities("--error", errors)
-    machine = load_machine(machine_path).with_parameters(added)
+    added = opt.quantities("--error", errors)
+    machine = opt.load_machine(machine_path).with_parameters(added)
     draw = np.random.default_rng(seed)
     noise = None if noise_mm is None else noise_mm * 1e-3
     filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orthoglide.cli.options import PATH, load_machine, machine_option, noise_metres
+import orthoglide.cli.options as opt
 from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
 
@@ -17,13 +17,12 @@ _LEAST, _MOST = 1e-6, 1e3  # millimetres, that anybody wants of a tool
 @click.option("--tcp", "tcp_mm", type=float, required=True, metavar="MM",
               help="Mean error wanted of the tool, over the workspace after the best "
                    "translation.")  # fmt: skip
-@machine_option
-@click.option("--calibrated-by", "sheet", type=PATH, metavar="SHEET.csv",
+@opt.machine
+@click.option("--calibrated-by", "sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Also if every machine is calibrated by this sheet.")  # fmt: skip
-@click.option("--noise", "noise_mm", type=float, metavar="MM",
-              help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
+@opt.noise()
 def tolerances(
-    tcp_mm: float, machine_path: Path | None, sheet: Path | None, noise_mm: float | None
+    tcp_mm: float, machine_path: Path | None, sheet: Path | None, noise: float | None
 ) -> None:
     """Tell how large tolerances may be for a wanted error of the tool, and which cost most.
 
@@ -38,7 +37,7 @@ def tolerances(
             f"--tcp must be a positive number of millimetres from {_LEAST:g} to {_MOST:g}, "
             f"not {tcp_mm:g}"
         )
-    machine, noise = load_machine(machine_path), noise_metres(noise_mm)
+    machine = opt.load_machine(machine_path)
     answers = [needed_tolerances(machine, tcp_mm * 1e-3)]
     if sheet is not None:
         read = read_campaign(sheet, machine.spec, require_readings=False)

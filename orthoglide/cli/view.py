@@ -6,14 +6,16 @@ from pathlib import Path
 
 import click
 
-from orthoglide.cli.options import PATH, effects_option, load_machine
+import orthoglide.cli.options as opt
 from orthoglide.cli.terminal import say
 
 
 @click.command()
-@click.argument("machine", type=PATH, required=False)
-@click.option("--out", type=PATH, metavar="FILE", required=True, help="Page to write; a new file.")
-@effects_option
+@click.argument("machine", type=opt.PATH, required=False)
+@click.option(
+    "--out", type=opt.PATH, metavar="FILE", required=True, help="Page to write; a new file."
+)
+@opt.effects
 def view(machine: Path | None, out: Path, effects_file: Path | None) -> None:
     """Write a page that shows MACHINE in three dimensions; the nominal Orthoglide where absent.
 
@@ -24,7 +26,7 @@ def view(machine: Path | None, out: Path, effects_file: Path | None) -> None:
     from orthoglide.pictures import causes_of, option, view as view_of
     from orthoglide.scene import drawing, view_page
 
-    shown = load_machine(machine, effects_file)
+    shown = opt.load_machine(machine, effects_file)
     causes = causes_of(shown)
     options = [option(shown, words, values) for words, values in causes[:1]]
     title = f"The machine {shown.spec.name}".rstrip()

@@ -14,14 +14,3 @@ from orthoglide.comparison.comparing import (
     slices,
 )
 from orthoglide.comparison.rows import Difference, Row, worst_by_effect
-
-__all__ = [
-    "Circumstances",
-    "Difference",
-    "Row",
-    "Slice",
-    "compare_effects",
-    "compare_machine",
-    "slices",
-    "worst_by_effect",
-]

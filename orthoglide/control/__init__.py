@@ -13,22 +13,3 @@ from orthoglide.control.compensation import (
 from orthoglide.control.files import PathPoints, commands_text, export_files, read_path
 from orthoglide.control.numbers import RULE, ControllerNumbers, DriveNumbers, controller_numbers
 from orthoglide.control.urdf import calibrated_urdf, held_by_urdf
-
-__all__ = [
-    "NOT_COVERED",
-    "RULE",
-    "Compensation",
-    "ControllerNumbers",
-    "DriveNumbers",
-    "PathPoints",
-    "ZeroCheck",
-    "calibrated_urdf",
-    "commands_text",
-    "compensate",
-    "controller_numbers",
-    "export_files",
-    "held_by_urdf",
-    "read_path",
-    "tcp_sigma",
-    "withheld",
-]

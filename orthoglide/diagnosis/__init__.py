@@ -3,5 +3,3 @@
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.significance import Left, left_over
-
-__all__ = ["Candidate", "Left", "Signatures", "left_over", "signatures"]

@@ -11,18 +11,16 @@ fit and the best of them identified anew, as wrong readings lead the fit far fro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.evidence import best_pairs
 from orthoglide.diagnosis.faults import Fault, untouched
 from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings, only
 from orthoglide.diagnosis.signatures import signatures
-from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.errors import NumericsError
 from orthoglide.fit import solve
-from orthoglide.geometry import Array
 
 _MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the readings as they are
 _SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
@@ -31,21 +29,6 @@ _REFITS = 4  # hypotheses that are identified anew
 _SIGMAS = 30.0  # of the station means, by which readings must swing past fit and effects
 _FEWEST = 6.0  # degrees of freedom of station means: fewer tell nothing of two effects and a fault
 _APART = 6.0  # log Bayes factor between the best fault and the next one of other setups
-
-
-@dataclass(frozen=True)
-class _Explained:
-    """A residual with the effects that explain it best.
-
-    Attributes:
-        score: log evidence but for a constant.
-        left: chi2 of the station means past the effects.
-        places: of the effects among the candidates.
-    """
-
-    score: float
-    left: float
-    places: tuple[int, ...]
 
 
 def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
@@ -58,7 +41,7 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     problem = means.problem
     if not means.signatures.candidates or means.dof < _FEWEST or _is_noise(means, means.chi2):
         return None
-    (bare,) = _explained(means, means.residual[:, None])
+    (bare,) = means.explained(means.residual[:, None])
     # The family that leaves least counts as well: is there any explanation but a fault?
     families = means.scoring.gains(means.residual), means.scoring.evidences(means.residual)
     bare_left = min(bare.left, means.chi2 - float(families[0].max()))
@@ -67,7 +50,7 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     if _is_noise(means, bare_left) or not hypotheses:
         return None
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
-    ranked = np.argsort([-e.score for e in _explained(means, means.residual[:, None] + shown)])
+    ranked = np.argsort([-e.score for e in means.explained(means.residual[:, None] + shown)])
     faults = []
     for k in ranked[:_REFITS]:
         after = _identified(means, hypotheses[k], known)
@@ -89,30 +72,9 @@ def _is_noise(means: StationMeans, left: float) -> bool:
     return left <= means.dof + _SPREAD * np.sqrt(2 * means.dof)
 
 
-def _explained(means: StationMeans, residuals: Array) -> list[_Explained]:
-    """Residuals of station means ``(g, h)``, each with its best one or two effects."""
-    evidences = means.scoring.evidences(residuals)
-    single = np.flatnonzero([c.size == 1 for c in means.scoring.candidates])
-    pairs = best_pairs(means.scoring, residuals)
-    found = []
-    for k, residual in enumerate(residuals.T):
-        one = int(single[np.argmax(evidences[single, k])])
-        places: tuple[int, ...] = (one,)
-        best = float(evidences[one, k])
-        if pairs and pairs[k].evidence > best:
-            places, best = pairs[k].members, pairs[k].evidence
-        chi2 = float(residual @ residual)
-        columns = [means.signatures.of(means.signatures.candidates[p]) for p in places]
-        shape = np.hstack(columns)
-        along = shape.T @ residual
-        taken = along @ np.linalg.solve(shape.T @ shape + np.eye(len(along)), along)
-        found.append(_Explained(best - chi2 / 2, chi2 - float(taken), places))
-    return found
-
-
 def _identified(
     means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]
-) -> _Explained | None:
+) -> Explained | None:
     """What is left once the fault is taken back and all is identified anew, if it is noise."""
     try:
         corrected = hypothesis.corrected(means.problem)
@@ -122,12 +84,12 @@ def _identified(
         return None
     if not after.signatures.candidates:
         return None
-    (explained,) = _explained(after, after.residual[:, None])
+    (explained,) = after.explained(after.residual[:, None])
     swings = hypothesis.fault.kind == "exchanged_labels" or _swings(after, explained, hypothesis)
     return explained if swings and _is_noise(after, explained.left) else None
 
 
-def _swings(after: StationMeans, explained: _Explained, hypothesis: Misreading) -> bool:
+def _swings(after: StationMeans, explained: Explained, hypothesis: Misreading) -> bool:
     """Whether the readings themselves say the factor, beside the effects."""
     for place in explained.places:
         after = after.beside(place)

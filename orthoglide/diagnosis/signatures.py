@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.errors import InputError
@@ -66,11 +64,6 @@ class Signatures:
         padded[: self.count] = self.estimate.nuisance.weighing.whiten(readings)
         return self.project(padded)
 
-    def square(self, rows: Array) -> Array:
-        """Squared length of vectors ``(m, ...)`` in the readings and their nuisances alone."""
-        known = slice(self.count, self.count + len(self.estimate.problem.prior_rows[0]))
-        return np.asarray(np.sum(rows**2, axis=0) - np.sum(rows[known] ** 2, axis=0))
-
     def of(self, candidate: Candidate) -> Array:
         """Signature of a candidate at its tolerance ``(m, size)``."""
         return self.columns @ self.scaled(candidate)
@@ -81,27 +74,12 @@ class Signatures:
         size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
         return np.asarray(matrix * size)
 
-    @cached_property
-    def degrees(self) -> int:
-        """Degrees of freedom of the residual."""
-        return max(self.count - self.fitted.shape[1] + self._prior_rows, 0)
 
-    @property
-    def _prior_rows(self) -> int:
-        return len(self.fitted) - self.count
-
-    @cached_property
-    def groups(self) -> NDArray[np.intp]:
-        """Station of each reading, approaches apart ``(n,)``."""
-        return self.estimate.problem.station
-
-
-def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
+def signatures(estimate: Estimate) -> Signatures:
     """Linearise all effects of the catalogue at a fit.
 
     Args:
         estimate: the fit, whose unknowns and nuisances are projected out.
-        keep: elementary unknowns to keep whether they are visible or not.
 
     Raises:
         InputError: where everything that the readings could show is free already.
@@ -135,7 +113,6 @@ def signatures(estimate: Estimate, keep: Collection[str] = ()) -> Signatures:
     tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])
     names = tuple(u.name for u in wide.unknowns[own:])
     seen = np.linalg.norm(columns, axis=0) * tolerance > _VISIBLE
-    seen |= np.array([name in keep for name in names])
     kept = np.flatnonzero(seen)
     visible = tuple(names[k] for k in kept)
     return Signatures(

@@ -10,7 +10,6 @@ from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
-from orthoglide.observations import Campaign
 
 DRAWS = 1999
 """Draws of the noise from which thresholds are taken."""
@@ -47,30 +46,20 @@ def left_over(estimate: Estimate) -> Left:
     return Left(p if np.isfinite(p) else 1.0)
 
 
-@dataclass(frozen=True)
-class Draws:
-    """Residuals of a machine that the fit describes, many times.
+def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
+    """Whitened, projected residuals ``(m, draws)`` of a machine with nothing wrong.
 
-    Attributes:
-        rows: whitened, projected residuals ``(m, draws)`` of noise alone.
-        little: what a little of everything else adds ``(m, draws)``.
-    """
-
-    rows: Array
-    little: Array
-
-
-def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) -> Draws:
-    """Draw noise with its rounding, placements and estimate, and a little of everything else.
-
-    No machine is described to the last nanometre: ``BACKGROUND`` of its tolerance of every other
-    effect is not a cause, even where readings are precise enough to show it.
+    Noise with its rounding, placements and estimate, and a little of everything else: no machine
+    is described to the last nanometre, so ``BACKGROUND`` of its tolerance of every other effect is
+    not a cause, even where readings are precise enough to show it.
     """
     problem = signatures.estimate.problem
     readings = _noise(problem, signatures, rng, draws)
     rows = signatures.whiten(readings)
     if problem.noise.source == "repeats":
-        variance = np.array([repeat_variance(_with_noise(problem, r))[0] for r in readings.T])
+        variance = np.array(
+            [repeat_variance(problem.with_readings(r).campaigns)[0] for r in readings.T]
+        )
         total = total_variance(variance, problem.machine.spec.dial.resolution)
         rows = rows * (problem.noise.typical / np.sqrt(np.maximum(total, 1e-300)))
     # A prior that holds an unknown back leaves something of it in the readings.
@@ -80,17 +69,7 @@ def noise_draws(signatures: Signatures, rng: np.random.Generator, draws: int) ->
     rows += signatures.project(padded)
     little = rng.standard_normal((len(signatures.names), draws))
     little *= BACKGROUND * signatures.tolerance[:, None]
-    return Draws(rows, signatures.columns @ little)
-
-
-def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
-    """Whitened, projected residuals ``(m, draws)`` of a machine with nothing wrong."""
-    drawn = noise_draws(signatures, rng, draws)
-    return drawn.rows + drawn.little
-
-
-def _with_noise(problem: Problem, readings: Array) -> tuple[Campaign, ...]:
-    return problem.with_readings(readings).campaigns
+    return np.asarray(rows + signatures.columns @ little)
 
 
 def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:

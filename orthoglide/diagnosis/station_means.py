@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.evidence import Scoring
+from orthoglide.diagnosis.evidence import Scoring, best_pairs
 from orthoglide.diagnosis.faults import Fault
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Problem
@@ -30,6 +30,21 @@ def orthonormal(columns: Array, tolerance: float = 1e-9) -> Array:
 def past(basis: Array, rows: Array) -> Array:
     """Rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
     return np.asarray(rows - basis @ (basis.T @ rows))
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A residual with the effects that explain it best.
+
+    Attributes:
+        score: log evidence but for a constant.
+        left: chi2 of the station means past the effects.
+        places: of the effects among the candidates.
+    """
+
+    score: float
+    left: float
+    places: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -97,18 +112,6 @@ class StationMeans:
         back = self.residual - self.right @ (self.left.T @ self.residual)
         return self.seen * square, self.seen * back[: len(self.seen)]
 
-    def freed(self, stations: NDArray[np.intp]) -> tuple[float, int]:
-        """Fall of chi2 where the means of some stations are set free, and how many these are.
-
-        Before any effect is taken beside the fit.
-        """
-        base, rest = self.right[stations], self.residual[stations]
-        values, vectors = np.linalg.eigh(np.eye(base.shape[1]) - base.T @ base)
-        kept = values > 1e-9
-        along = vectors[:, kept].T @ (base.T @ rest)
-        gain = float(rest @ rest + np.sum(along**2 / values[kept]))
-        return gain, len(stations) - int(np.sum(~kept))
-
     @property
     def problem(self) -> Problem:
         """Of the fit."""
@@ -155,6 +158,30 @@ class StationMeans:
         left = self.chi2 - self.scoring.gains(self.residual)
         evidence = self.evidence(left) - self.scoring.occam / 2
         return float(evidence.max()), int(evidence.argmax())
+
+    def explained(self, residuals: Array, cost: float = 0.0) -> list[Explained]:
+        """Residuals of station means ``(g, h)``, each with its best one or two effects, or none.
+
+        Args:
+            residuals: with what hypotheses change of them.
+            cost: log odds against any single effect, before the readings.
+        """
+        evidences = self.scoring.evidences(residuals)
+        single = np.flatnonzero([c.size == 1 for c in self.scoring.candidates])
+        pairs = best_pairs(self.scoring, residuals)
+        found = []
+        for k, residual in enumerate(residuals.T):
+            one = int(single[np.argmax(evidences[single, k])])
+            tried: list[tuple[float, tuple[int, ...]]] = [(float(evidences[one, k]) - cost, (one,))]
+            tried += [(pairs[k].evidence - 2 * cost, pairs[k].members)] if pairs else []
+            best, places = max([(0.0, ()), *tried])
+            chi2 = float(residual @ residual)
+            columns = [self.signatures.of(self.signatures.candidates[p]) for p in places]
+            shape = np.hstack([np.zeros((len(residual), 0)), *columns])
+            along = shape.T @ residual
+            taken = along @ np.linalg.solve(shape.T @ shape + np.eye(len(along)), along)
+            found.append(Explained(best - chi2 / 2, chi2 - float(taken), places))
+        return found
 
     def beside(self, place: int) -> StationMeans:
         """The same with an effect of the catalogue in the model, its tolerance as a prior."""

@@ -13,20 +13,3 @@ from orthoglide.effects.effect import (
 )
 from orthoglide.effects.words import Words
 from orthoglide.parameters import Parameter
-
-__all__ = [
-    "CATALOGUE",
-    "Catalogue",
-    "DialReading",
-    "Effect",
-    "LegConditions",
-    "Motion",
-    "Parameter",
-    "Words",
-    "catalogue_of",
-    "cos",
-    "once",
-    "relabelled",
-    "sideways",
-    "sin",
-]

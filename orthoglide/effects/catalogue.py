@@ -96,11 +96,6 @@ class Catalogue(Mapping[str, Effect]):
         return tuple(e for e in self.effects if e.dial is not None)
 
     @cached_property
-    def of_plates(self) -> tuple[Effect, ...]:
-        """Effects of probed plates."""
-        return tuple(e for e in self.effects if e.plate)
-
-    @cached_property
     def default_tolerance(self) -> Mapping[str, float]:
         """Default standard deviation to expect of every effect, SI."""
         return {e.name: e.tolerance_si for e in self.effects}
@@ -163,6 +158,19 @@ class Catalogue(Mapping[str, Effect]):
             weights = self.structured(parameter.effect, setups)[parameter.plain]
             return {n.at(parameter.campaign): w for n, w in weights.items()}
         return {parameter: 1.0}
+
+    def of_machine(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameters by name without those of dials and plates."""
+        return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
+
+    def moved_by(self, values: Mapping[str, float]) -> dict[Parameter, float]:
+        """Single parameters of the machine by what names stand for, campaigns and dials apart."""
+        found: dict[Parameter, float] = {}
+        for name, value in self.of_machine(values).items():
+            for part, weight in self.elementary(name).items():
+                plain = self.parameter(part).plain
+                found[plain] = found.get(plain, 0.0) + weight * value
+        return found
 
     def expand(self, chosen: Iterable[str], setups: Iterable[str] = ()) -> tuple[Parameter, ...]:
         """Parameters for effects or single names, in the order given, none twice.

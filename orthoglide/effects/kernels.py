@@ -8,6 +8,7 @@ regression*, eq. 17 and 56); or lost motion that builds up after a reversal.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,18 +26,26 @@ class Kernel:
 
     Attributes:
         length: correlation length, over half the variable's range.
-        count: of eigenfunctions.
+        waves: number of eigenfunctions.
         rough: share of the variance that has steps and corners, Ornstein-Uhlenbeck; the rest is
             smooth, Matern 3/2.
+        line: whether a straight line is one more function, which eigenfunctions draw badly.
     """
 
     length: float
-    count: int
+    waves: int
     rough: float = 0.0
+    line: bool = False
 
+    @property
+    def count(self) -> int:
+        """Number of functions."""
+        return self.waves + self.line
+
+    @cached_property
     def weights(self) -> Array:
-        """Standard deviation of each eigenfunction's coefficient ``(count,)``."""
-        frequency = np.pi * np.arange(1, self.count + 1) / (2 * _ROOM)
+        """Standard deviation of each eigenfunction's coefficient ``(waves,)``."""
+        frequency = np.pi * np.arange(1, self.waves + 1) / (2 * _ROOM)
         rate = np.sqrt(3) / self.length
         smooth = 4 * rate**3 / (rate**2 + frequency**2) ** 2
         rate = 1 / self.length
@@ -44,10 +53,13 @@ class Kernel:
         density = (1 - self.rough) * smooth + self.rough * stepped
         return np.asarray(np.sqrt(density / _ROOM))
 
-    def functions(self, u: Any) -> list[Any]:
+    def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Eigenfunctions of a variable in [-1, 1], each times its weight."""
         turn = np.pi * (u + _ROOM) / (2 * _ROOM)
-        return [w * sin((k + 1) * turn) for k, w in enumerate(self.weights().tolist())]
+        return [
+            float(self.weights[k]) * sin((k + 1) * turn) if k < self.waves else u
+            for k in range(self.count)[which]
+        ]
 
 
 @dataclass(frozen=True)
@@ -65,6 +77,6 @@ class BuildUp:
         """Number of functions."""
         return len(self.lengths)
 
-    def functions(self, u: Any) -> list[Any]:
+    def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Each after a long way and a turn, by the way gone since, from -1 to 1: the stroke."""
-        return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths]
+        return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths[which]]

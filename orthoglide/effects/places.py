@@ -167,11 +167,11 @@ class Place:
             "platform": f"the joint of leg {leg} at the platform: its pins and their fit",
         }[self.part]
 
-    def functions(self, conditions: LegConditions) -> list[Any]:
+    def functions(self, conditions: LegConditions, which: slice = slice(None)) -> list[Any]:
         """The free functions at some conditions, each for a coefficient of sd ``unit``."""
         if self.against == "reversal":
-            return list(conditions.built_up)
-        values = self.kernel.functions(self.variable(conditions))
+            return list(conditions.built_up[which])
+        values = self.kernel.functions(self.variable(conditions), which)
         if self.against == "approach":
             return [value * conditions.approach / 2 for value in values]
         return values
@@ -188,7 +188,7 @@ def _members(place: Place, leg: int) -> Mapping[str, tuple[Motion, ...]]:
 
 
 def _basis(place: Place, k: int, share: float, conditions: LegConditions) -> Any:
-    return share * place.functions(conditions)[k]
+    return share * place.functions(conditions, slice(k, k + 1))[0]
 
 
 def _travel(c: LegConditions) -> Any:
@@ -209,7 +209,9 @@ def _time_between(start: float, end: float, c: LegConditions) -> Any:
 
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
 _FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
-_DRIVE = Kernel(0.030 / _LENGTH, 24, rough=0.1)  # a coupling slips, an encoder misses a count
+# A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
+_DRIVE, _LOST = Kernel(0.030 / _LENGTH, 96, rough=0.1), Kernel(0.030 / _LENGTH, 24, rough=0.1)
+_ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
 _OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
 _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
@@ -251,7 +253,7 @@ def places(
             found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
 
         add("drive", drive, "", "travel", partial(_command_of, leg), _DRIVE, 100 * _UM)
-        add("drive", drive, "", "approach", partial(_command_of, leg), _DRIVE, 50 * _UM)
+        add("drive", drive, "", "approach", partial(_command_of, leg), _LOST, 50 * _UM)
         add("drive", drive, "", "reversal", _none, BUILD_UP, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
@@ -261,7 +263,7 @@ def places(
                     "",
                     "command",
                     partial(_command_of, other),
-                    _COARSE,
+                    _ACROSS,
                     50 * _UM,
                     other,
                 )

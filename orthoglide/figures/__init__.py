@@ -5,4 +5,3 @@ and its colours of day and night. The same result gives the same bytes.
 """
 
 # Modules are imported by name, when something is to be drawn: matplotlib takes its time.
-__all__: list[str] = []

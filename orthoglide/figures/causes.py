@@ -218,6 +218,6 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(place.name)
     axes.set_xlabel(_AGAINST.get(place.against, "command, mm"), labelpad=2)
-    axes.set_ylabel("mrad" if place.turns else "mm")
+    axes.set_ylabel(curve.unit)
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.02)

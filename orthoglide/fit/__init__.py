@@ -18,28 +18,3 @@ from orthoglide.fit.scores import Scores
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.unknowns import build_problem, build_unknowns, elementary_beyond, with_free
 from orthoglide.fit.weakness import WeakDirection
-
-__all__ = [
-    "Change",
-    "CrossCheck",
-    "Estimate",
-    "Frame",
-    "Method",
-    "Noise",
-    "Problem",
-    "Scores",
-    "Source",
-    "Unknown",
-    "WeakDirection",
-    "account_for_changes",
-    "assemble",
-    "build_problem",
-    "build_unknowns",
-    "elementary_beyond",
-    "identify",
-    "noise_of",
-    "readings_of",
-    "solve",
-    "sorted_out",
-    "with_free",
-]

@@ -153,12 +153,15 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
     setups = [s for c in problem.campaigns for s in c.setups]
     rows = problem.setup_of_row
     sign = np.array([float(s.sign) for s in setups])[rows]
-    by_six = sign[:, None] * reduction.reading_jacobian(
-        commands,
-        np.array([s.leg for s in setups])[rows],
-        np.array([s.axis for s in setups])[rows],
-        np.array([s.gauge for s in setups])[rows],
-        geometry=problem.machine.geometry,
+    by_six = (
+        sign[:, None]
+        * reduction.observe(
+            commands,
+            np.array([s.leg for s in setups])[rows],
+            np.array([s.axis for s in setups])[rows],
+            np.array([s.gauge for s in setups])[rows],
+            geometry=problem.machine.geometry,
+        ).gradient
     )
     by_x = np.zeros((len(commands), len(x)))
     constant = np.zeros(len(commands))

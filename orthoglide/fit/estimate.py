@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from orthoglide.fit.least_squares import Linearised, Nuisances, predict
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import Scores, score
 from orthoglide.fit.weakness import WeakDirection
-from orthoglide.frames import data_frame, html_table
+from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
@@ -22,13 +21,11 @@ from orthoglide.notes import Note
 from orthoglide.units import Unit
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from orthoglide.figures.style import Drawing
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Framed):
     """Result of :func:`~orthoglide.identify`.
 
     Attributes:
@@ -62,6 +59,7 @@ class Estimate:
     at: Linearised = field(repr=False)
     nuisance: Nuisances = field(repr=False)
     changes: tuple[Any, ...] = ()
+    _index = "parameter"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -130,8 +128,6 @@ class Estimate:
     @cached_property
     def predicted_before(self) -> Array:
         """Readings ``(n,)`` that the machine as it was predicts, datums fitted, metres."""
-        from orthoglide.fit.least_squares import predict
-
         value = predict(self.problem, np.zeros(len(self.x)))
         return value + self.nuisance.fitted(self.problem.measured - value)
 
@@ -162,8 +158,10 @@ class Estimate:
         )
 
     @property
-    def _columns(self) -> dict[str, list[Any]]:
-        """What was identified as files show it, a row a parameter."""
+    def columns(self) -> dict[str, list[Any]]:
+        """What was identified, a row a parameter in the units of files: value, sigma, the limits
+        of the 95 % interval, unit and tolerance.
+        """
         units = [self.unit(name) for name in self.names]
         si = np.array([unit.si for unit in units])
         half = self.coverage_factor * np.sqrt(np.diag(self.covariance))
@@ -176,15 +174,6 @@ class Estimate:
             "unit": [unit.name for unit in units],
             "tolerance": (self.problem.tolerance / si).tolist(),
         }
-
-    def to_frame(self) -> pd.DataFrame:
-        """What was identified, a row a parameter in the units of files: value, sigma, the limits
-        of the 95 % interval, unit and tolerance.
-
-        Raises:
-            InputError: where pandas is not installed.
-        """
-        return data_frame(self._columns, index="parameter")
 
     def plot(self, what: str = "residuals") -> Drawing:
         """A figure of the fit, which notebooks show and ``save`` writes.
@@ -199,9 +188,6 @@ class Estimate:
         from orthoglide.figures.draw import draw_fit
 
         return draw_fit(self, what)
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self)[1:-1], self._columns)
 
 
 def fit_report(estimate: Estimate) -> str:
@@ -219,12 +205,3 @@ def fit_report(estimate: Estimate) -> str:
     lines.extend(str(weak) for weak in estimate.weak)
     lines.extend(estimate.warnings)
     return "\n".join(lines)
-
-
-def as_mapping(estimate: Estimate) -> Mapping[str, tuple[float, float, str]]:
-    """Identified values as files show them: value, sigma and unit by name."""
-    shown = {}
-    for name, value in estimate.values.items():
-        unit = estimate.unit(name)
-        shown[name] = (value / unit.si, estimate.sigmas[name] / unit.si, unit.name)
-    return shown

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, moved_onto
 from orthoglide.observations import Campaign, TcpPoints
 from orthoglide.prediction import Conditions, Model
 
@@ -264,7 +264,4 @@ def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
     """
     if len(points) < 4 or not np.isfinite(points.p).all():
         return points
-    centre, goal = points.p.mean(axis=0), p.mean(axis=0)
-    left, _, right = np.linalg.svd((points.p - centre).T @ (p - goal))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return replace(points, p=(points.p - centre) @ (left @ flip @ right) + goal)
+    return replace(points, p=moved_onto(points.p, points.p, p))

@@ -6,8 +6,6 @@ so that time and memory grow linearly with the number of postures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,26 +27,16 @@ _ROUNDING = 1e-5  # steps that no longer shrink are rounding of the closures
 _SLOW = 0.1  # Gauss-Newton that shrinks its steps less than this wants second derivatives
 
 
-@dataclass(frozen=True)
-class NestedResult:
-    """Where the nested method ended.
-
-    Attributes:
-        x: unknowns ``(P,)``, SI.
-        iterations: steps taken.
-        at: linearisation at ``x``.
-    """
-
-    x: Array
-    iterations: int
-    at: Linearised
-
-
-def solve_nested(problem: Problem, nuisance: Nuisances, start: Linearised) -> NestedResult:
+def solve_nested(
+    problem: Problem, nuisance: Nuisances, start: Linearised
+) -> tuple[Linearised, int]:
     """Minimise the cost over the unknowns, from the linearisation ``start``.
 
     Gauss-Newton, and Newton with differenced gradients where that is slow: along weak directions
     the curvature of the model outweighs the readings.
+
+    Returns:
+        The linearisation where it ended, and how many steps that took.
 
     Raises:
         SolverError: where the steps do not settle.
@@ -66,7 +54,7 @@ def solve_nested(problem: Problem, nuisance: Nuisances, start: Linearised) -> Ne
             step[free] = _newton_step(problem, nuisance, here, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
         if size <= _SETTLED or previous / 2 <= size <= _ROUNDING:
-            return NestedResult(at.x, iteration, at)
+            return at, iteration
         at, previous = linearise(problem, _search(problem, nuisance, here, step)), size
     raise SolverError(
         "the identification did not settle; free fewer parameters, or keep the priors",

@@ -49,17 +49,13 @@ class NlpResult:
 
     Attributes:
         x: unknowns ``(P,)``, SI.
-        joints: free joints of every distinct posture ``(K, 21)``.
         closure: largest closure residual left, metres or radians.
         iterations: of IPOPT.
-        status: IPOPT's own word.
     """
 
     x: Array
-    joints: Array
     closure: float
     iterations: int
-    status: str
 
 
 @dataclass(frozen=True)
@@ -168,13 +164,7 @@ class Nlp:
                 f"fewer parameters",
                 evidence={"status": status, "closure": closure},
             )
-        return NlpResult(
-            found[: len(x)] * self._scale,
-            found[len(x) : len(x) + count].reshape(self.postures, 21) * self._turn,
-            closure,
-            int(stats["iter_count"]),
-            status,
-        )
+        return NlpResult(found[: len(x)] * self._scale, closure, int(stats["iter_count"]))
 
     def start_joints(self, problem: Problem, x: Array) -> Array:
         """Free joints ``(K, 21)`` that close every posture at the unknowns ``x``."""

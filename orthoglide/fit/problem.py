@@ -17,7 +17,7 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, ToolCampaign
 from orthoglide.parameters import Parameter
 
 Beside = TcpReadings | ToolReadings
@@ -130,6 +130,11 @@ class Problem:
         """All that was read: campaigns, then TCP points."""
         dials = (DialReadings(c, self.placement) for c in self.campaigns)
         return (*dials, *self.points)
+
+    @property
+    def tool_campaigns(self) -> tuple[ToolCampaign, ...]:
+        """Readings of the tool but TCP points."""
+        return tuple(p.points for p in self.points if isinstance(p.points, ToolCampaign))
 
     @property
     def names(self) -> tuple[Parameter, ...]:

@@ -166,8 +166,8 @@ def _solved(
         raise InputError("the programme reads dials and coordinates only: take the nested method")
     large = posture_count(problem) > NLP_POSTURES or len(problem.names) > NLP_UNKNOWNS
     if method == "nested" or (method == "auto" and (large or elastic or tool)):
-        nested = solve_nested(problem, nuisance, near)
-        return nested.at, nested.iterations + 1, "nested"
+        at, steps = solve_nested(problem, nuisance, near)
+        return at, steps + 1, "nested"
     from orthoglide.fit.nlp import Nlp
 
     here = normal(problem, first, nuisance)

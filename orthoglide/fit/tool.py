@@ -141,16 +141,14 @@ class ToolReadings:
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Readings, nuisances apart."""
-        out = model.outputs(self._of_machine(model.catalogue, values), self.conditions())
+        out = model.outputs(model.catalogue.of_machine(values), self.conditions())
         return self._value(out.p, out.R, self._shape(model.catalogue, values))
 
     def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
         """Readings; the slopes are the tool's place and the reading itself ``(n, 4)``."""
         catalogue = model.catalogue
         machine = [n for n in names if not catalogue.effect_of(n).of_dial]
-        out, by_name = model.sensitivities(
-            self._of_machine(catalogue, values), self.conditions(), machine
-        )
+        out, by_name = model.sensitivities(catalogue.of_machine(values), self.conditions(), machine)
         n = len(self.points)
         jacobian = np.zeros((n, len(names)))
         of_machine = [k for k, name in enumerate(names) if name in set(machine)]
@@ -163,7 +161,7 @@ class ToolReadings:
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
-        known, where = self._of_machine(model.catalogue, values), self.conditions()
+        known, where = model.catalogue.of_machine(values), self.conditions()
         slopes, p = model.by_joints(known, where)[:, :12], model.outputs(known, where).p
 
         def moved(joints: Array, functions: Array) -> Array:
@@ -256,10 +254,6 @@ class ToolReadings:
                 x, y = self.place[rows].T
                 found[rows] -= value * shapes[parameter.direction](x, y)
         return found
-
-    @staticmethod
-    def _of_machine(catalogue: Catalogue, values: Mapping[str, float]) -> dict[str, float]:
-        return {n: v for n, v in values.items() if not catalogue.effect_of(n).of_dial}
 
 
 def _sigma(

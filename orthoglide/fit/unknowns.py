@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Protocol
 
-from orthoglide.effects import Catalogue, Effect
+from orthoglide.effects import Catalogue
 from orthoglide.errors import InputError
 from orthoglide.fit.noise import Noise
-from orthoglide.fit.problem import Beside, Problem, Unknown
+from orthoglide.fit.problem import Beside, Factor, Problem, Unknown
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
@@ -22,23 +21,8 @@ _BOUND_SD = 50.0
 _LEAST_BOUND = {"mm": 0.05, "rad": 0.1}
 
 
-class Source(Protocol):
-    """Where readings come from: its name, and the setups whose dials may have parameters."""
-
-    @property
-    def name(self) -> str:
-        """Of the file."""
-
-    @property
-    def setup_names(self) -> tuple[str, ...]:
-        """Of its mountings."""
-
-    def setups_of(self, effect: Effect) -> tuple[str, ...]:
-        """Those of which an instrument's effect has parameters."""
-
-
 def build_unknowns(
-    machine: Machine, sources: Sequence[Source], free: Sequence[str], own: Sequence[str] = ()
+    machine: Machine, sources: Sequence[Factor], free: Sequence[str], own: Sequence[str] = ()
 ) -> tuple[Unknown, ...]:
     """Unknowns for effects, parameters or structured members.
 
@@ -81,7 +65,7 @@ def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]
 
 
 def _expanded(
-    catalogue: Catalogue, free: Sequence[str], sources: Sequence[Source]
+    catalogue: Catalogue, free: Sequence[str], sources: Sequence[Factor]
 ) -> tuple[Parameter, ...]:
     setups = tuple(dict.fromkeys(s for source in sources for s in source.setup_names))
     found = tuple(p.plain for p in catalogue.expand(free, setups))
@@ -90,7 +74,7 @@ def _expanded(
     return tuple(dict.fromkeys(found))
 
 
-def _parts(catalogue: Catalogue, name: Parameter, source: Source) -> Mapping[str, float]:
+def _parts(catalogue: Catalogue, name: Parameter, source: Factor) -> Mapping[str, float]:
     effect = catalogue[name.effect]
     if not effect.of_dial:
         return catalogue.elementary(name)
@@ -198,7 +182,7 @@ def elementary_beyond(problem: Problem, effects: Sequence[str]) -> tuple[Paramet
     return tuple(found)
 
 
-def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Source]) -> None:
+def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Factor]) -> None:
     stems = [s.name for s in sources]
     for name in own:
         plain, at, stem = name.partition("@")

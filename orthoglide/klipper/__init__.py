@@ -11,14 +11,3 @@ from orthoglide.klipper.corrections import (
 )
 from orthoglide.klipper.firmware import Firmware, firmware_of, rods_words
 from orthoglide.klipper.importing import Imported, import_printer
-
-__all__ = [
-    "Corrections",
-    "Firmware",
-    "Imported",
-    "corrections",
-    "firmware_of",
-    "import_printer",
-    "rods_words",
-    "unseen_by_firmware",
-]

@@ -12,15 +12,3 @@ from orthoglide.layout.orthoglide import ORTHOGLIDE, Orthoglide
 
 DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.every | LinearDelta.names.every)
 """All words for directions across a leg."""
-
-__all__ = [
-    "DIRECTIONS",
-    "ORTHOGLIDE",
-    "FreeLeg",
-    "FreeLegs",
-    "Layout",
-    "Leg",
-    "LegNames",
-    "LinearDelta",
-    "Orthoglide",
-]

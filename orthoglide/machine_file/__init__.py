@@ -13,20 +13,3 @@ from orthoglide.machine_file.model import (
 from orthoglide.machine_file.posterior import Posterior
 from orthoglide.machine_file.reading import parse_machine_file, read_machine_file
 from orthoglide.machine_file.writing import machine_files, machine_text, write_machine_file
-
-__all__ = [
-    "SCHEMA",
-    "Controller",
-    "Dial",
-    "Instrument",
-    "MachineFile",
-    "ParameterValue",
-    "Posterior",
-    "Stiffness",
-    "machine_files",
-    "machine_text",
-    "nominal_machine_file",
-    "parse_machine_file",
-    "read_machine_file",
-    "write_machine_file",
-]

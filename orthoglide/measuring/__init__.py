@@ -4,5 +4,3 @@ from orthoglide.measuring.page import sheet_page
 from orthoglide.measuring.program import MOST, SETTLED, opening
 from orthoglide.measuring.record import Record
 from orthoglide.measuring.session import End, Session, Stopped
-
-__all__ = ["MOST", "SETTLED", "End", "Record", "Session", "Stopped", "opening", "sheet_page"]

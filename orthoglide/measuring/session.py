@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, field, replace
 
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.errors import FileError, InputError, OrthoglideError
 from orthoglide.machine import Machine
-from orthoglide.measuring.ahead import Ahead
+from orthoglide.measuring.ahead import begun
 from orthoglide.measuring.answers import HELP, understood
 from orthoglide.measuring.expected import Expected
 from orthoglide.measuring.page import command_columns, counted, dial_words, mounted_together
@@ -77,7 +78,7 @@ class Session:
     _at: int = field(default=0, init=False)  # rows of the file that were gone through
     _live: bool = field(default=False, init=False)  # whether the last row was given just now
     _told: tuple[str, ...] = field(default=(), init=False)  # mounting, then position, last said
-    _ahead: dict[str, Ahead[Next]] = field(default_factory=dict, init=False)
+    _ahead: dict[str, Future[Next]] = field(default_factory=dict, init=False)
 
     def run(self) -> End:
         """Ask until the verdict is settled, or no more is to be read.
@@ -120,8 +121,7 @@ class Session:
 
     def _read(self, sheet: Campaign, number: int) -> Next:
         """Take the readings of one sheet that the file has not yet; what follows from all."""
-        for running in self._ahead.values():
-            running.wait()  # the mechanism serves one at a time
+        wait(self._ahead.values())  # the mechanism serves one at a time
         plan, expected = self.record.plan(sheet), Expected.of(sheet, self.machine)
         lead = [k for k, row in enumerate(plan) if row["kind"] == "leg"][-_LEAD:]
         taken, reading, ahead = dict[int, float](), 0, None
@@ -163,13 +163,13 @@ class Session:
     def _verdict(self, rows: Sequence[Row]) -> Verdict:
         return close_loop(self.record.campaign(rows), self.machine)
 
-    def _following(self, number: int, left: int) -> Ahead[Next]:
+    def _following(self, number: int, left: int) -> Future[Next]:
         """What follows a sheet, from the rows so far; computed while its last ones are read."""
         rows = tuple(self.record.rows[: self._at])
         key = f"{number} {rows}"
         if key not in self._ahead:
             room = self.most - left - _readings(rows)
-            self._ahead[key] = Ahead(lambda: self._after(rows, number, room))
+            self._ahead[key] = begun(lambda: self._after(rows, number, room))
         return self._ahead[key]
 
     def _after(self, rows: Sequence[Row], number: int, room: int) -> Next:

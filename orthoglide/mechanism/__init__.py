@@ -2,5 +2,3 @@
 
 from orthoglide.mechanism.mechanism import Mechanism, Mode, Posture
 from orthoglide.mechanism.mobility import Conditioning, Mobility
-
-__all__ = ["Conditioning", "Mechanism", "Mobility", "Mode", "Posture"]

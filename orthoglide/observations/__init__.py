@@ -15,27 +15,3 @@ from orthoglide.observations.writing import (
     tcp_rows,
     write_campaign,
 )
-
-__all__ = [
-    "Campaign",
-    "Given",
-    "Moves",
-    "Readings",
-    "Setup",
-    "TcpPoints",
-    "ToolCampaign",
-    "ToolSetup",
-    "campaign_rows",
-    "campaign_text",
-    "csv_text",
-    "derive_approach",
-    "protocol",
-    "read_campaign",
-    "read_readings",
-    "read_tcp",
-    "readings_from_rows",
-    "tcp_from_rows",
-    "tcp_rows",
-    "tool_rows",
-    "write_campaign",
-]

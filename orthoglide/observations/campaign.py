@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -147,7 +148,15 @@ class Campaign:
 
     def built_up(self, lengths: Sequence[float]) -> Array:
         """Lost motion of each drive that builds up over some lengths, metres: ``(K, n, 3)``."""
-        return built_up(self.command, self.order, lengths, self.moves)
+        asked = tuple(lengths)
+        if asked not in self._built_up:  # row by row in Python: half a second for 100 000 readings
+            self._built_up[asked] = built_up(self.command, self.order, asked, self.moves)
+        return self._built_up[asked]
+
+    @cached_property
+    def _built_up(self) -> dict[tuple[float, ...], Array]:
+        """What was asked of :meth:`built_up` so far."""
+        return {}
 
     def subset(self, rows: ArrayLike) -> Campaign:
         """Some of the readings, with the setups they need.

@@ -6,6 +6,7 @@ import numpy as np
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import MachineFile
+from orthoglide.observations.approach import Ints, Moves, derive_approach
 from orthoglide.observations.checks import check_commands
 from orthoglide.observations.table import (
     DIRECTION,
@@ -93,6 +94,22 @@ def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str
 def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
     """Several columns of numbers ``(n, k)``."""
     return np.array([table.values(name, column) for name in names], dtype=float).T
+
+
+def order_of(table: Table) -> Ints:
+    """Place of each row in the sequence ``(n,)``; in the order of the rows where no column says."""
+    if "order" in table.names:
+        return np.array(table.values("order", ROW_COLUMNS["order"]))
+    return np.arange(1, len(table.rows) + 1)
+
+
+def approaches(
+    table: Table, names: tuple[str, ...], command: Array, order: Ints, moves: Moves | None = None
+) -> Array:
+    """Approach as recorded; axes without a column get theirs from the sequence."""
+    recorded = columns(table, names, DIRECTION_OF_MOVE)
+    given = [name in table.names for name in names]
+    return np.where(given, recorded, derive_approach(command, order, moves))
 
 
 def commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:

@@ -12,19 +12,19 @@ import numpy as np
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
-from orthoglide.observations.approach import Ints, Moves, derive_approach
+from orthoglide.observations.approach import Ints, Moves
 from orthoglide.observations.campaign import Campaign, Setup
 from orthoglide.observations.checks import check_campaign, check_sequence
 from orthoglide.observations.columns import (
     APPROACH,
-    DIRECTION_OF_MOVE,
     RHO,
     ROW_COLUMNS,
     SETUP_COLUMNS,
     TRAVEL,
-    columns,
+    approaches,
     command_names,
     commands,
+    order_of,
 )
 from orthoglide.observations.table import Column, Table, frame_table, read_table
 
@@ -113,7 +113,7 @@ def campaign_of_table(
     if not read.rows:
         table.fail("has moves only: add rows with readings", 0)
     setups, setup = _setups(read)
-    command, order = commands(table, names, machine), _order(table)
+    command, order = commands(table, names, machine), order_of(table)
     moves = Moves(command[moved], order[moved], np.array(table.lines)[moved])
     fields: dict[str, Any] = {
         key.partition("_")[0]: read.values(key, column) for key, column in ROW_COLUMNS.items()
@@ -125,7 +125,7 @@ def campaign_of_table(
         setups=setups,
         setup=setup,
         command=command[~moved],
-        approach=_approach(read, command[~moved], order[~moved], moves),
+        approach=approaches(read, APPROACH, command[~moved], order[~moved], moves),
         line=np.array(read.lines),
         file=table.file,
         sha256=table.sha256,
@@ -138,12 +138,6 @@ def campaign_of_table(
     noticed = check_campaign(campaign, machine, read.fail)
     unread = _moves_with_readings(table.part(np.flatnonzero(moved).tolist()))
     return replace(campaign, warnings=(*warnings, *unread, *noticed))
-
-
-def _order(table: Table) -> Ints:
-    if "order" in table.names:
-        return np.array(table.values("order", ROW_COLUMNS["order"]))
-    return np.arange(1, len(table.rows) + 1)
 
 
 def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
@@ -159,13 +153,6 @@ def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
             lines,
         ),
     )
-
-
-def _approach(table: Table, command: Array, order: Ints, moves: Moves) -> Array:
-    """Approach as recorded; axes without a column get theirs from the sequence."""
-    recorded = columns(table, APPROACH, DIRECTION_OF_MOVE)
-    given = [name in table.names for name in APPROACH]
-    return np.where(given, recorded, derive_approach(command, order, moves))
 
 
 def _setups(table: Table) -> tuple[tuple[Setup, ...], Ints]:

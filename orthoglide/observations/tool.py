@@ -7,7 +7,6 @@ instrument each, as those of dials are.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -104,8 +103,3 @@ class ToolCampaign:
         """Against the first recorded ``(n,)``, kelvin; 0 where not recorded."""
         known = self.temperature[np.isfinite(self.temperature)]
         return np.nan_to_num(self.temperature - (known[0] if len(known) else 0.0))
-
-    @property
-    def file_stem(self) -> str:
-        """Of its file; its name where there is none."""
-        return Path(self.file).stem or self.name

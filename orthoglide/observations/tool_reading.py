@@ -12,11 +12,9 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import Fail, check_sequence
 from orthoglide.observations.columns import (
-    DIRECTION_OF_MOVE,
     READING_MRAD,
     RHO,
     ROW_COLUMNS,
@@ -24,10 +22,11 @@ from orthoglide.observations.columns import (
     SIGMA_MRAD,
     TOOL_COLUMNS,
     approach_of,
-    columns,
+    approaches,
     command_names,
     commands,
     names_of,
+    order_of,
 )
 from orthoglide.observations.reading import campaign_of_table
 from orthoglide.observations.table import Column, Table, choice, read_table, rows_table
@@ -118,10 +117,7 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
     kinds = table.values("kind", TOOL_COLUMNS["kind"])
     reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
     warnings = table.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
-    command = commands(table, names, machine)
-    order = np.arange(1, len(kinds) + 1)
-    if "order" in table.names:
-        order = np.array(table.values("order", ROW_COLUMNS["order"]))
+    command, order = commands(table, names, machine), order_of(table)
     check_sequence(command, order, table.lines, table.fail)
     setups, setup = _setups(table, kinds)
     direction = _directions(table, kinds)
@@ -135,7 +131,7 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
         sign=np.array([float(sign) for _, sign in direction]),
         command=command,
         second=_second(table, second, kinds, machine),
-        approach=_approach(table, approach, command, order),
+        approach=approaches(table, approach, command, order),
         time=np.array(row["time_s"]),
         temperature=np.array(row["temperature_C"]),
         load=np.array(row["load_N"]),
@@ -191,12 +187,6 @@ def _second(table: Table, names: tuple[str, ...], kinds: list[Any], machine: Mac
             table.fail(f"has no column {name}, the second command of a distance: add it")
     found[rows] = commands(table.part(rows), names, machine)
     return found
-
-
-def _approach(table: Table, names: tuple[str, ...], command: Array, order: Any) -> Array:
-    recorded = columns(table, names, DIRECTION_OF_MOVE)
-    given = [name in table.names for name in names]
-    return np.where(given, recorded, derive_approach(command, order))
 
 
 def _either(table: Table, kinds: list[Any], mm: str, mrad: str) -> Array:

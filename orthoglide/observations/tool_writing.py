@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide import units
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import MM
+from orthoglide.observations.columns import MM, names_of
 from orthoglide.observations.tool import DIRECTED, ToolCampaign
-from orthoglide.observations.writing import Row, numbers, rows_of, signs
+from orthoglide.observations.writing import Row, numbers, rows_of, shown_commands, signs
 
 
 def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -> list[Row]:
@@ -40,15 +38,15 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "reading_mrad": angles.any(),
         "sigma_mm": np.isfinite(campaign.sigma[~angles]).any(),
         "sigma_mrad": np.isfinite(campaign.sigma[angles]).any(),
-        **{f"travel_{leg}2_mm": campaign.of_kind("distance").any() for leg in legs},
+        **dict.fromkeys(names_of(legs)[1], campaign.of_kind("distance").any()),
     }
     columns: dict[str, Sequence[Any]] = {
         "kind": kinds,
         "setup": [campaign.setups[k].name for k in campaign.setup],
         "direction": named,
         "posture": campaign.posture,
-        **_commands(campaign.command, machine, ""),
-        **_commands(campaign.second, machine, "2"),
+        **shown_commands(campaign.command, machine, names_of(legs)[0]),
+        **shown_commands(campaign.second, machine, names_of(legs)[1]),
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
         **{f"approach_{leg}": signs(campaign.approach[:, k]) for k, leg in enumerate(legs)},
@@ -61,14 +59,3 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "sigma_mrad": numbers(np.where(angles, campaign.sigma, np.nan), MM),
     }
     return rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
-
-
-def _commands(command: Array, machine: MachineFile, which: str) -> dict[str, list[str]]:
-    """Commands as the controller shows them."""
-    shown = np.round(machine.controller.from_rho(command, machine.geometry), DECIMALS) + 0.0
-    return {
-        f"travel_{leg}{which}_mm": [
-            "" if np.isnan(v) else str(units.from_si(v, MM)) for v in shown[:, k].tolist()
-        ]
-        for k, leg in enumerate(machine.geometry.leg_names)
-    }

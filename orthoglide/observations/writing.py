@@ -152,12 +152,17 @@ def _with_moves(rows: list[Row], campaign: Campaign, machine_file: MachineFile |
 
 
 def _commands(command: Array, machine_file: MachineFile | None) -> dict[str, list[str]]:
-    names, values = RHO, command
     if machine_file is not None and machine_file.controller != Controller():
-        names = TRAVEL
-        shown = machine_file.controller.from_rho(command, machine_file.geometry)
-        values = np.round(shown, DECIMALS) + 0.0
-    return {name: numbers(values[:, axis], MM) for axis, name in enumerate(names)}
+        return shown_commands(command, machine_file, TRAVEL)
+    return {name: numbers(command[:, axis], MM) for axis, name in enumerate(RHO)}
+
+
+def shown_commands(
+    command: Array, machine: MachineFile, names: Sequence[str]
+) -> dict[str, list[str]]:
+    """Cells of commands ``(n, 3)`` as the machine's controller shows them."""
+    shown = np.round(machine.controller.from_rho(command, machine.geometry), DECIMALS) + 0.0
+    return {name: numbers(shown[:, axis], MM) for axis, name in enumerate(names)}
 
 
 def numbers(values: Array, factor: float = 1.0) -> list[str]:

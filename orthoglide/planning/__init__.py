@@ -15,27 +15,3 @@ from orthoglide.planning.suggestions import (
 )
 from orthoglide.planning.tolerances import NeededTolerances, needed_tolerances
 from orthoglide.planning.tracing import tracing
-
-__all__ = [
-    "INSTRUMENTS",
-    "Design",
-    "Detectability",
-    "NeededTolerances",
-    "Observability",
-    "Owned",
-    "Repeats",
-    "SmallestEffect",
-    "Suggestion",
-    "deciding_instruments",
-    "design",
-    "expected_noise",
-    "needed_tolerances",
-    "next_measurements",
-    "next_sheet",
-    "observability",
-    "owned_instruments",
-    "reading_pool",
-    "repeats_needed",
-    "smallest_effects",
-    "tracing",
-]

@@ -191,26 +191,25 @@ def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float
     return float(detected), float(max(detected, named))
 
 
-def noncentrality(square: float, threshold: float, power: float = POWER) -> float:
-    """Noncentrality at which an effect's evidence exceeds a threshold with some probability.
+def noncentrality(square: float, threshold: float) -> float:
+    """Noncentrality at which an effect's evidence exceeds a threshold with the probability `POWER`.
 
     Args:
         square: of the signature at tolerance.
         threshold: of the evidence.
-        power: the probability.
     """
     from scipy.special import chndtrinc
 
     limit = (2 * threshold + np.log1p(square)) * (1 + square) / square
-    return float(chndtrinc(limit, 1, 1 - power)) if limit > 0 else 0.0
+    return float(chndtrinc(limit, 1, 1 - POWER)) if limit > 0 else 0.0
 
 
-def separation(power: float = POWER) -> float:
+def separation() -> float:
     """Distance in sigmas from which the wrong fit's chi2 is larger by the width of a class.
 
     The difference of chi2 at distance D is normal with mean D^2 and standard deviation 2 D.
     """
     from scipy.special import ndtri
 
-    z = float(ndtri(power))
+    z = float(ndtri(POWER))
     return z + float(np.sqrt(z**2 + _CLASS_WIDTH))

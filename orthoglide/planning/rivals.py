@@ -81,7 +81,7 @@ def _described(
     values = problem.values(problem.last, at.x)
     return Explanation(
         name,
-        {n: v for n, v in values.items() if not catalogue.effect_of(n).of_dial},
+        catalogue.of_machine(values),
         tuple(parts[k] for k in of_machine),
         weights[of_machine],
         np.linalg.inv(scaled) * unit * unit[:, None],

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
@@ -115,7 +114,7 @@ def deciding_instruments(fit: Estimate, causes: Sequence[Cause]) -> tuple[Sugges
 
 
 def next_measurements(
-    fit: Estimate | Signatures,
+    fit: Estimate,
     rivals: Rivals = (),
     machine: Machine | None = None,
     *,
@@ -141,16 +140,15 @@ def next_measurements(
     Raises:
         InputError: for fewer than two readings.
     """
-    estimate = fit.estimate if isinstance(fit, Signatures) else fit
-    machine = machine or estimate.problem.machine
-    weak = estimate.weak[:_MOST_DIRECTIONS] if directions is None else directions
-    scale = max(estimate.sigma_scale, 1.0)
-    several = [explanation(name, found, estimate, scale) for name, found in rivals]
-    own = explanation("", estimate, estimate, scale)
+    machine = machine or fit.problem.machine
+    weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
+    scale = max(fit.sigma_scale, 1.0)
+    several = [explanation(name, found, fit, scale) for name, found in rivals]
+    own = explanation("", fit, fit, scale)
     names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
-    choice = pool or reading_pool(machine.geometry, load=_usual_load(estimate))
+    choice = pool or reading_pool(machine.geometry, load=_usual_load(fit))
     at = machine.model.linearised(own.values, choice, names)
-    total = estimate.problem.noise.typical * scale
+    total = fit.problem.noise.typical * scale
     readings = LinearReadings.around(machine, choice, at.jacobian, at.by_gauge, total)
     found: list[Suggestion] = []
     if len(several) > 1:
@@ -158,7 +156,7 @@ def next_measurements(
         both = readings.with_columns(np.column_stack([at.jacobian, *predicted]))
         found += _to_separate(machine, both, names, several, count)
     for direction in weak:
-        found.append(_to_narrow(readings, names, own, estimate, direction, count))
+        found.append(_to_narrow(readings, names, own, fit, direction, count))
     return tuple(found)
 
 

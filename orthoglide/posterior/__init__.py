@@ -14,21 +14,3 @@ from orthoglide.posterior.everything import FullPosterior, full_posterior
 from orthoglide.posterior.free import places_of
 from orthoglide.posterior.outstanding import NAMED, outstanding
 from orthoglide.posterior.remains import remains
-
-__all__ = [
-    "NAMED",
-    "BudgetItem",
-    "CandidateScore",
-    "Cause",
-    "Curve",
-    "Explanation",
-    "FullPosterior",
-    "Located",
-    "Outstanding",
-    "budget",
-    "full_posterior",
-    "outstanding",
-    "places_of",
-    "remains",
-    "with_everything",
-]

@@ -11,6 +11,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
+from orthoglide.numerals import compact
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +116,9 @@ class Curve:
         place: where and how.
         probability: all else that was found given.
         at: where the function is given: travel, command (metres) or time (seconds) ``(k,)``.
-        value: SI ``(k,)``.
-        sigma: SI ``(k,)``.
+        value: SI ``(k,)``; about its mean unless it is lost motion, as a level may belong to the
+            zeros.
+        sigma: of the same, SI ``(k,)``.
         shown: its part of the readings, datums fitted ``(n,)``, metres.
     """
 
@@ -130,14 +132,23 @@ class Curve:
     @property
     def size(self) -> float:
         """How much it moves, SI: on an approach between the two sides, root mean square; after a
-        reversal from the turn to the farthest; else root mean square about its mean, for a level
-        may belong to the zeros.
+        reversal from the turn to the farthest; else root mean square about its mean.
         """
         if self.place.against == "approach":
             return float(np.sqrt(np.mean(self.value**2)))
         if self.place.against == "reversal":
             return float(np.ptp(self.value))
         return float(np.std(self.value))
+
+    @property
+    def unit(self) -> str:
+        """In which people read it: millimetres, or milliradians of what turns."""
+        return "mrad" if self.place.turns else "mm"
+
+    @property
+    def size_words(self) -> str:
+        """Its size with its unit, and whether that is a root mean square."""
+        return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if self.place.loses else ' rms'}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from orthoglide.observations import Campaign
 
 def one_surface(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
-    tools = [p.points for p in problem.points if isinstance(p, ToolReadings)]
+    tools = problem.tool_campaigns
     kinds = {s.kind for tool in tools for s in tool.setups}
     alone = not problem.campaigns and len(tools) == len(problem.points)
     return alone and kinds <= {"plate", "distance"}

@@ -2,5 +2,3 @@
 
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.model import Model, Readings
-
-__all__ = ["Conditions", "Model", "Readings"]

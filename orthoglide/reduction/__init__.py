@@ -1,12 +1,12 @@
 """The analytic reduction: three drives, three bars, one point (Pashkevich et al. 2006, 2008).
 
 ``forward`` and ``inverse`` are the quadratic and eq. (3), ``jacobians`` eq. (5); ``system11``,
-``covariance`` and ``solve`` the papers' linear calibration; ``readings`` and ``fit_readings`` the
+``covariance`` and ``solve`` the papers' linear calibration; ``observe`` and ``fit_readings`` the
 same without linearising; ``intersect_spheres`` the general form, with carriages anywhere. A
 derivation of its own: nothing here knows the general mechanism.
 """
 
-from orthoglide.reduction.deviations import reading_jacobian, readings
+from orthoglide.reduction.deviations import observe
 from orthoglide.reduction.fit import ReadingFit, fit_readings
 from orthoglide.reduction.kinematics import (
     CONFIGURATIONS,
@@ -14,7 +14,6 @@ from orthoglide.reduction.kinematics import (
     forward,
     inverse,
     jacobians,
-    velocity_jacobian,
 )
 from orthoglide.reduction.linear import (
     COLUMNS,
@@ -30,34 +29,4 @@ from orthoglide.reduction.linear import (
     system8,
     system11,
 )
-from orthoglide.reduction.spheres import (
-    intersect_spheres,
-    reading,
-)
-
-__all__ = [
-    "COLUMNS",
-    "CONFIGURATIONS",
-    "NOMINAL",
-    "G",
-    "LinearFit",
-    "LinearSystem",
-    "ReadingFit",
-    "coefficients",
-    "covariance",
-    "fit_readings",
-    "forward",
-    "intersect_spheres",
-    "inverse",
-    "jacobians",
-    "leg_deviations",
-    "reading",
-    "reading_jacobian",
-    "readings",
-    "reduced_system",
-    "solve",
-    "stroke_angles",
-    "system8",
-    "system11",
-    "velocity_jacobian",
-]
+from orthoglide.reduction.spheres import intersect_spheres, reading

@@ -97,7 +97,7 @@ class Observed:
         return np.asarray(total)
 
 
-def observe(dials: Readings, six: Array, length: float) -> Observed:
+def observed(dials: Readings, six: Array, length: float) -> Observed:
     """Readings and gradient of a machine with offsets and lengths ``six``, ``(6,)`` or ``(N, 6)``.
 
     Args:
@@ -126,12 +126,7 @@ def observe(dials: Readings, six: Array, length: float) -> Observed:
     return Observed(values, gradient, inverse, tcp, (i, j, reach, ahead, across, by_tcp))
 
 
-def _six(offsets: ArrayLike, lengths: ArrayLike) -> Array:
-    pair = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
-    return np.concatenate(pair, axis=-1)
-
-
-def readings(
+def observe(
     commands: ArrayLike,
     legs: ArrayLike,
     axes: ArrayLike,
@@ -140,8 +135,11 @@ def readings(
     lengths: ArrayLike = 0.0,
     *,
     geometry: Geometry = NOMINAL,
-) -> Array:
+) -> Observed:
     """``y = p_j (R_i - g) / (R_i - p_i)``: what dials read on a machine with these parameters.
+
+    Not linearised (2008, section 3.2). The gradient is system (11) for any list of readings: its
+    rows are the differences between those of two postures at the nominal machine.
 
     Args:
         commands: ``(N, 3)``, metres.
@@ -153,33 +151,12 @@ def readings(
         geometry: nominal dimensions.
 
     Returns:
-        Readings ``(N,)``, metres, datum zero (2008, section 3.2, not linearised).
+        Readings ``(N,)``, metres, datum zero, with their derivatives.
 
     Raises:
         UnreachableError: where the legs do not meet.
         InputError: for columns that do not fit together.
     """
+    pair = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
     dials = Readings.checked(commands, legs, axes, gauges)
-    return observe(dials, _six(offsets, lengths), geometry.L).values
-
-
-def reading_jacobian(
-    commands: ArrayLike,
-    legs: ArrayLike,
-    axes: ArrayLike,
-    gauges: ArrayLike,
-    offsets: ArrayLike = 0.0,
-    lengths: ArrayLike = 0.0,
-    *,
-    geometry: Geometry = NOMINAL,
-) -> Array:
-    """Derivatives of ``readings`` by offsets and lengths: system (11) for any list of readings.
-
-    Rows of (11) are the differences between the rows of two postures at the nominal machine.
-    Arguments and errors are those of :func:`readings`.
-
-    Returns:
-        ``(N, 6)``, dimensionless: three offsets, three lengths.
-    """
-    dials = Readings.checked(commands, legs, axes, gauges)
-    return observe(dials, _six(offsets, lengths), geometry.L).gradient
+    return observed(dials, np.concatenate(pair, axis=-1), geometry.L)

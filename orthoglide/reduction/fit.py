@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.reduction.deviations import Indices, Observed, Readings, observe
+from orthoglide.reduction.deviations import Indices, Observed, Readings, observed
 from orthoglide.reduction.kinematics import NOMINAL
 
 RANK_TOLERANCE = 1e-9
@@ -104,14 +104,14 @@ class _Problem:
         for rows, six_from_x in self.parts:
             six[rows] = six_from_x @ x
         if self.nominal is None:
-            observed = observe(self.dials, six, self.length)
-            values = observed.values
+            seen = observed(self.dials, six, self.length)
+            values = seen.values
         else:
-            observed = self.nominal
-            values = observed.values + np.sum(observed.gradient * six, axis=-1)
+            seen = self.nominal
+            values = seen.values + np.sum(seen.gradient * six, axis=-1)
         residual = self.project((self.target - values) * self.weight)
         cost = float(residual @ residual + np.sum((x * self.prior) ** 2))
-        return _State(x, values, residual, cost, observed)
+        return _State(x, values, residual, cost, seen)
 
     def jacobian(self, state: _State) -> Array:
         """Augmented rows: readings, nuisances' priors, parameters' priors; free columns."""
@@ -258,7 +258,7 @@ def fit_readings(
     """Least ``|(y - s f(S x) - U z) / sigma|^2 + |x / prior_sd|^2 + sum(precision z^2)``.
 
     Args:
-        commands: ``(N, 3)``, metres; the dials as for :func:`readings`.
+        commands: ``(N, 3)``, metres; the dials as for :func:`observe`.
         legs: legs touched ``(N,)``.
         axes: base axes the dials read along ``(N,)``.
         gauges: places along the legs' own axes ``(N,)``, metres.
@@ -288,7 +288,7 @@ def fit_readings(
     start = np.array(np.broadcast_to(np.asarray(x0, dtype=float), parts[0][1].shape[1:]))
     prior = 1.0 / _positive(prior_sd, len(start), "prior_sd")
     moving = np.flatnonzero(np.broadcast_to(np.asarray(free, dtype=bool), start.shape))
-    nominal = observe(dials, np.zeros(6), geometry.L) if linear else None
+    nominal = observed(dials, np.zeros(6), geometry.L) if linear else None
     problem = _Problem(
         dials, geometry.L, nominal, parts, counted * y, weight, prior, moving, columns,
         *_basis(columns * weight[:, None], precision),

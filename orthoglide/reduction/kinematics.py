@@ -244,12 +244,3 @@ def jacobians(
     bars = geometry.L + vectors(lengths, "lengths")
     matrix = row_inverse(tcp, carriage)
     return Jacobians(matrix * (tcp - carriage)[..., None, :], matrix * bars[..., None, :])
-
-
-def velocity_jacobian(
-    p: ArrayLike, rho: ArrayLike, offsets: ArrayLike = 0.0, *, geometry: Geometry = NOMINAL
-) -> Array:
-    """TCP velocity per drive velocity, dp/drho ``(..., 3, 3)``: J_rho of :func:`jacobians`, whose
-    arguments these are (the matrix of 2006, eq. (4), inverted).
-    """
-    return jacobians(p, rho, offsets, geometry=geometry).rho

@@ -83,16 +83,12 @@ class LinearFit:
         fitted: J x ``(rows,)``: the papers' "expected improvement" of Table 2.
         residuals: deviations minus fitted ``(rows,)``.
         rms: root mean square of the residuals.
-        rank: how many directions the rows determine.
-        singular_values: of the matrix, largest first.
     """
 
     values: Array
     fitted: Array
     residuals: Array
     rms: float
-    rank: int
-    singular_values: Array
 
 
 def stroke_angles(geometry: Geometry = NOMINAL) -> tuple[float, float]:
@@ -158,30 +154,21 @@ def system11(
     return LinearSystem(np.array(matrix), tuple(rows), COLUMNS, noise)
 
 
-def reduced_system(
-    geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
-) -> LinearSystem:
+def reduced_system(geometry: Geometry = NOMINAL) -> LinearSystem:
     """The six differences Max - Min of system (11) (2006, end of section 3.2; 2008, Table 1).
 
-    Args:
-        geometry: nominal dimensions; the stroke gives the angles.
-        angles: alpha at Max and at Min, radians, in place of the stroke's.
-
-    Returns:
-        The 6 x 6 system; the rows' noise is 2 sigma^2 each, independent.
+    The rows' noise is 2 sigma^2 each, independent.
     """
-    full = system11(geometry, angles=angles)
+    full = system11(geometry)
     difference = np.kron(np.eye(3), np.array([[1.0, 0, -1, 0], [0, 1.0, 0, -1]]))
     rows = tuple(row[:-1] for row in full.rows if row.endswith("+"))
     noise = difference @ full.noise @ difference.T
     return LinearSystem(difference @ full.matrix, rows, COLUMNS, np.asarray(noise))
 
 
-def system8(
-    geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
-) -> LinearSystem:
+def system8(geometry: Geometry = NOMINAL) -> LinearSystem:
     """System (8) of 2006, its right side mended: the offset columns of :func:`system11`, 12 x 3."""
-    return system11(geometry, angles=angles).select("offsets")
+    return system11(geometry).select("offsets")
 
 
 def covariance(system: LinearSystem, sigma: float) -> Array:
@@ -216,8 +203,8 @@ def solve(system: LinearSystem, measured: ArrayLike) -> LinearFit:
         raise InputError(
             f"the system has {len(system.rows)} rows, but {data.shape} deviations came"
         )
-    values, _, rank, singular = np.linalg.lstsq(system.matrix, data, rcond=1e-12)
+    values = np.linalg.lstsq(system.matrix, data, rcond=1e-12)[0]
     fitted = system.matrix @ values
     residuals = data - fitted
     rms = float(np.sqrt(np.mean(residuals**2)))
-    return LinearFit(values, fitted, residuals, rms, int(rank), singular)
+    return LinearFit(values, fitted, residuals, rms)

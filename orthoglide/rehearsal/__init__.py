@@ -4,5 +4,3 @@ from orthoglide.rehearsal.rehearsing import rehearse
 from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.rehearsal.trying import Tried
 from orthoglide.rehearsal.weak_spots import WeakSpot
-
-__all__ = ["Rehearsal", "Tried", "WeakSpot", "rehearse"]

@@ -17,15 +17,6 @@ from orthoglide.report.text import summary
 if TYPE_CHECKING:
     from orthoglide.result import Result
 
-__all__ = [
-    "check_folder",
-    "report_files",
-    "result_text",
-    "summary",
-    "write_folder",
-    "write_report",
-]
-
 
 def report_files(result: Result, progress: Progress = silent) -> dict[str, str | bytes]:
     """All files of a result's folder, by name, in the order to write them.

@@ -15,11 +15,7 @@ from orthoglide.numerals import compact, decimals_for, plain, probability, signe
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
-from orthoglide.report.wording import (
-    curve_size,
-    effects_named,
-    located_words,
-)
+from orthoglide.report.wording import effects_named, located_words
 
 if TYPE_CHECKING:
     from orthoglide.posterior import Cause
@@ -164,7 +160,7 @@ def located(result: Result, figures: Figures) -> Data:
                 {
                     "name": c.place.name,
                     "words": c.place.words,
-                    "size": curve_size(c),
+                    "size": c.size_words,
                     "probability": f"{c.probability:.2f}",
                 }
                 for c in one.members

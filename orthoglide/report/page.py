@@ -14,7 +14,6 @@ import orthoglide.report.follows as follows
 import orthoglide.report.found as found
 from orthoglide import __version__
 from orthoglide.figures.style import Drawing
-from orthoglide.observations import ToolCampaign
 from orthoglide.pages import rendered
 from orthoglide.report.phrases import listed
 from orthoglide.scene import view_html
@@ -114,7 +113,7 @@ def _subtitle(result: Result) -> str:
     count, read = sum(map(len, problem.campaigns)), []
     if count:
         read.append(f"{count} readings in {problem.setup_count} setups")
-    tool = [p.points for p in problem.points if isinstance(p.points, ToolCampaign)]
+    tool = problem.tool_campaigns
     points = sum(len(p.points) for p in problem.points) - sum(map(len, tool))
     if tool:
         read.append(f"{sum(map(len, tool))} readings of the tool")

@@ -178,8 +178,7 @@ def _located(found: Located) -> dict[str, Any]:
 
 
 def _place(curve: Curve) -> dict[str, Any]:
-    place = curve.place
-    unit = "mrad" if place.turns else "mm"
+    place, unit = curve.place, curve.unit
     return {
         "leg": LEGS[place.leg],
         "part": place.part,

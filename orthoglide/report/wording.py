@@ -196,7 +196,7 @@ def located_words(found: Located) -> str:
     first, *others = found.members
     text = f"{first.place.words}, by {curve_words(first)}"
     if others:
-        named = " or ".join(f"{c.place.words}, by {curve_size(c)}" for c in others[:_MOST_RIVALS])
+        named = " or ".join(f"{c.place.words}, by {c.size_words}" for c in others[:_MOST_RIVALS])
         more = len(others) - _MOST_RIVALS
         rest = f", or {more} more places named below" if more > 0 else ""
         text += f" (or {named}{rest}: these readings cannot tell)"
@@ -211,14 +211,8 @@ def curve_words(curve: Curve) -> str:
         "approach": "between the two ways of coming to a place",
         "reversal": "from the turn on",
     }
-    size = curve_size(curve).removesuffix(" rms")
+    size = curve.size_words.removesuffix(" rms")
     return f"{size} ({counted.get(curve.place.against, 'root mean square')})"
-
-
-def curve_size(curve: Curve) -> str:
-    """Size of a curve in millimetres or milliradians, for a table."""
-    rms = "" if curve.place.loses else " rms"
-    return f"{compact(curve.size * 1e3, 2)} {'mrad' if curve.place.turns else 'mm'}{rms}"
 
 
 def alternatives(cause: Cause) -> str:

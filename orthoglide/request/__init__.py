@@ -2,5 +2,3 @@
 
 from orthoglide.request.reading import request_of
 from orthoglide.request.request import COMMANDS, Command, Request
-
-__all__ = ["COMMANDS", "Command", "Request", "request_of"]

@@ -97,24 +97,18 @@ def _machine(given: Mapping[str, Any], effects: Sequence[Effect]) -> Machine:
 
 
 def _readings(found: Mapping[str, Any], machine: Machine) -> tuple[Readings, ...]:
-    return readings_from_rows(
-        found["rows"],
-        machine.spec,
-        name=Path(found["file"]).stem,
-        file=found["file"],
-        lines=found.get("lines", ()),
-        sha256=found["sha256"],
-    )
+    name = Path(found["file"]).stem
+    return readings_from_rows(found["rows"], machine.spec, name=name, **_origin(found))
 
 
 def _points(found: Mapping[str, Any], machine: Machine) -> TcpPoints:
-    return tcp_from_rows(
-        found["rows"],
-        machine.spec,
-        file=found["file"],
-        lines=found.get("lines", ()),
-        sha256=found["sha256"],
-    )
+    return tcp_from_rows(found["rows"], machine.spec, **_origin(found))
+
+
+def _origin(found: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "file": found["file"], "lines": found.get("lines", ()), "sha256": found["sha256"]
+    }  # fmt: skip
 
 
 def _check_arguments(given: Mapping[str, Any], single: bool) -> None:

@@ -2,5 +2,3 @@
 
 from orthoglide.result.result import Result, Word
 from orthoglide.result.workspace import Workspace
-
-__all__ = ["Result", "Word", "Workspace"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
-from orthoglide.numerals import compact, plain
+from orthoglide.numerals import plain
 from orthoglide.posterior import Cause, Curve, Explanation, Located
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def options(found: Cause | Located) -> tuple[Option, ...]:
 
 def confirm_place(curve: Curve) -> str:
     """The test that shows lost motion without a name, with what to expect; else empty."""
-    place, size = curve.place, f"{compact(curve.size * 1e3, 2)} mm"
+    place, size = curve.place, curve.size_words
     leg = place.names.legs[place.leg]
     where = {
         "drive": f"carriage {leg} along its travel",

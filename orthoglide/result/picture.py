@@ -64,9 +64,7 @@ def picture(result: Result) -> Picture:
 
 def _placed(machine: Machine, curve: Curve) -> Option:
     """A place without a name: the joint that moves, by the curve that was found."""
-    place = curve.place
-    unit = "mrad" if place.turns else "mm"
-    size = f"{compact(curve.size * 1e3, 2)} {unit}{'' if place.loses else ' rms'}"
+    place, size = curve.place, curve.size_words
     if place.setup:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
     if place.moves_lines:

@@ -6,5 +6,3 @@ Nothing here computes a posture: what is drawn is given in metres, in the base f
 from orthoglide.scene.drawing import drawing
 from orthoglide.scene.parts import Dial, Mark, Option, Posed
 from orthoglide.scene.view import View, Way, view_html, view_page
-
-__all__ = ["Dial", "Mark", "Option", "Posed", "View", "Way", "drawing", "view_html", "view_page"]

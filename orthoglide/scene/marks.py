@@ -45,10 +45,10 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
     )
 
 
-def _pointing(at: Array, mark: Mark, paper: Paper, length: float = _LENGTH) -> str:
-    back = -length * mark.way if mark.both else 0.0
-    one = arrow(at, at + length * mark.way, paper, "mark")
-    return one + (arrow(at, at + back, paper, "mark") if mark.both else "")
+def _pointing(at: Array, mark: Mark, paper: Paper) -> str:
+    way = _LENGTH * mark.way
+    one = arrow(at, at + way, paper, "mark")
+    return one + (arrow(at, at - way, paper, "mark") if mark.both else "")
 
 
 def _stroke(points: Sequence[Array], paper: Paper, width: float, dash: str = "") -> str:

@@ -21,16 +21,3 @@ from orthoglide.urdf.tree import (
     to_urdf,
     write,
 )
-
-__all__ = [
-    "CLOSURES_FILE",
-    "URDF_FILE",
-    "Closure",
-    "ParallelRobot",
-    "closures",
-    "closures_text",
-    "parallel_robot_files",
-    "read_parallel_robot",
-    "to_urdf",
-    "write",
-]
