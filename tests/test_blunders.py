@@ -210,11 +210,18 @@ def test_a_dial_that_stuck_where_an_effect_would_undo_what_it_missed(tilt, noise
         assert [row for _, row in blunder.rows] == touched
 
 
-@pytest.mark.parametrize("effect", ["axis_offset.x.y", "rail_tilt.y.x"])
-def test_a_dial_that_has_nothing_to_show_did_not_stick(effect, machine, nominal):
-    """Without that effect the fit would have it move by many divisions."""
-    rig = Rig(errors={effect: 8e-4})
-    rows = rc.simulate(rig, "two-gauges", np.random.default_rng(1), noise=2e-7, background=0.01)
+@pytest.mark.parametrize(
+    ("protocol", "effect", "size"),
+    [
+        ("two-gauges", "axis_offset.x.y", 8e-4),
+        ("two-gauges", "rail_tilt.y.x", 8e-4),
+        ("sweep", "parallelogram_width.x", 2.9e-3),
+    ],
+)
+def test_a_dial_that_has_nothing_to_show_did_not_stick(protocol, effect, size, machine, nominal):
+    """Without that effect, far beyond its tolerance or not, it would have many divisions to go."""
+    rig = Rig(errors={effect: size})
+    rows = rc.simulate(rig, protocol, np.random.default_rng(1), noise=2e-7, background=0.01)
     shown = {
         s: [r["reading_mm"] for r in rows if r["setup"] == s] for s in {r["setup"] for r in rows}
     }

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, in_order
 from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
 from orthoglide.diagnosis.signatures import Signatures
-from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 
 _EQUAL = 4  # readings one after the other
+_SIZES = (1.0, 10.0)  # tolerances that effects may have: what is far beyond them is no fault
 _STEPS, _SIGMAS = 5.0, 6.0  # of the dial, and of the noise, that they must have missed
 
 
@@ -40,8 +42,7 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
         if np.ptp(_left_by_others(base, run)) < least:
             continue
         repeats = max(_by_repeats(setups[setup], run, scale), 0.0)
-        fit, effects = _by_fit(base, means, run)
-        missed = float(np.ptp(_left_by_others(base, run, effects)))
+        fit, missed = _by_fit(base, means, run)
         fit = fit + _by_scatter(problem, setups, setup, run) if missed >= least else 0.0
         evidence = repeats + max(fit, 0.0) - float(np.log(len(runs)))
         if evidence >= EVIDENCE:
@@ -89,21 +90,33 @@ def _by_repeats(scatter: Scatter, run: Rows, scale: float) -> float:
     return float(scatter.evidence(scatter.chi2 - rest.chi2, size, scale)) - size
 
 
-def _by_fit(base: Signatures, means: StationMeans, run: Rows) -> tuple[float, tuple[int, ...]]:
-    """Evidence of all other readings, and the places of the effects that explain these best.
+def _by_fit(base: Signatures, means: StationMeans, run: Rows) -> tuple[float, float]:
+    """Evidence of all other readings, and how far the dial should move by what explains these.
 
     A dial that stuck shows its one value for certain. One that works shows it only where effects
     undo what the others see at every station, and every effect is improbable.
     """
-    if not any(c.size == 1 for c in means.signatures.candidates):
-        return 0.0, ()
+    if not any(c.size == 1 for c in base.candidates):
+        return 0.0, float(np.ptp(_left_by_others(base, run)))
     others = StationMeans.of(base, [Fault("stuck", run, (), 0.0)])
-    cost = float(np.log(len(means.signatures.candidates)))
-    (works,) = means.explained(means.residual[:, None], cost)
-    (stuck,) = others.explained(others.residual[:, None], cost)
+    cost = float(np.log(len(base.candidates)))
+    tried = []
+    for size in _SIZES:
+        wide = replace(base, tolerance=size * base.tolerance)
+        scored = (_explained(means, size, cost), _explained(others, size, cost))
+        tried.append((*scored, float(np.ptp(_left_by_others(wide, run, scored[1].places)))))
+    works = max(one.score for one, _, _ in tried)
+    _, stuck, missed = max(tried, key=lambda item: item[1].score)
     # Where the others are not explained themselves, they are no better witnesses than that.
     scale = max(1.0, stuck.left / max(others.dof, 1.0))
-    return (stuck.score - works.score) / scale, stuck.places
+    return (stuck.score - works) / scale, missed
+
+
+def _explained(means: StationMeans, size: float, cost: float) -> Explained:
+    """The few effects that explain a residual best, each within some tolerances."""
+    signatures = replace(means.signatures, tolerance=size * means.signatures.tolerance)
+    (best,) = replace(means, signatures=signatures).explained(means.residual[:, None], cost)
+    return best
 
 
 def _by_scatter(problem: Problem, setups: Sequence[Scatter], setup: int, run: Rows) -> float:

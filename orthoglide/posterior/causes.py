@@ -116,8 +116,9 @@ class Curve:
         place: where and how.
         probability: all else that was found given.
         at: where the function is given: travel, command (metres) or time (seconds) ``(k,)``.
-        value: SI ``(k,)``.
-        sigma: SI ``(k,)``.
+        value: SI ``(k,)``; about its mean unless it is lost motion, as a level may belong to the
+            zeros.
+        sigma: of the same, SI ``(k,)``.
         shown: its part of the readings, datums fitted ``(n,)``, metres.
     """
 
@@ -131,8 +132,7 @@ class Curve:
     @property
     def size(self) -> float:
         """How much it moves, SI: on an approach between the two sides, root mean square; after a
-        reversal from the turn to the farthest; else root mean square about its mean, for a level
-        may belong to the zeros.
+        reversal from the turn to the farthest; else root mean square about its mean.
         """
         if self.place.against == "approach":
             return float(np.sqrt(np.mean(self.value**2)))

@@ -236,6 +236,8 @@ class _Reader:
         mean, spread = self.posterior.mixture.likeliest(self._state(member, k), group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
+        if not place.loses:  # else its level may belong to the zeros
+            functions -= functions.mean(axis=0)
         low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
         return Curve(
             place,
