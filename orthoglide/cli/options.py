@@ -126,7 +126,7 @@ run_options = together(
 
 fit_options = together(
     click.option("--own", type=Names(), default=(), metavar="NAME,...",
-                 help="Effects or parameters that each campaign has for itself; others are shared."),
+                 help="Effects or parameters that each campaign has of its own."),
     machine,
     effects,
     click.option("--fit-tcp", type=PATH, multiple=True, metavar="FILE",
