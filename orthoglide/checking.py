@@ -64,6 +64,12 @@ class Difference:
             return f"{words} changed from {before} to {after} {unit}: by {apart} ± {sigma}"
         return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit}"
 
+    @property
+    def still(self) -> str:
+        """By how much it did not change, in a list."""
+        _, _, apart, sigma, unit, _ = self.cells
+        return f"{parameter_words(self.parameter)} {apart} ± {sigma} {unit}"
+
 
 COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
 """What `Difference.cells` holds."""
@@ -90,8 +96,10 @@ class Check:
         """What changed, largest in sigmas first, and beyond which uncertainty nothing else did."""
         changed = [d for d in self.differences if d.changed]
         changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
-        first = [] if changed else ["Nothing changed beyond the uncertainty of these readings"]
-        return (*first, *map(str, changed), *(str(d) for d in self.differences if not d.changed))
+        said = [d.still for d in self.differences if not d.changed]
+        what = "nothing else" if changed else "nothing"
+        rest = [f"{what} changed beyond its uncertainty: {', '.join(said)}"] if said else []
+        return (*map(str, changed), *rest)
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)

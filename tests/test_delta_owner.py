@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from benchmarks.delta_readings import measured
+from benchmarks.delta_readings import INSTRUMENTS, measured
 from benchmarks.delta_truth import machine as nominal
 from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
 from orthoglide.closing import close_loop
+from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import confirm_words
+from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.mixed import mixed_sheet, whitened
@@ -88,7 +90,7 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
     told = run("design", "--owns", "plate,incline", "--machine", machine, "--out", sheet)
     assert "with a probe on a plate (29), a level on the platform (26):" in told
-    assert "not visible, which is not absent: encoder_scale.a" in told
+    assert "not visible, which is not absent: encoder_scale (a, b, c)" in told
     assert re.search(r"- a tracker at the tool would show encoder_scale, ", told)
     assert "dials on the legs would" not in told
     assert sheet.read_text().count("\n") == 1 + 29 + 26
@@ -168,6 +170,10 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     )
     page = (tmp_path / "out" / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
+    assert "Not visible to a probe on a plate even at three times its tolerance" in told
+    for unshown in ("that the two bars of each leg differ in length", "that the rails are bent"):
+        assert unshown in told
+        assert unshown in text
     for false in ("outward", "dial’s", "the dial", "two-gauges", "leg reading"):
         assert false not in told
         assert false not in text, false
@@ -210,6 +216,29 @@ def test_a_plate_with_a_shape_of_its_own_is_no_cause_in_the_machine() -> None:
         readings = measured(rig, rng, machine=nominal(), instrument=instrument)
         verdict = close_loop([readings], nominal())
         assert [cause.name for cause in verdict.effects] == ["plate_trefoil.bed.cos"]
+
+
+PARTS = (
+    "rail_torsion.b", "bar_mismatch.c", "mount_tilt.b.a", "mount_tilt.b.b", "rail_bow.a.radial",
+    "parallelogram_width.c", "encoder_scale.b", "rail_tilt.c.tangential",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("instrument", INSTRUMENTS)
+def test_what_an_instrument_does_not_show_is_said_to_be_invisible(instrument: str) -> None:
+    """Against what the independent delta shows of each cause, past the base."""
+    bare, machine = DeltaRig(), nominal()
+    exact = measured(bare, machine=machine, instrument=instrument)
+    verdict = close_loop([exact], machine)
+    assert verdict.word == "adequate"
+    hidden, seen = set(map(str, verdict.invisible)), signatures(identify(exact, machine))
+    certain = 10.0 if "probe" in instrument else 3.1  # a plate's own shape hides more yet
+    for name in PARTS:
+        error = 3 * machine.tolerance(machine.catalogue.parameter(name))
+        bent = measured(DeltaRig(errors={name: error}), machine=machine, instrument=instrument)
+        size = np.linalg.norm(seen.whiten(bent.reading - exact.reading))
+        assert size > 2.9 or name in hidden
+        assert size < certain or name not in hidden
 
 
 def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: Path) -> None:

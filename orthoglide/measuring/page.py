@@ -108,8 +108,9 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
     counts = "+" if setup.sign > 0 else "−"
     return (
         f"On leg {leg}, against {touched}.",
-        f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, machine at mechanical "
-        f"zero ({setup.gauge / L:.0%} of the way to the carriage); to a millimetre.",
+        f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, to a millimetre, with "
+        f"the machine at mechanical zero ({100 * setup.gauge / L:.0f} % of the way to the "
+        f"carriage).",
         f"It reads along {axis}: its number must grow when the leg moves toward {counts}{axis}; "
         f"if it falls, {otherwise}.",
     )

@@ -61,7 +61,7 @@ class Everything:
         rows: readings by coefficient ``(n, C)``, metres.
         value: readings where everything is zero, as linearised ``(n,)``, metres.
         known_rows: what an earlier calibration says of the parameters: matrix and target.
-        invisible: parameters that these readings cannot show, whatever their size within reason.
+        asked: parameters beyond the base whose conditions the readings vary.
         apart: of the prediction from its linearisation at the mean, sigmas.
     """
 
@@ -76,7 +76,7 @@ class Everything:
     rows: Array
     value: Array
     known_rows: tuple[Array, Array]
-    invisible: tuple[str, ...]
+    asked: tuple[Parameter, ...]
     apart: float = float("nan")
 
     @property
@@ -165,7 +165,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         columns = np.vstack([columns, matrix])
         residual = np.concatenate([residual, known[1]])
     stands = {o.plain.at(n.campaign): (n, 1 / f) for n, others in same.items() for o, f in others}
-    groups, causes, hidden = _groups(wide, free, columns, found, stands)
+    groups, causes, asked = _groups(wide, free, columns, found, stands)
     tolerance = wide.machine.tolerance
     by_name: dict[str, tuple[tuple[str, float], ...]] = {
         n: tuple((o, f * tolerance(o) / tolerance(n)) for o, f in others)
@@ -183,7 +183,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     return Everything(
         wide, x, scale, found, causes, _reduced(linear), by_name, translations(slopes), rows,
-        value, (padded, known[1]), tuple(n for n in hidden if n.plain not in gone),
+        value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone),
     )  # fmt: skip
 
 
@@ -222,7 +222,7 @@ def _groups(
     found: Sequence[Place],
     stands: Mapping[Parameter, tuple[Parameter, float]],
 ) -> tuple[tuple[Group, ...], tuple[Candidate, ...], tuple[Parameter, ...]]:
-    """Causes and places that the readings could show, and the parameters that they could not.
+    """Causes and places that the readings could show, and the parameters that were asked about.
 
     A parameter for which another stands has no coefficient: a cause moves that of the other, and
     one that consists of such parameters alone is a name of another cause.
@@ -256,4 +256,4 @@ def _groups(
         start += place.kernel.count
         if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
             groups.append(whole(place.name, members, free=True))
-    return tuple(groups), tuple(causes), tuple(n for n in asked if n not in set(visible))
+    return tuple(groups), tuple(causes), tuple(asked)

@@ -20,6 +20,7 @@ from orthoglide.fit.solving import assessed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+from orthoglide.parameters import Parameter
 from orthoglide.posterior.columns import Everything, everything
 from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
 
@@ -27,6 +28,9 @@ _LINEARISATIONS = 4
 _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
 linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
+
+TOLERANCES, _SHOWN = 3.0, 3.0
+"""What shows less than three sigmas of all readings together at three tolerances is invisible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,15 @@ class FullPosterior:
     def share(self) -> float:
         """Of their tolerances, by which effects that do not stand out are off."""
         return self.mixture.shares[0]
+
+    @cached_property
+    def invisible(self) -> tuple[Parameter, ...]:
+        """Parameters beyond the base that would not show at three tolerances: what they draw is
+        drawn by the base, by the instruments' nuisances or by a plate's own shape, or is too small.
+        """
+        shown = TOLERANCES * np.linalg.norm(self.mixture.scales[0].basis.columns, axis=0)
+        place = {n: k for k, n in enumerate(self.about.problem.names)}
+        return tuple(n for n in self.about.asked if shown[place[n]] < _SHOWN)
 
     @cached_property
     def unknowns(self) -> Posterior:

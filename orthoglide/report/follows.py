@@ -183,27 +183,16 @@ def values(result: Result, figures: Figures) -> Data:
 
 def unseen(result: Result, figures: Figures) -> Data:
     """What the readings cannot tell apart, and what they would not show."""
-    by_effect: dict[str, list[str]] = {}
-    for name in result.invisible:
-        effect = result.catalogue.effect_of(name).name
-        by_effect.setdefault(effect, []).append(name.removeprefix(f"{effect}."))
     figure = figures.get("correlations")
     return {
         "sentences": weak_sentences(result.after.weak, result.catalogue),
-        "effects": [(f.replace("_", " "), listed(members)) for f, members in by_effect.items()],
+        "effects": [(words, listed(members)) for words, members in result.unshown],
         "unexcited": [f.replace("_", " ") for f in result.unexcited],
         "dialled": result.machine.geometry.dialled,
-        "owned": ",".join(_instruments(result)),
+        "owned": ",".join(result.instruments),
         "machine": Path(result.request.machine.spec.file).name or "FILE",
         "figure": whole(figure) if figure else "",
     }
-
-
-def _instruments(result: Result) -> list[str]:
-    """Kinds of readings that were taken."""
-    problem = result.after.problem
-    kinds = {setup.kind for campaign in problem.tool_campaigns for setup in campaign.setups}
-    return [*(["leg"] if problem.campaigns else []), *sorted(kinds)]
 
 
 _METHODS = {

@@ -11,6 +11,7 @@ from orthoglide.numerals import compact, signed
 
 if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
+    from orthoglide.result import Result
 
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
@@ -71,6 +72,18 @@ def _narrowed(weak: WeakDirection) -> str:
     return (
         f" The tolerances narrow this to {compact(weak.sigma_with_priors, 2)} {weak.unit}: that is "
         f"knowledge of how the machine was built, not of what was measured."
+    )
+
+
+def unshown_words(result: Result) -> str:
+    """What these readings would not show, by effect, as a clause; empty where there is nothing."""
+    if not result.unshown:
+        return ""
+    parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in result.unshown)
+    taken = listed(result.instruments.values())
+    return (
+        f"not visible to {taken} even at three times its tolerance, which is not absent: "
+        f"{'; '.join(parts)}"
     )
 
 

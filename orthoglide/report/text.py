@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, hundredths, signed
-from orthoglide.report.phrases import sentence, weak_sentences
+from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline
 
@@ -49,7 +49,8 @@ def summary(result: Result, ranked: bool = False) -> str:
     parts += [_scores(result)] if searches else [_parameters(result), _scores(result)]
     remarks = [f"The search ended: {result.stopped}."] if searches else []
     remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
-    remarks += [*result.pattern, *(sentence(w) for w in result.warnings)]
+    unshown = unshown_words(result)
+    remarks += [*result.pattern, *(sentence(w) for w in (unshown, *result.warnings) if w)]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in _to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:

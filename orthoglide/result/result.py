@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,6 +20,7 @@ from orthoglide.frames import Framed
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
 from orthoglide.posterior import (
     BudgetItem,
     CandidateScore,
@@ -202,9 +204,38 @@ class Result(Framed):
     # --- What is left -----------------------------------------------------------------------
 
     @cached_property
-    def invisible(self) -> tuple[str, ...]:
-        """Parameters that these readings cannot show: not absent, not visible."""
-        return () if self.posterior is None else self.posterior.about.invisible
+    def invisible(self) -> tuple[Parameter, ...]:
+        """Parameters that these readings would not show at three tolerances: not absent."""
+        return () if self.posterior is None else self.posterior.invisible
+
+    @cached_property
+    def unshown(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The same by effect: in words, and which of its parameters where it is not all of them."""
+        asked = [] if self.posterior is None else self.posterior.about.asked
+        every, hidden = (Counter(n.effect for n in names) for names in (asked, self.invisible))
+        return tuple(
+            (
+                cause_short(self.catalogue, effect),
+                tuple(
+                    str(n).removeprefix(f"{effect}.")
+                    for n in self.invisible
+                    if n.effect == effect and count < every[effect]
+                ),
+            )
+            for effect, count in hidden.items()
+        )
+
+    @cached_property
+    def instruments(self) -> dict[str, str]:
+        """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
+        from orthoglide.planning import INSTRUMENTS
+
+        problem = self.after.problem
+        several = problem.tool_campaigns
+        kinds: set[str] = {setup.kind for campaign in several for setup in campaign.setups}
+        kinds |= {"leg"} if problem.campaigns else set()
+        kinds |= {"tcp"} if len(several) < len(problem.points) else set()
+        return {kind: words for kind, words in INSTRUMENTS.items() if kind in kinds}
 
     @property
     def stopped(self) -> str:
