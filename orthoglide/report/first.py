@@ -96,6 +96,7 @@ def finding(result: Result) -> Data:
         "legs": bool(after.problem.campaigns),
         "loses": any(map(loses, result.effects)) or any(map(loses, result.located)),
         "actions": [_action(action) for action in result.actions],
+        "sheet": result.next_sheet is not None,
         "most": MOST,
         "cautions": [*([first] if first else []), *result.cautions],
         "warnings": [sentence(w) for w in result.warnings],
