@@ -75,8 +75,11 @@ def misplaced(record: Record) -> bool:
 
 def is_shape_of(place: str, parameters: Sequence[str]) -> bool:
     """Whether a cause is a known shape of a place: it moves the same joints by the same variable,
-    as backlash does of a drive that goes wrong by the side it is approached from.
+    as backlash does of a drive that goes wrong by the side it is approached from; a dial's scale is
+    its curve as a straight line.
     """
+    if place.startswith("dial."):
+        return place == f"dial.{parameters[0].removeprefix('gauge_scale.')}/reading"
     found = _places().get(place)
     setups = tuple(n.partition(".")[2] for n in parameters)
     parts = [CATALOGUE.parameter(e) for n in parameters for e in CATALOGUE.elementary(n, setups)]

@@ -67,6 +67,12 @@ class Difference:
             return f"{words}{self.others} changed {size}"
         return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit}"
 
+    @property
+    def still(self) -> str:
+        """By how much it did not change, in a list."""
+        _, _, apart, sigma, unit, _ = self.cells
+        return f"{parameter_words(self.parameter)} {apart} ± {sigma} {unit}"
+
 
 COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
 """What `Difference.cells` holds."""
@@ -96,9 +102,10 @@ class Check:
         """What changed, largest in sigmas first, and beyond which uncertainty nothing else did."""
         changed = [d for d in self.differences if d.changed]
         changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
-        nothing = ["Nothing changed beyond the uncertainty of these readings"]
-        first = self.plates if changed or self.plates else nothing
-        return (*first, *map(str, changed), *(str(d) for d in self.differences if not d.changed))
+        said = [d.still for d in self.differences if not d.changed]
+        what = "nothing else" if changed or self.plates else "nothing"
+        rest = [f"{what} changed beyond its uncertainty: {', '.join(said)}"] if said else []
+        return (*self.plates, *map(str, changed), *rest)
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.significance import Left, left_over
 from orthoglide.effects import Effect
+from orthoglide.errors import NumericsError
 from orthoglide.fit import (
+    Estimate,
     Frame,
     Source,
     account_for_changes,
@@ -39,6 +41,7 @@ from orthoglide.request import Request
 from orthoglide.result import Result, Word
 
 if TYPE_CHECKING:
+    from orthoglide.diagnosis.blunders import Blunder
     from orthoglide.figures.style import Drawing
 
 __all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
@@ -171,10 +174,15 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     faulty = before if blunders else None
     if blunders:
         problem = without(problem, blunders)
-    # What a change put right is no cause now; what is still wrong is named as one, if it is known
-    # which it was.
+        blunders = _with_rivals(before, blunders)
+    # What a change put right is no cause now; what is still wrong is named as one. Without dials it
+    # is not known which one of several it was.
     causes = [
-        c for c in changes if c.is_cause and not c.members[1:] and c.parameter not in before.names
+        c
+        for c in changes
+        if c.is_cause
+        and c.parameter not in before.names
+        and (problem.campaigns or not c.members[1:])
     ]
     if changes:
         problem = separated(problem, [c for c in changes if c not in causes])
@@ -198,6 +206,35 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     changed = (*since, *(c.measured(verdict.after) for c in changes))
     progress(Step("judging"))
     return judge(replace(verdict, changed=changed))
+
+
+def _with_rivals(read: Estimate, blunders: Sequence[Blunder]) -> tuple[Blunder, ...]:
+    """Readings that seem to mean something else may be right: of a machine that no catalogue knows.
+
+    Args:
+        read: the fit of the readings as they stand.
+        blunders: faults of the data.
+    """
+    from orthoglide.diagnosis.blunders import MEANINGS, without
+
+    others = [b for b in blunders if b.kind not in MEANINGS]
+    if len(others) == len(blunders):
+        return tuple(blunders)
+    try:
+        known = full_posterior(solve(without(read.problem, others)) if others else read)
+    except NumericsError:
+        return tuple(blunders)
+    found = outstanding(known)
+    if found.causes or len(found.located) != 1 or _missing(remains(known)):
+        return tuple(blunders)
+    curve = found.located[0].members[0]
+    rival = (
+        f"; or it is the machine, for as they stand the readings fit as well if "
+        f"{curve.place.words}, by {curve.size_words}"
+    )
+    return tuple(
+        replace(b, message=b.message + rival) if b.kind in MEANINGS else b for b in blunders
+    )
 
 
 def _identified(request: Request, progress: Progress) -> Verdict:

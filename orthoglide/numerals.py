@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 _MOST_DECIMALS = 6
+_PLAIN = 1e6  # below, a number is no power of ten
 MINUS = "−"
 
 
@@ -33,6 +34,8 @@ def compact(value: float, digits: int = 3) -> str:
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}g}"
+    if "e+" in text and abs(value) < _PLAIN:
+        return f"{float(text):.0f}".replace("-", MINUS)
     if "e" in text:
         mantissa, exponent = text.split("e")
         power = f"10{_raised(int(exponent))}"

@@ -1,19 +1,8 @@
-"""Pages: from templates, which show data and never markup, and small ones without."""
+"""Pages from templates: what they show is data, never markup."""
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
-
-
-def small_page(title: str, style: str, body: str) -> str:
-    """A self-contained HTML page of a heading and what is below it, which is markup."""
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
-        f"<h1>{escape(title)}</h1>{body}</body></html>\n"
-    )
 
 
 def rendered(package: str, template: str, **data: Any) -> str:

@@ -96,6 +96,9 @@ def test_cases_are_drawn_from_seed_and_key_alone() -> None:
         ("rail.y.x/travel", ["axis_offset.y.z"], False),
         ("rail.y.x/travel", ["gauge_drift.xy-0.5"], False),
         ("dial.xy-0.5/time", ["gauge_drift.xy-0.5"], False),
+        ("dial.xy-0.5/reading", ["gauge_scale.xy-0.5"], True),
+        ("dial.xy-0.5/reading", ["gauge_scale.xz-0.5"], False),
+        ("dial.xy-0.5/reading", ["gauge_direction.xy-0.5"], False),
     ],
 )
 def test_known_shapes_of_a_place(place: str, parameters: list[str], same: bool) -> None:

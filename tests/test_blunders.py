@@ -5,6 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.attribution_cases import Case
+from benchmarks.attribution_run import draw
+from orthoglide.closing import close_loop
 from orthoglide.diagnosis.blunders import Blunder, examine, without
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, identify, solve
@@ -238,6 +241,23 @@ def test_several_faults(machine):
     assert set(found) == {"outlier", "knocked_stand", "sign"}
     assert found["outlier"].rows == ((0, 30),)
     assert found["sign"].setups == ("yz-0.5",)
+
+
+def test_a_machine_that_looks_like_exchanged_labels_is_named_as_well(machine):
+    """One drive that goes with another's command shows as two dials that changed places."""
+    drawn = draw(Case("outside", "cross_coupling", "fine-sweep", 12.0, 1), 2027)
+    verdict = close_loop([campaign_of(drawn.rows, machine)], machine)
+    assert [b.kind for b in verdict.blunders] == ["exchanged_labels"]
+    (message,) = (b.message for b in verdict.blunders)
+    assert "exchange the setups' labels; or it is the machine, for as they stand" in message
+    assert "drive y goes wrong along its axis by the command of drive z, by 0." in message
+
+
+def test_a_fault_that_no_machine_shows_has_no_rival(machine):
+    spoilt = rc.swapped_sign(rows_of(), "yz-0.5").rows
+    (blunder,) = close_loop([campaign_of(spoilt, machine)], machine).blunders
+    assert blunder.kind == "sign"
+    assert "as they stand" not in blunder.message
 
 
 # -- what is told, and what is left ----------------------------------------------------------------

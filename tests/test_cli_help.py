@@ -17,6 +17,7 @@ import orthoglide
 from orthoglide.cli import cli
 from orthoglide.cli.completion import SHELLS, script_path
 from orthoglide.cli.examples import EXAMPLES
+from orthoglide.cli.terminal import wrapped
 
 ROOT = Path(__file__).parents[1]
 
@@ -109,3 +110,8 @@ def test_the_citation_is_of_this_version() -> None:
     assert f"version: {orthoglide.__version__}" in lines
     assert f"license: {project['license']}" in lines
     assert f"  - name: {project['authors'][0]['name']}" in lines
+
+
+def test_long_lines_break_between_words_where_a_terminal_is_narrow() -> None:
+    text = "short\n  - a list of words that is long\nx" + 30 * "y"
+    assert wrapped(text, 20) == ("short\n  - a list of words\n    that is long\nx" + 30 * "y")

@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from orthoglide import Campaign, Machine, UnreachableError, identify
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import tcp_slopes, workspace
 from orthoglide.cli.compensate import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.control import (
@@ -29,7 +29,6 @@ from orthoglide.control import (
     export_files,
     held_by_urdf,
     read_path,
-    tcp_sigma,
 )
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
@@ -37,6 +36,7 @@ from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.tree import Tree, _sorted, _with_extras
+from orthoglide.prediction import Conditions
 from orthoglide.urdf import to_urdf
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
@@ -206,6 +206,14 @@ def test_a_point_that_is_no_number_is_refused() -> None:
 
 
 # -- expected accuracy --------------------------------------------------------------------------
+
+
+def tcp_sigma(machine: Machine, rho: np.ndarray, **conditions: float) -> np.ndarray:
+    """Standard deviation of the TCP along each axis ``(n, 3)``, where the machine sits in it."""
+    known = machine.posterior
+    slopes = tcp_slopes(machine, known.names, Conditions.at(rho, **conditions))  # type: ignore[arg-type]
+    variance = np.einsum("...p,pq,...q->...", slopes, known.covariance, slopes)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def test_sigmas_are_those_of_finite_differences() -> None:

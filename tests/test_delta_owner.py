@@ -90,7 +90,7 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
     told = run("design", "--owns", "plate,incline", "--machine", machine, "--out", sheet)
     assert "with a probe on a plate (29), a level on the platform (26):" in told
-    assert "not visible, which is not absent: encoder_scale.a" in told
+    assert "not visible, which is not absent: encoder_scale (a, b, c)" in told
     assert re.search(r"- a tracker at the tool would show encoder_scale, ", told)
     assert "dials on the legs would" not in told
     assert sheet.read_text().count("\n") == 1 + 29 + 26

@@ -415,7 +415,7 @@ def test_effects_with_one_signature_are_never_named(machine):
     assert bow.detectable <= bow.nameable < np.inf
     lines = detectable_rows(smallest_effects(machine, protocol("standard")))
     assert any("never" in line for line in lines)
-    assert "mount_tilt.x.a" in lines[-1]
+    assert "mount_tilt (x.a, y.a, z.a)" in lines[-1]
 
 
 # -- what to measure next ------------------------------------------------------------------------

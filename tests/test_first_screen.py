@@ -21,7 +21,7 @@ from orthoglide.parameters import Parameter
 from orthoglide.posterior import Cause, Explanation
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
-from orthoglide.result.actions import Option
+from orthoglide.result.actions import Suspect
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
 
@@ -209,7 +209,7 @@ def test_what_to_do_goes_by_what_it_gains() -> None:
     zeros = verdict.actions[0].words
     for drive, zero in zip("xyz", verdict.numbers.zeros_only, strict=True):
         assert f"{drive} {zero * 1e3:.3f}" in zeros
-    option: Option = verdict.actions[1].options[0]
+    option: Suspect = verdict.actions[1].options[0]
     assert "expect 0.24 mm toward z" in option.confirm
     text = screen(verdict)
     assert option.confirm[1:] in text

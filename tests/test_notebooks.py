@@ -64,9 +64,11 @@ def test_identify_and_diagnose(
 ) -> None:
     values = shown(NOTEBOOKS[0], tmp_path, monkeypatch)
     said = capsys.readouterr().out
-    assert "the path of the y carriage is out of square toward z by 2.5 mrad" in said
-    assert sum("<svg" in value for value in values) == 3
-    assert sum("<table" in value for value in values) >= 3
+    assert "off by 0.0" in said
+    told = "The path of the y carriage is out of square toward z by 2.5 mrad"
+    assert sum(told in value for value in values) == 1
+    assert sum("<svg" in value for value in values) == 5
+    assert sum("<table" in value for value in values) == 4
 
 
 def test_plan_and_rehearse(
@@ -74,7 +76,7 @@ def test_plan_and_rehearse(
 ) -> None:
     values = shown(NOTEBOOKS[1], tmp_path, monkeypatch)
     said = capsys.readouterr().out
-    assert "found from" in said
+    assert "found from" in values[1]
     assert "6 campaigns of 54 readings" in said
     assert "<table" in values[0]
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.csv"]
@@ -85,8 +87,10 @@ def test_your_own_effect(
 ) -> None:
     values = shown(NOTEBOOKS[2], tmp_path, monkeypatch)
     said = capsys.readouterr().out
-    assert "located ['rail.x.z/travel'] []" in said  # what the catalogue alone makes of it
     assert "rail_sag.x.z" in said
-    assert "the rail sags between its feet" in said
-    assert "rail_sag.x.z" in values[-1]
+    alone, causes, named = values
+    assert "The path of the x carriage leaves its line toward z" in alone
+    assert "<svg" in causes
+    assert "the rail sags between its feet" in named
+    assert "rail_sag.x.z" in named
     assert not list(tmp_path.iterdir())

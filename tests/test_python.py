@@ -17,13 +17,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.control import commands_text
 from orthoglide.mechanism import Mechanism
 from orthoglide.observations import campaign_text
+from tests.test_cli import done
 
 RIG = Path(__file__).parent / "data" / "rig"
 ERRORS = {"joint_offset.x": 1e-3, "axis_tilt.y.z": 2e-3, "backlash.z": 5e-5}
@@ -47,11 +46,6 @@ def estimate(campaign: og.Campaign, machine: og.Machine) -> og.Estimate:
 @pytest.fixture(scope="module")
 def verdict(campaign: og.Campaign, machine: og.Machine) -> og.Verdict:
     return og.close_loop(campaign, machine)
-
-
-def run(*arguments: str | Path) -> None:
-    result = CliRunner().invoke(cli, [str(a) for a in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
 
 
 def test_only_what_is_public_is_shown() -> None:
@@ -106,7 +100,7 @@ def test_simulate_is_the_command(exact: bool, tmp_path: Path) -> None:
     machine = og.Machine.nominal().with_parameters(ERRORS)
     machine.save(tmp_path / "m.toml")
     options = ("--kind", "sweep", "--seed", "5", *(("--exact",) if exact else ()))
-    run("simulate", "--machine", tmp_path / "m.toml", "--out", tmp_path / "a.csv", *options)
+    done("simulate", "--machine", tmp_path / "m.toml", "--out", tmp_path / "a.csv", *options)
     sheet = og.protocol("sweep", machine.geometry)
     filled = og.simulate(machine, sheet, seed=5, exact=exact)
     assert campaign_text(filled) == (tmp_path / "a.csv").read_text()
@@ -128,8 +122,8 @@ def test_compensate_is_the_command(tmp_path: Path) -> None:
     machine = og.Machine.nominal().with_parameters(ERRORS)
     machine.save(tmp_path / "m.toml")
     (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,-5,2.5\n")
-    run("compensate", tmp_path / "path.csv", "--machine", tmp_path / "m.toml",
-        "--out", tmp_path / "c.csv")  # fmt: skip
+    done("compensate", tmp_path / "path.csv", "--machine", tmp_path / "m.toml",
+         "--out", tmp_path / "c.csv")  # fmt: skip
     points = og.read_path(tmp_path / "path.csv").p
     assert commands_text(og.compensate(machine, points)) == (tmp_path / "c.csv").read_text()
 

@@ -322,11 +322,11 @@ def test_readings_are_those_of_the_general_form():
 
 
 def test_reading_jacobian_and_curvature_are_the_derivatives():
-    from orthoglide.reduction.deviations import Readings, observed
+    from orthoglide.reduction.deviations import Dials, observed
 
     rng = np.random.default_rng(4)
     commands, leg, axes, gauges = _list(rng, 20)
-    dials = Readings.checked(commands, leg, axes, gauges)
+    dials = Dials.checked(commands, leg, axes, gauges)
     six = rng.normal(0, 2e-3, 6)
     found = observed(dials, six, L)
     np.testing.assert_allclose(

@@ -19,9 +19,9 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.parameters import Parameter
 from orthoglide.rehearsal.drawing import EFFECT, KINDS, NOTHING, OUTSIDE, TURNS, WHOLE, Scope, draw
+from orthoglide.rehearsal.outcome import Outcome, outcome_of
 from orthoglide.rehearsal.scoring import claims, is_cause
 from orthoglide.rehearsal.table import Rehearsal
-from orthoglide.rehearsal.trying import Tried, try_one
 from orthoglide.rehearsal.weak_spots import weak_spots
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
@@ -219,14 +219,14 @@ def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -
     def fail(*_: Any, **__: Any) -> None:
         raise og.SolverError("it does not settle")
 
-    monkeypatch.setattr("orthoglide.rehearsal.trying.close_loop", fail)
-    tried = try_one(scope, 0, 0)
+    monkeypatch.setattr("orthoglide.rehearsal.outcome.close_loop", fail)
+    tried = outcome_of(scope, 0, 0)
     assert tried.failed == "SolverError: it does not settle"
     assert not tried.missed
     found = Rehearsal("mine", 36, 0, (tried,), ())
     assert found.columns["failed"][KINDS.index(EFFECT)] == 1
     assert "failed, SolverError: it does not settle" in str(found)
-    assert Tried.from_dict(json.loads(json.dumps(tried.as_dict()))).failed == tried.failed
+    assert Outcome.from_dict(json.loads(json.dumps(tried.as_dict()))).failed == tried.failed
 
 
 def test_the_result_is_a_table(alone: Rehearsal) -> None:
@@ -295,7 +295,7 @@ def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
 
 
 def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("orthoglide.rehearsal.rehearsing.try_one", _end_this_process)
+    monkeypatch.setattr("orthoglide.rehearsal.rehearsing.outcome_of", _end_this_process)
     with pytest.raises(og.NumericsError, match="ended from outside"):
         og.rehearse(og.Machine.load(MACHINE), "standard", 2, jobs=2, out=tmp_path / "out")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
 import json
 import os
@@ -380,6 +381,7 @@ def test_numbers_for_people() -> None:
     assert [decimals_for(s) for s in (35.0, 3.5, 0.35, 0.02, 1e-9, 0.0)] == [0, 1, 2, 3, 6, 3]
     assert compact(1e-10, 1) == "10⁻¹⁰"
     assert compact(-2.5e-7, 2) == "−2.5·10⁻⁷"
+    assert [compact(v, 2) for v in (-364.0, 3.64e7)] == ["−360", "3.6·10⁷"]
     assert compact(float("nan")) == "–"
     assert [probability(p) for p in (0.0, 0.012, 0.4)] == ["below 10⁻⁶", "0.012", "0.40"]
 
@@ -480,19 +482,23 @@ def opened(page: str, width: int, folder: Path) -> SimpleNamespace:
         f"document.title = document.querySelector('iframe').contentDocument.body.dataset.measured"
         f"}}, 200))</script></body>"
     )
+    return SimpleNamespace(**browsed(folder / "frame.html", "1400,900", 3000))
+
+
+def browsed(page: Path, size: str, budget: int) -> dict[str, Any]:
+    """What a page has written into its title after some virtual milliseconds in a browser."""
     command = [
         browser(), "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
         "--no-first-run", "--disable-background-networking", "--disable-component-update",
-        "--disable-sync", "--allow-file-access-from-files", "--virtual-time-budget=3000",
-        f"--user-data-dir={folder / 'profile'}", "--window-size=1400,900", "--dump-dom",
-        f"file://{folder / 'frame.html'}",
+        "--disable-sync", "--allow-file-access-from-files", f"--virtual-time-budget={budget}",
+        f"--user-data-dir={page.parent / 'profile'}", f"--window-size={size}", "--dump-dom",
+        f"file://{page}",
     ]  # fmt: skip
     shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
     found = re.search(r"<title>(\{.*?\})</title>", shown, flags=re.DOTALL)
     assert found, shown[-500:]
-    import html
-
-    return SimpleNamespace(**json.loads(html.unescape(found[1])))
+    told: dict[str, Any] = json.loads(html.unescape(found[1]))
+    return told
 
 
 @pytest.mark.parametrize("width", [390, 1280])

@@ -26,7 +26,7 @@ from orthoglide.fit import Estimate, identify
 from orthoglide.judging import HoldOut
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
-from orthoglide.report.found import tiles
+from orthoglide.report.found import before_and_after
 from orthoglide.report.wording import evidence, headline
 from tests.test_report import RIG, check_page, check_timeless, opened, words
 
@@ -146,8 +146,10 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
     change = re.search(r'<dl class="tiles change">(.*?)</dl>', page, re.DOTALL)
     assert change
     shown = re.findall(r'<div class="tile"><dt>(.*?)</dt><dd>(.*?)</dd></div>', change[1])
-    assert [words(f"<p>{what}</p>") for what, _ in shown] == [t.what for t in tiles(verdict)]
-    for (_, figures), tile in zip(shown, tiles(verdict), strict=True):
+    assert [words(f"<p>{what}</p>") for what, _ in shown] == [
+        t.what for t in before_and_after(verdict)
+    ]
+    for (_, figures), tile in zip(shown, before_and_after(verdict), strict=True):
         sides = [side for side in (tile.before, "→" if tile.before else "") if side]
         told = " ".join([*sides, tile.after, tile.unit])
         assert words(f"<p>{figures}</p>").split() == told.split()
@@ -232,7 +234,7 @@ def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
 
 
 def test_the_tcp_tile_says_what_was_removed() -> None:
-    tile = next(t for t in tiles(verdict_of("explained")) if t.what.startswith("TCP"))
+    tile = next(t for t in before_and_after(verdict_of("explained")) if t.what.startswith("TCP"))
     assert tile.what == "TCP, best shift removed"
 
 

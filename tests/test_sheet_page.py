@@ -99,7 +99,7 @@ def test_the_page_says_where_each_dial_stands_and_which_way_it_counts() -> None:
     assert "On leg y" in told
     assert "bar 2, the one on the −x side" in told
     assert "77.56 mm" in told
-    assert "25%" in told
+    assert "25 %" in told
     assert "grow when the leg moves toward −x; if it falls, write x in column" in told
 
 

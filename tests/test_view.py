@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 import re
 import subprocess
 from dataclasses import replace
@@ -24,7 +23,7 @@ from orthoglide.pictures import causes_of, dials, option, view
 from orthoglide.scene import Dial, Mark, Posed, drawing, view_page
 from tests.test_first_screen import PER, SCALES
 from tests.test_layout import DELTA, freely
-from tests.test_report import browser, words
+from tests.test_report import browsed, browser, words
 from tests.test_report_verdict import files_of, verdict_of
 
 MOST = 1_500_000  # bytes of a page
@@ -234,16 +233,7 @@ def driven(
     page: str, folder: Path, script: str = DRIVE, size: str = "900,900"
 ) -> dict[str, object]:
     (folder / "page.html").write_text(page.replace("</body>", script), encoding="utf-8")
-    command = [
-        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-        "--disable-background-networking", "--virtual-time-budget=4000", f"--window-size={size}",
-        f"--user-data-dir={folder / 'profile'}", "--dump-dom", f"file://{folder / 'page.html'}",
-    ]  # fmt: skip
-    shown = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
-    found = re.search(r"<title>(\{.*?\})</title>", shown, flags=re.DOTALL)
-    assert found, shown[-500:]
-    told: dict[str, object] = json.loads(html.unescape(found[1]))
-    return told
+    return browsed(folder / "page.html", size, 4000)
 
 
 @pytest.mark.parametrize("which", ["report", "delta"])

@@ -39,7 +39,10 @@ from orthoglide.cli.terminal import speak_plainly
 @click.version_option(__version__, prog_name="orthoglide")
 @completion_option
 def cli() -> None:
-    """Calibrate an Orthoglide from dial readings, through its closed-loop mechanism.
+    """Find what is wrong with an Orthoglide from dial readings, and calibrate it.
+
+    Try `demo` first. At a machine print a sheet with `protocol`, or let `measure` ask for the
+    readings; then `close-loop` writes the report, and `check` compares after a repair.
 
     Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted. Nothing is
     written unless the run succeeds, but for what `measure` was told and `rehearse` has finished.

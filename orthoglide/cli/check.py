@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from orthoglide.checking import Check
     from orthoglide.machine import Machine
     from orthoglide.observations import Readings
-
-_STYLE = "body{font:1rem/1.5 sans-serif;max-width:56rem;margin:2rem auto;padding:0 1rem}" \
-         "table{border-collapse:collapse}td,th{padding:.2rem .8rem;text-align:left}"  # fmt: skip
 
 
 @click.command()
@@ -55,17 +51,19 @@ def check(
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.checking import check as compare
+        from orthoglide.cli.changes import changes_page, changes_text
 
         machine = None if machine_path is None else opt.load_machine(machine_path)
         machine, before = _readings(old, machine)
         machine, after = _readings(new, machine)
         found = compare(before, after, machine, noise=noise, seed=seed, progress=step)
-        told = _told(found)
+        told = changes_text(found)
         if out is not None:
             from orthoglide.report import report_files
 
             files = report_files(found.verdict, step)
-            write_results(out, {**files, "changes.csv": _table(found), "check.html": _page(found)})
+            made = {"changes.csv": _table(found), "check.html": changes_page(found)}
+            write_results(out, {**files, **made})
     if not quiet:
         say(told, needed=out is None)
         if out is not None:
@@ -90,39 +88,9 @@ def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Readi
     return machine, readings_of([path], machine)
 
 
-def _told(found: Check) -> str:
-    from orthoglide.report.wording import headline
-
-    numbers, verdict = found.verdict.numbers, found.verdict
-    checks = [str(c) for c in numbers.checks]
-    now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
-    parts = [*(f"- {sentence}." for sentence in found.sentences), "", "What is left now:",
-             headline(verdict),
-             f"The tool is {now} off on average over the workspace, a shift of the whole left out; "
-             f"{zeros} once the zeros are right."]  # fmt: skip
-    parts += [f"Caution: {text}" for text in verdict.cautions]
-    if checks:
-        parts += ["", "Once new zeros are entered, these readings prove their signs:"]
-        parts += [f"- {text}" for text in checks]
-    return "\n".join(parts)
-
-
 def _table(found: Check) -> str:
     from orthoglide.checking import COLUMNS
     from orthoglide.text import csv_text
 
     rows = ((d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in found.differences)
     return csv_text(("parameter", *COLUMNS), rows)
-
-
-def _page(found: Check) -> str:
-    from orthoglide.checking import COLUMNS
-    from orthoglide.frames import html_table
-    from orthoglide.pages import small_page
-
-    cells = [(d.parameter, *d.cells) for d in found.differences]
-    columns = dict(zip(("parameter", *COLUMNS), zip(*cells, strict=True), strict=True))
-    title = f"What changed: {', '.join(found.old)} and {', '.join(found.new)}"
-    told = "".join(f"<p>{escape(line)}</p>" for line in _told(found).split("\n") if line)
-    link = '<p><a href="report.html">The report of all readings together</a></p>'
-    return small_page(title, _STYLE, told + html_table("Both states", columns, len(cells)) + link)

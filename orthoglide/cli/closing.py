@@ -37,7 +37,7 @@ judge_options = opt.together(
 def close_loop(
     campaigns: tuple[Path, ...], out: Path, quiet: bool, as_json: bool, **options: Any
 ) -> None:
-    """Find what is left beyond the noise, trace it to a cause, add it, and judge."""
+    """Calibrate, trace what is left beyond the noise to a cause, and write the report."""
     execute(
         lambda: read_request("close-loop", campaigns, **options), out, quiet=quiet, as_json=as_json
     )
@@ -52,7 +52,7 @@ def close_loop(
 def diagnose(
     campaigns: tuple[Path, ...], out: Path | None, quiet: bool, as_json: bool, **options: Any
 ) -> None:
-    """Close the loop and print the verdict and the ranked causes; write nothing without --out."""
+    """Print the verdict of close-loop and the ranked causes; write nothing without --out."""
     execute(
         lambda: read_request("diagnose", campaigns, **options),
         out, quiet=quiet, as_json=as_json, ranked=True,
@@ -63,7 +63,7 @@ def diagnose(
 @opt.out(required=False, help=f"Folder for the results.  [default: {DEMO_FOLDER}]")
 @opt.run_options
 def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
-    """Close the loop on a machine with a known fault, and on the published Orthoglide (2008).
+    """Diagnose a made-up machine with a known fault, and the published Orthoglide (2008).
 
     The first machine is made up: its fault is known, its dials are simulated over a whole sweep,
     and the fault is found. The second is the one of the papers, from its authors' own readings:

@@ -53,7 +53,9 @@ effects = click.option(
     "--effects-file", type=PATH, metavar="FILE.py",
     help="Python file with effects of your own, beside the catalogue.",
 )  # fmt: skip
-seed = click.option("--seed", type=int, default=0, show_default=True, help="Of all random draws.")
+seed = click.option(
+    "--seed", type=int, default=0, show_default=True, help="Seed of all random draws."
+)
 quiet = click.option("--quiet", is_flag=True, help="No progress and no tables.")
 
 
@@ -124,7 +126,7 @@ run_options = together(
 
 fit_options = together(
     click.option("--own", type=Names(), default=(), metavar="NAME,...",
-                 help="What each campaign has for itself while the rest is shared."),
+                 help="Effects or parameters that each campaign has of its own."),
     machine,
     effects,
     click.option("--fit-tcp", type=PATH, multiple=True, metavar="FILE",

@@ -6,6 +6,7 @@ import codecs
 import errno
 import os
 import re
+import shutil
 import sys
 import unicodedata
 
@@ -36,6 +37,8 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
     try:
         if stream is None:
             raise OSError(errno.EBADF, "closed")
+        if isinstance(text, str) and is_terminal(err):
+            text = wrapped(text, shutil.get_terminal_size().columns)
         click.echo(text, file=stream, nl=isinstance(text, str))
         stream.flush()
     except (OSError, ValueError) as error:
@@ -46,6 +49,20 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
             raise FileError(
                 f"cannot be written ({reason}): choose another place", file="standard output"
             ) from None
+
+
+def wrapped(text: str, width: int) -> str:
+    """Lines too long for a terminal broken between words; what follows stands below the words."""
+    lines = ((line, len(line) - len(line.lstrip(" -"))) for line in text.split("\n"))
+    return "\n".join(_broken(line, width, indent) for line, indent in lines)
+
+
+def _broken(line: str, width: int, indent: int) -> str:
+    at = line.rfind(" ", indent, width + 1) if len(line) > width else -1
+    if at <= indent or indent > width // 2:
+        return line
+    rest = " " * indent + line[at:].lstrip()
+    return f"{line[:at].rstrip()}\n{_broken(rest, width, indent)}"
 
 
 def is_terminal(err: bool = False) -> bool:

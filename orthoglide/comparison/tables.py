@@ -11,7 +11,6 @@ from orthoglide.comparison.comparing import Slice
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
-from orthoglide.pages import small_page
 from orthoglide.text import csv_text
 
 _UM = 1e6
@@ -162,5 +161,10 @@ def comparison_page(
     tables = (html_table(heading, _table(rows), len(rows)) for heading, rows in sections)
     drawings = (f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures)
     told = f"<p>{escape(f'{LIMITS} {LEGEND}')}</p>"
-    body = f"{told}<div>{'</div><div>'.join(tables)}</div>{''.join(drawings)}"
-    return small_page(title, _STYLE, body)
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width">'
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>"
+        f"<h1>{escape(title)}</h1>{told}"
+        f"<div>{'</div><div>'.join(tables)}</div>{''.join(drawings)}</body></html>\n"
+    )

@@ -8,7 +8,6 @@ from orthoglide.control.compensation import (
     NOT_COVERED,
     Compensation,
     compensate,
-    tcp_sigma,
 )
 from orthoglide.control.files import PathPoints, commands_text, export_files, read_path
 from orthoglide.control.numbers import RULE, ControllerNumbers, DriveNumbers, controller_numbers

@@ -69,7 +69,8 @@ def _triple(shown: Shown) -> str:
 
 
 def _more(change: float) -> str:
-    return f"{abs(change) * 1e3:.3f} mm {'less' if change < 0 else 'more'}"
+    size = f"{abs(change) * 1e3:.3f}"
+    return f"{size} mm {'less' if change < 0 else 'more'}" if float(size) else "the same"
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:

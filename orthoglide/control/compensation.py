@@ -198,21 +198,6 @@ def compensate(
     )
 
 
-def tcp_sigma(machine: Machine, rho: ArrayLike, **conditions: ArrayLike) -> Array:
-    """``sqrt(diag(J C J^T))``: standard deviation of the TCP along each axis, by the covariance.
-
-    Args:
-        machine: calibrated.
-        rho: commands ``(n, 3)``, metres.
-        conditions: as for ``Machine.pose``.
-
-    Returns:
-        ``(n, 3)``, metres; where the machine as a whole sits is in it.
-    """
-    posterior, at = machine.posterior, Conditions.at(rho, **conditions)
-    return _spread(tcp_slopes(machine, posterior.names, at), posterior.covariance)
-
-
 def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
     """Sigmas after the best translation over the workspace ``(n, 3)``, and of that ``(3,)``."""
     names, covariance = machine.posterior.names, machine.posterior.covariance

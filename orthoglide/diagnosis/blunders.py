@@ -33,7 +33,9 @@ _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
 
 _MOST_CHANGES = 4
-_MEANINGS = ("sign", "unit", "exchanged_labels")
+
+MEANINGS = ("sign", "unit", "exchanged_labels")
+"""Faults by which readings mean something else than they seem to."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,7 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
         else:
             found.append(item)
         stale = True
-    if len(found) < most and not any(f.kind in _MEANINGS for f in found):
+    if len(found) < most and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
     found = found[:most] + scatter_faults(estimate.problem, setups, found)

@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, elementary_beyond, with_free
+from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise
 from orthoglide.geometry import Array
@@ -86,11 +86,9 @@ def signatures(estimate: Estimate) -> Signatures:
     """
     problem, nuisance = estimate.problem, estimate.nuisance
     effects = excited_effects(problem)
-    beyond = elementary_beyond(problem, [e.name for e in effects])
-    if not beyond:
+    wide, own = with_others(problem, [e.name for e in effects]), len(problem.unknowns)
+    if len(wide.unknowns) == own:
         raise InputError("nothing is left in the catalogue to be tried")
-    wide = with_free(problem, beyond, release=False)
-    own = len(problem.unknowns)
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
     at = linearise(wide, x)
     fitted = fitted_basis(problem, nuisance, estimate.at)

@@ -6,14 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.effect import Effect, LegConditions, Motion, cos, once, sin
+from orthoglide.effects.effect import Effect, LegConditions, Motion, constant, cos, once, sin
 from orthoglide.effects.words import Words, micrometres, mm, more, percent
 from orthoglide.numerals import compact
 from orthoglide.units import MM, ONE, Unit
-
-
-def _one(_: LegConditions) -> Any:
-    return 1.0
 
 
 def _lag(c: LegConditions) -> Any:
@@ -36,7 +32,7 @@ JOINT_OFFSET = Effect(
     because="zero marks are set by eye or by a switch, to a millimetre or two",
     sentence="the encoder's zero is not at mechanical zero",
     look_at="the reference switch and the zero mark of the drive",
-    members=once(Motion("travel", _one)),
+    members=once(Motion("travel", constant(1.0))),
     words=Words(
         lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {more(v, 'out', 'in')}",
         lambda p: f"the zero of drive {p.leg} is off",

@@ -92,6 +92,13 @@ class DialReading:
 
 
 Basis = Callable[[LegConditions], Any]
+
+
+def constant(value: float) -> Basis:
+    """A basis that is the same under all conditions."""
+    return lambda _: value
+
+
 _CONDITIONS: Mapping[str, Condition] = {
     "approach": "approach", "time": "time", "warming": "temperature", "force": "load",
     "pitch": "pitch",

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from orthoglide.effects.effect import Effect, LegConditions, Motion, once, sideways
+from orthoglide.effects.effect import Effect, LegConditions, Motion, constant, once, sideways
 from orthoglide.effects.words import Words, across, along, mm, more, mrad, slope, toward
 from orthoglide.layout import Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD
-
-
-def _one(_: LegConditions) -> Any:
-    return 1.0
 
 
 def _travel(c: LegConditions) -> Any:
@@ -25,8 +21,7 @@ def _bow(c: LegConditions) -> Any:
 
 def _turned(axis: str, sign: int) -> Motion:
     """The carriage turns with a rail that tips toward ``axis``: about a x axis."""
-    about, way = ("turn_c", sign) if axis == "b" else ("turn_b", sign)
-    return Motion(about, lambda _: float(way))
+    return Motion("turn_c" if axis == "b" else "turn_b", constant(float(sign)))
 
 
 def _about(p: Parameter) -> str:
@@ -49,7 +44,7 @@ AXIS_OFFSET = Effect(
     because="rails are aligned to a shoulder or a dowel, to a few tenths",
     sentence="the rail stands beside its place: the drive axes do not meet in one point",
     look_at="the rail's seat and shims, square to its travel",
-    members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _one),)),
+    members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", constant(1.0)),)),
     words=Words(
         lambda p, v: (
             f"the {p.leg} rail stands {mm(v)} beside its place, toward {toward(p.direction, v)}"
@@ -145,8 +140,8 @@ MOUNT_TILT = Effect(
     sentence="the leg's first hinge is not square to its carriage",
     look_at="the bracket between carriage and leg, its seat and bolts",
     members=lambda leg: {
-        "a": (Motion("turn_a", _one),),
-        "b": (Motion("turn_b", _one),),
+        "a": (Motion("turn_a", constant(1.0)),),
+        "b": (Motion("turn_b", constant(1.0)),),
     },
     words=Words(
         lambda p, v: (

@@ -16,5 +16,5 @@ from orthoglide.fit.noise import Noise, noise_of
 from orthoglide.fit.problem import Problem, Unknown
 from orthoglide.fit.scores import Scores
 from orthoglide.fit.solving import Method, solve
-from orthoglide.fit.unknowns import build_problem, build_unknowns, elementary_beyond, with_free
+from orthoglide.fit.unknowns import build_problem, build_unknowns, with_free, with_others
 from orthoglide.fit.weakness import WeakDirection

@@ -148,7 +148,19 @@ class Estimate(Framed):
         return start.with_posterior(values, found.joined(start.posterior))
 
     def __str__(self) -> str:
-        return fit_report(self)
+        lines = []
+        for name, value in self.values.items():
+            unit, sigma = self.unit(name), self.sigmas[name]
+            text = f"{name:<24} {value / unit.si:+.4g} +- {sigma / unit.si:.2g} {unit.name}"
+            lines.append(text + ("   (on its bound)" if name in self.on_bound else ""))
+        s = self.scores
+        lines.append(
+            f"residual rms {s.rms * 1e3:.4f} mm, deviations {s.deviation_rms * 1e3:.3f} mm, "
+            f"chi2 {s.chi2:.1f} on {s.dof:.0f} degrees of freedom"
+        )
+        lines.extend(str(weak) for weak in self.weak)
+        lines.extend(self.warnings)
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         readings, rms = len(self.problem.measured), self.scores.rms * 1e3
@@ -188,20 +200,3 @@ class Estimate(Framed):
         from orthoglide.figures.draw import draw_fit
 
         return draw_fit(self, what)
-
-
-def fit_report(estimate: Estimate) -> str:
-    """A table for people: value +- sigma, share of the tolerance, correlations, checks."""
-    lines = []
-    for name, value in estimate.values.items():
-        unit, sigma = estimate.unit(name), estimate.sigmas[name]
-        text = f"{name:<24} {value / unit.si:+.4g} +- {sigma / unit.si:.2g} {unit.name}"
-        lines.append(text + ("   (on its bound)" if name in estimate.on_bound else ""))
-    s = estimate.scores
-    lines.append(
-        f"residual rms {s.rms * 1e3:.4f} mm, deviations {s.deviation_rms * 1e3:.3f} mm, "
-        f"chi2 {s.chi2:.1f} on {s.dof:.0f} degrees of freedom"
-    )
-    lines.extend(str(weak) for weak in estimate.weak)
-    lines.extend(estimate.warnings)
-    return "\n".join(lines)

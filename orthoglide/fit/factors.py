@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.observations import Campaign, TcpPoints
-from orthoglide.prediction import Conditions, Model
+from orthoglide.prediction import Conditions, LinearRows, Model
 
 Frame = Literal["none", "translation", "rigid"]
 Ints = NDArray[np.int64]
@@ -33,21 +33,6 @@ TCP_SIGMA = 1e-5
 ByJoints = Callable[[Array, Array], Array]
 """From a motion of the virtual joints ``(30,)`` and functions of the conditions ``(N, K)`` that it
 follows, to the rows ``(n, K)`` by each."""
-
-
-@dataclass(frozen=True)
-class Linear:
-    """Rows of one factor around one machine.
-
-    Attributes:
-        value: predicted ``(n,)``, metres.
-        jacobian: by the parameters asked for ``(n, P)``, SI.
-        slopes: what its nuisances need to know of the pose ``(n, k)``.
-    """
-
-    value: Array
-    jacobian: Array
-    slopes: Array
 
 
 @dataclass(frozen=True)
@@ -120,10 +105,11 @@ class DialReadings:
         """Readings, datums apart."""
         return model.readings(values, self.campaign)
 
-    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+    def linearise(
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
+    ) -> LinearRows:
         """Readings; the slope is by the dial's place along the leg."""
-        found = model.linearised(values, self.campaign, names)
-        return Linear(found.value, found.jacobian, found.by_gauge[:, None])
+        return model.linearised(values, self.campaign, names)
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
@@ -221,7 +207,9 @@ class TcpReadings:
         """Coordinates in the machine's frame."""
         return np.asarray(model.outputs(values, self.conditions()).p[self.known])
 
-    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+    def linearise(
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
+    ) -> LinearRows:
         """Coordinates; the slopes are by a small turn of the frame."""
         machine = [n for n in names if not model.catalogue.effect_of(n).of_dial]
         out, by_name = model.sensitivities(values, self.conditions(), machine)
@@ -230,7 +218,7 @@ class TcpReadings:
         jacobian[:, columns] = by_name[:, :3][self.known]
         p = out.p
         turn = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)  # (n, xyz, axis)
-        return Linear(np.asarray(p[self.known]), jacobian, turn[self.known])
+        return LinearRows(np.asarray(p[self.known]), jacobian, turn[self.known])
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""

@@ -164,7 +164,8 @@ def _solved(
         raise InputError("the programme closes unloaded loops: take the nested method under load")
     if tool and method == "nlp":
         raise InputError("the programme reads dials and coordinates only: take the nested method")
-    large = posture_count(problem) > NLP_POSTURES or len(problem.names) > NLP_UNKNOWNS
+    postures = sum(len(np.unique(f.conditions().command, axis=0)) for f in problem.factors)
+    large = postures > NLP_POSTURES or len(problem.names) > NLP_UNKNOWNS
     if method == "nested" or (method == "auto" and (large or elastic or tool)):
         at, steps = solve_nested(problem, nuisance, near)
         return at, steps + 1, "nested"
@@ -194,11 +195,6 @@ def _elastic(problem: Problem) -> bool:
     """Whether stiffness moves any of the postures."""
     model = problem.machine.model
     return any(model.is_elastic(factor.conditions()) for factor in problem.factors)
-
-
-def posture_count(problem: Problem) -> int:
-    """Distinct commands of all factors: at least as many postures has the programme."""
-    return sum(len(np.unique(f.conditions().command, axis=0)) for f in problem.factors)
 
 
 def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, first: Linearised) -> float:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.fit.factors import SILENT, Block, ByJoints, Linear
+from orthoglide.fit.factors import SILENT, Block, ByJoints
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import ToolCampaign
-from orthoglide.prediction import Conditions, Model
+from orthoglide.prediction import Conditions, LinearRows, Model
 
 Ints = NDArray[np.int64]
 
@@ -144,7 +144,9 @@ class ToolReadings:
         out = model.outputs(model.catalogue.of_machine(values), self.conditions())
         return self._value(out.p, out.R, self._shape(model.catalogue, values))
 
-    def linearise(self, model: Model, values: Mapping[str, float], names: Sequence[str]) -> Linear:
+    def linearise(
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
+    ) -> LinearRows:
         """Readings; the slopes are the tool's place and the reading itself ``(n, 4)``."""
         catalogue = model.catalogue
         machine = [n for n in names if not catalogue.effect_of(n).of_dial]
@@ -157,7 +159,7 @@ class ToolReadings:
             if k not in of_machine:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
         value = self._value(out.p, out.R, self._shape(catalogue, values))
-        return Linear(value, jacobian, np.column_stack([out.p[:n], value]))
+        return LinearRows(value, jacobian, np.column_stack([out.p[:n], value]))
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""

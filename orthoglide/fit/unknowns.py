@@ -172,14 +172,16 @@ def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -
     return replace(problem, unknowns=unknowns, held=held)
 
 
-def elementary_beyond(problem: Problem, effects: Sequence[str]) -> tuple[Parameter, ...]:
-    """Elementary parameters of effects that no unknown of the problem sets yet."""
+def with_others(problem: Problem, effects: Sequence[str]) -> Problem:
+    """The same problem with all single parameters of effects that no unknown sets yet: changes of
+    what is held.
+    """
     taken = {p for u in problem.unknowns for parts in u.parts for p in parts}
     found: dict[Parameter, None] = {}
     for unknown in build_unknowns(problem.machine, problem.factors, list(effects)):
         if not any(p in taken for parts in unknown.parts for p in parts):
             found[unknown.name.plain] = None
-    return tuple(found)
+    return with_free(problem, tuple(found), release=False)
 
 
 def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Factor]) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
+from typing import Any
 
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
@@ -13,44 +14,6 @@ from orthoglide.observations.writing import Row, campaign_rows
 from orthoglide.pages import rendered
 from orthoglide.pictures import dials
 from orthoglide.scene import drawing
-
-
-@dataclass(frozen=True)
-class Step:
-    """One place to go to.
-
-    Attributes:
-        lines: of the CSV, its header being line 1.
-        move: whether nothing is read there.
-        posture: label for people.
-        repeat: number of the visit.
-        commands: of the three axes, as the CSV has them.
-        boxes: for each dial of the page whether it is read here.
-    """
-
-    lines: tuple[int, ...]
-    move: bool
-    posture: str
-    repeat: str
-    commands: tuple[str, ...]
-    boxes: tuple[bool, ...]
-
-
-@dataclass(frozen=True)
-class Page:
-    """One mounting: the dials that are read together, and where to go.
-
-    Attributes:
-        title: names of its setups.
-        dials: sentences on each dial.
-        steps: in order.
-        drawing: where the dials stand and which way they count, SVG.
-    """
-
-    title: str
-    dials: tuple[tuple[str, tuple[str, ...]], ...]
-    steps: tuple[Step, ...]
-    drawing: str
 
 
 def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
@@ -108,14 +71,16 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
     counts = "+" if setup.sign > 0 else "−"
     return (
         f"On leg {leg}, against {touched}.",
-        f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, machine at mechanical "
-        f"zero ({setup.gauge / L:.0%} of the way to the carriage); to a millimetre.",
+        f"{setup.gauge * 1e3:.4g} mm from the leg's joints at the platform, to a millimetre, with "
+        f"the machine at mechanical zero ({100 * setup.gauge / L:.0f} % of the way to the "
+        f"carriage).",
         f"It reads along {axis}: its number must grow when the leg moves toward {counts}{axis}; "
         f"if it falls, {otherwise}.",
     )
 
 
-def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
+def _pages(sheet: Campaign, machine: Machine) -> Iterator[dict[str, Any]]:
+    """One mounting each: the dials that are read together, where they stand, and where to go."""
     rows = campaign_rows(sheet, machine.spec)
     commands = command_columns(rows[0])
     together = mounted_together(rows)
@@ -127,7 +92,8 @@ def _pages(sheet: Campaign, machine: Machine) -> Iterator[Page]:
         told = tuple((n, dial_words(by_name[n], machine, _turned(by_name[n]))) for n in names)
         title = " and ".join(names)
         here = drawing(posed, dials=[stand[n] for n in names], title=f"Where to mount {title}")
-        yield Page(title, told, tuple(_steps(list(lines), names, commands)), here)
+        steps = list(_steps(list(lines), names, commands))
+        yield {"title": title, "dials": told, "steps": steps, "drawing": here}
 
 
 def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:
@@ -165,16 +131,17 @@ def _is_move(row: Row) -> bool:
 
 def _steps(
     lines: list[tuple[int, Row]], names: tuple[str, ...], commands: list[str]
-) -> Iterator[Step]:
+) -> Iterator[dict[str, Any]]:
+    """Places to go to, with the lines of the CSV and for each dial whether it is read there."""
     numbers = iter(number for number, _ in lines)
     for visit in _visits([row for _, row in lines], commands):
         first = visit[0]
         read = {row["setup"] for row in visit}
-        yield Step(
-            tuple(next(numbers) for _ in visit),
-            _is_move(first),
-            first["posture"],
-            first["repeat"],
-            tuple(f"{float(first[c]):.3f}".rstrip("0").rstrip(".") for c in commands),
-            tuple(name in read and not _is_move(first) for name in names),
-        )
+        yield {
+            "lines": [next(numbers) for _ in visit],
+            "move": _is_move(first),
+            "posture": first["posture"],
+            "repeat": first["repeat"],
+            "commands": [f"{float(first[c]):.3f}".rstrip("0").rstrip(".") for c in commands],
+            "boxes": [name in read and not _is_move(first) for name in names],
+        }

@@ -187,7 +187,7 @@ class Session:
         self._mounting(sheet, planned)
         if not self._live and self._at:
             self._again(sheet, row)
-        self._position(planned, "go to", f"({planned['posture']})")
+        self._position(planned, "go to", f"posture {planned['posture']}")
         doubted = None
         while True:
             try:

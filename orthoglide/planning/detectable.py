@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.fit import Estimate, assemble, build_problem, solve
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.fit.tool import ToolReadings
+from orthoglide.frames import Framed
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
 from orthoglide.planning.linear import expected_noise
@@ -52,8 +54,8 @@ class SmallestEffect:
 
 
 @dataclass(frozen=True)
-class Detectability:
-    """What a protocol makes of the whole catalogue.
+class Detectability(Framed):
+    """What a protocol makes of the whole catalogue; as a table, a row an effect.
 
     Attributes:
         smallest: by candidate of one parameter, in the order of the catalogue.
@@ -64,6 +66,35 @@ class Detectability:
     smallest: tuple[SmallestEffect, ...]
     invisible: tuple[str, ...]
     threshold: float
+    _index = "effect"
+
+    def __repr__(self) -> str:
+        return f"<the smallest of {len(self.by_effect)} effects found and named>"
+
+    @property
+    def by_effect(self) -> dict[str, list[SmallestEffect]]:
+        """Single parameters by their effect."""
+        found: dict[str, list[SmallestEffect]] = {}
+        for one in self.smallest:
+            if one.elementary:
+                found.setdefault(one.effect, []).append(one)
+        return found
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """By effect, in the unit of files, what finds and names each of its parameters."""
+        every = self.by_effect
+        hardest = [max(members, key=lambda s: s.nameable) for members in every.values()]
+        found = [max(s.detectable for s in members) for members in every.values()]
+        return {
+            "effect": list(every),
+            "unit": [s.unit.name for s in hardest],
+            "tolerance": [s.tolerance / s.unit.si for s in hardest],
+            "found from": [v / s.unit.si for s, v in zip(hardest, found, strict=True)],
+            "named from": [s.nameable / s.unit.si for s in hardest],
+            "hardest": [s.name for s in hardest],
+            "nearest": [s.nearest for s in hardest],
+        }
 
 
 def smallest_effects(

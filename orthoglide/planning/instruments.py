@@ -21,7 +21,7 @@ _TURN = np.pi / 3  # of a plate on its seat: the lobes of a shape of three come 
 
 
 @dataclass(frozen=True)
-class Shown:
+class InstrumentReadings:
     """What instruments would read of one explanation over the plate.
 
     Attributes:
@@ -47,10 +47,10 @@ def deciding(fit: Estimate, causes: Sequence[Cause]) -> tuple[tuple[str, float],
         fit: of the readings at hand.
         causes: that were found, with their rivals.
     """
-    pairs, found = list[tuple[Shown, Shown]](), []
+    pairs, found = list[tuple[InstrumentReadings, InstrumentReadings]](), []
     for cause in causes:
-        chosen = _shown(cause.chosen, fit)
-        pairs += [(chosen, _shown(other, fit)) for other in (*cause.same, *cause.rivals)]
+        chosen = _readings_of(cause.chosen, fit)
+        pairs += [(chosen, _readings_of(other, fit)) for other in (*cause.same, *cause.rivals)]
     for what, unit, sigma, of in (
         ("distances between holes or pillars around the rim and across it, each with its own width "
          "and the part's shrinkage", "mm", REPEATABILITY["distance"], _distances),
@@ -80,24 +80,24 @@ def _apart(difference: Array) -> float:
     return float(np.abs(difference).max(initial=0.0))
 
 
-def _distances(one: Shown, other: Shown) -> Array:
+def _distances(one: InstrumentReadings, other: InstrumentReadings) -> Array:
     """Scale and offset taken out."""
     apart = one.distances - other.distances
     columns = np.stack([one.distances, np.ones(len(apart))], axis=1)
     return np.asarray(apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0])
 
 
-def _turns(one: Shown, other: Shown) -> Array:
+def _turns(one: InstrumentReadings, other: InstrumentReadings) -> Array:
     """Datums taken out."""
     apart = one.turns - other.turns
     return np.asarray(apart - apart.mean(axis=0))
 
 
-def _turned(one: Shown, other: Shown) -> Array:
+def _turned(one: InstrumentReadings, other: InstrumentReadings) -> Array:
     return one.turned - other.turned
 
 
-def _shown(one: Explanation, fit: Estimate) -> Shown:
+def _readings_of(one: Explanation, fit: Estimate) -> InstrumentReadings:
     problem, catalogue = fit.problem, one.catalogue
     machine = problem.machine
     points = np.concatenate([p.conditions().command for p in problem.points])
@@ -125,4 +125,4 @@ def _shown(one: Explanation, fit: Estimate) -> Shown:
                 shape(np.cos(there), np.sin(there)) - shape(np.cos(here), np.sin(here))
             )
     distances = np.concatenate([np.linalg.norm(s, axis=1) for s in spans])
-    return Shown(cause_short(catalogue, one.name), distances, turn, turned)
+    return InstrumentReadings(cause_short(catalogue, one.name), distances, turn, turned)

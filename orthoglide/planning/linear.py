@@ -93,7 +93,7 @@ class LinearReadings:
         at = machine.model.linearised(machine.values, campaign, parts)
         level = expected_noise(machine, campaign, noise)
         total = np.sqrt(level.sigma[0] ** 2 + level.common**2)
-        return cls.around(machine, campaign, at.jacobian @ weights, at.by_gauge, total)
+        return cls.around(machine, campaign, at.jacobian @ weights, at.slopes[:, 0], total)
 
     @classmethod
     def around(

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.fit import elementary_beyond, with_free
+from orthoglide.fit import with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise
 from orthoglide.geometry import Array
@@ -67,8 +67,7 @@ def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, i
     """Rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions."""
     estimate = as_expected(machine, sheets, None)
     problem = estimate.problem
-    effects = [effect.name for effect in excited_effects(problem)]
-    wide = with_free(problem, elementary_beyond(problem, effects), release=False)
+    wide = with_others(problem, [effect.name for effect in excited_effects(problem)])
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(problem.unknowns))])
     nuisance = estimate.nuisance
     weight = nuisance.weight[:, None]

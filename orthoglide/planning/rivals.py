@@ -22,7 +22,7 @@ _GRID = 3
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Rival:
     """One way to explain the readings at hand.
 
     Attributes:
@@ -51,9 +51,7 @@ class Explanation:
         return np.asarray(matrix @ self.covariance @ matrix.T)
 
 
-def explanation(
-    name: str, fit: Estimate | Values, like: Estimate, scale: float = 1.0
-) -> Explanation:
+def rival_of(name: str, fit: Estimate | Values, like: Estimate, scale: float = 1.0) -> Rival:
     """An explanation from its own fit, or from its values.
 
     Args:
@@ -71,7 +69,7 @@ def explanation(
 
 def _described(
     name: str, problem: Problem, at: Linearised, nuisance: Nuisances, scale: float
-) -> Explanation:
+) -> Rival:
     here = normal(replace(problem, priors=True), at, nuisance)
     unit = problem.tolerance
     scaled = here.information * unit * unit[:, None] / scale**2
@@ -79,7 +77,7 @@ def _described(
     parts, weights = problem.elementary(problem.last)
     of_machine = [k for k, p in enumerate(parts) if not catalogue.effect_of(p).of_dial]
     values = problem.values(problem.last, at.x)
-    return Explanation(
+    return Rival(
         name,
         catalogue.of_machine(values),
         tuple(parts[k] for k in of_machine),
@@ -143,7 +141,7 @@ def inseparable_groups(
 
 
 def inseparable_words(
-    machine: Machine, rivals: Sequence[Explanation], sigmas: float, within_reach: int, level: float
+    machine: Machine, rivals: Sequence[Rival], sigmas: float, within_reach: int, level: float
 ) -> str:
     """Why no reading is proposed for rivals, and what it means for the TCP.
 

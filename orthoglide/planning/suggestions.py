@@ -21,11 +21,11 @@ from orthoglide.planning.instruments import deciding
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool, sheet
 from orthoglide.planning.rivals import (
-    Explanation,
+    Rival,
     Values,
-    explanation,
     inseparable_groups,
     inseparable_words,
+    rival_of,
 )
 from orthoglide.posterior import Cause
 
@@ -143,13 +143,13 @@ def next_measurements(
     machine = machine or fit.problem.machine
     weak = fit.weak[:_MOST_DIRECTIONS] if directions is None else directions
     scale = max(fit.sigma_scale, 1.0)
-    several = [explanation(name, found, fit, scale) for name, found in rivals]
-    own = explanation("", fit, fit, scale)
+    several = [rival_of(name, found, fit, scale) for name, found in rivals]
+    own = rival_of("", fit, fit, scale)
     names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
     choice = pool or reading_pool(machine.geometry, load=_usual_load(fit))
     at = machine.model.linearised(own.values, choice, names)
     total = fit.problem.noise.typical * scale
-    readings = LinearReadings.around(machine, choice, at.jacobian, at.by_gauge, total)
+    readings = LinearReadings.around(machine, choice, at.jacobian, at.slopes[:, 0], total)
     found: list[Suggestion] = []
     if len(several) > 1:
         predicted = [machine.model.readings(e.values, choice) for e in several]
@@ -172,7 +172,7 @@ def _to_separate(
     machine: Machine,
     readings: LinearReadings,
     names: tuple[str, ...],
-    several: Sequence[Explanation],
+    several: Sequence[Rival],
     count: int,
 ) -> list[Suggestion]:
     """Readings between rivals, and the groups of rivals that none tells apart.
@@ -255,7 +255,7 @@ def _twice(
 def _to_narrow(
     readings: LinearReadings,
     names: tuple[str, ...],
-    own: Explanation,
+    own: Rival,
     estimate: Estimate,
     direction: WeakDirection,
     count: int,

@@ -8,7 +8,7 @@ import numpy as np
 
 from orthoglide.effects import Catalogue
 from orthoglide.planning.designs import Design
-from orthoglide.planning.detectable import Detectability, SmallestEffect
+from orthoglide.planning.detectable import Detectability
 from orthoglide.planning.observability import Observability
 from orthoglide.planning.repeats import TCP, Repeats
 from orthoglide.units import MM
@@ -16,12 +16,12 @@ from orthoglide.units import MM
 
 def index_rows(compared: Sequence[tuple[str, Observability]]) -> list[str]:
     """A table of observability indices: campaigns or protocols by name."""
-    head = f"{'':<16}{'readings':>9}{'seen':>9}" + "".join(f"{f'O{k}':>10}" for k in range(1, 6))
+    head = f"{'':<15}{'readings':>9}{'seen':>7}" + "".join(f"{f'O{k}':>9}" for k in range(1, 6))
     return [
         head,
         *(
-            f"{name:<16}{o.readings:>9}{f'{o.rank}/{o.unknowns}':>9}"
-            + "".join(f"{v:>10.3g}" for v in o.indices.values())
+            f"{name:<15}{o.readings:>9}{f'{o.rank}/{o.unknowns}':>7}"
+            + "".join(f"{v:>9.2g}" for v in o.indices.values())
             for name, o in compared
         ),
     ]
@@ -56,23 +56,25 @@ def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
 
 def detectable_rows(found: Detectability) -> list[str]:
     """A row an effect: the parameter that takes the largest size to be found, and to be named."""
-    by_effect: dict[str, list[SmallestEffect]] = {}
-    for smallest in found.smallest:
-        if smallest.elementary:
-            by_effect.setdefault(smallest.effect, []).append(smallest)
     lines = [f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit  nearest"]
-    lines += [_effect_row(name, members) for name, members in by_effect.items()]
+    lines += map(_effect_row, *found.columns.values())
     if found.invisible:
-        lines.append(f"not visible, which is not absent: {', '.join(found.invisible)}")
+        lines.append(f"not visible, which is not absent: {', '.join(_by_effect(found.invisible))}")
     return lines
 
 
-def _effect_row(name: str, members: Sequence[SmallestEffect]) -> str:
-    hardest = max(members, key=lambda s: s.nameable)
-    si = hardest.unit.si
-    named = f"{hardest.nameable / si:.2g}" if np.isfinite(hardest.nameable) else "never"
-    found = max(s.detectable for s in members) / si
-    return (
-        f"{name:<20}{hardest.tolerance / si:>11.2g}{found:>12.2g}{named:>12}  "
-        f"{hardest.unit.name:<4}  {hardest.nearest} for {hardest.name}"
-    )
+def _by_effect(names: Sequence[str]) -> list[str]:
+    """Parameters of one effect together: ``encoder_scale (x, y, z)``."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        effect, _, member = name.partition(".")
+        groups.setdefault(effect, []).append(member)
+    return [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
+
+
+def _effect_row(
+    effect: str, unit: str, tolerance: float, found: float, named: float, hardest: str, nearest: str
+) -> str:
+    size = f"{named:.2g}" if np.isfinite(named) else "never"
+    sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
+    return f"{sizes}  {unit:<4}  {nearest} for {hardest}"

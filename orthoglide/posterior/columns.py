@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
-from orthoglide.fit import Estimate, Problem, elementary_beyond, with_free
+from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
@@ -114,7 +114,7 @@ def with_everything(problem: Problem) -> Problem:
         return at_hand or effect.name in excited
 
     effects = [effect.name for effect in problem.machine.catalogue.effects if counts(effect)]
-    return with_free(problem, elementary_beyond(problem, effects), release=False)
+    return with_others(problem, effects)
 
 
 def everything(estimate: Estimate, at: Array | None = None) -> Everything:

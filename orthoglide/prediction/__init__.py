@@ -1,4 +1,4 @@
 """Conditions and parameters in, poses and readings out, with sensitivities."""
 
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.model import Model, Readings
+from orthoglide.prediction.model import LinearRows, Model

@@ -52,18 +52,19 @@ def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], N
 
 
 @dataclass(frozen=True)
-class Readings:
-    """Predicted readings of a campaign, datums apart.
+class LinearRows:
+    """Predicted readings around one machine, datums apart.
 
     Attributes:
-        value: ``(n,)``, metres.
+        value: ``(n,)``, metres (radians of a level).
         jacobian: by the parameters asked for ``(n, P)``, SI.
-        by_gauge: by the dial's place along the leg ``(n,)``.
+        slopes: what their nuisances need to know of the pose ``(n, k)``; of dials the derivative by
+            the dial's place along the leg.
     """
 
     value: Array
     jacobian: Array
-    by_gauge: Array
+    slopes: Array
 
 
 class Model:
@@ -203,13 +204,6 @@ class Model:
             return np.zeros((len(conditions), self.displacement.size1_out(0)))
         return self._displacement(theta, self.seen(conditions))[0]
 
-    def displacement_derivative(
-        self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
-    ) -> tuple[Array, Array]:
-        """Displacements ``(n, 30)`` and their derivative by machine parameters ``(n, 30, P)``."""
-        moves, by_theta = self._displacement_tangent(self.vector(values), self.seen(conditions))
-        return moves, by_theta[:, :, [self._place[name] for name in names]]
-
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         batch, given = self.closing(values, conditions)
@@ -232,13 +226,14 @@ class Model:
     ) -> tuple[Outputs, Array]:
         """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed."""
         batch, given = self.closing(values, conditions)
-        x, n = batch.close(given), len(conditions)
+        x, n, theta = batch.close(given), len(conditions), self.vector(values)
+        places = [self._place[name] for name in names]
         outputs, by_name = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
             shown, by_given = batch.tangent(x[part], given[part])
-            _, by_theta = self.displacement_derivative(values, conditions.part(part), names)
+            _, by_theta = self._displacement_tangent(theta, self.seen(conditions.part(part)))
             by_virtual = by_given[:, :, 3 : 3 + by_theta.shape[1]]
-            outputs[part], by_name[part] = shown.values, by_virtual @ by_theta
+            outputs[part], by_name[part] = shown.values, by_virtual @ by_theta[:, :, places]
         return Outputs(outputs), by_name
 
     def merged(
@@ -332,7 +327,7 @@ class Model:
 
     def linearised(
         self, values: Mapping[str, float], campaign: Campaign, names: Sequence[str]
-    ) -> Readings:
+    ) -> LinearRows:
         """Readings with their derivative by parameters of the machine and of the dials.
 
         Args:
@@ -365,4 +360,4 @@ class Model:
             if name in dials:
                 row, k = dials[name]
                 column[:] = np.where(campaign.setup == row, by_dial[:, k], 0.0)
-        return Readings(shown, jacobian, by_gauge)
+        return LinearRows(shown, jacobian, by_gauge[:, None])

@@ -19,7 +19,7 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Readings:
+class Dials:
     """Where and what a list of N dials touched.
 
     Attributes:
@@ -37,7 +37,7 @@ class Readings:
     @classmethod
     def checked(
         cls, commands: ArrayLike, legs: ArrayLike, axes: ArrayLike, gauges: ArrayLike
-    ) -> Readings:
+    ) -> Dials:
         """Broadcast and check the four columns.
 
         Raises:
@@ -97,7 +97,7 @@ class Observed:
         return np.asarray(total)
 
 
-def observed(dials: Readings, six: Array, length: float) -> Observed:
+def observed(dials: Dials, six: Array, length: float) -> Observed:
     """Readings and gradient of a machine with offsets and lengths ``six``, ``(6,)`` or ``(N, 6)``.
 
     Args:
@@ -158,5 +158,5 @@ def observe(
         InputError: for columns that do not fit together.
     """
     pair = np.broadcast_arrays(vectors(offsets, "offsets"), vectors(lengths, "lengths"))
-    dials = Readings.checked(commands, legs, axes, gauges)
+    dials = Dials.checked(commands, legs, axes, gauges)
     return observed(dials, np.concatenate(pair, axis=-1), geometry.L)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, NumericsError, UnreachableError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.reduction.deviations import Indices, Observed, Readings, observed
+from orthoglide.reduction.deviations import Dials, Indices, Observed, observed
 from orthoglide.reduction.kinematics import NOMINAL
 
 RANK_TOLERANCE = 1e-9
@@ -81,7 +81,7 @@ class _Problem:
     ``basis`` spans the whitened nuisances with their priors, ``inverse`` is their pseudoinverse.
     """
 
-    dials: Readings
+    dials: Dials
     length: float
     nominal: Observed | None
     parts: _Parts
@@ -280,7 +280,7 @@ def fit_readings(
         InputError: for columns that do not fit together, or legs that do not meet at the start.
         NumericsError: where the start is singular.
     """
-    dials = Readings.checked(commands, legs, axes, gauges)
+    dials = Dials.checked(commands, legs, axes, gauges)
     counted = np.broadcast_to(np.asarray(signs, dtype=float), dials.legs.shape)
     y, weight, columns = _measured(measured, sigma, nuisance, len(counted))
     columns = counted[:, None] * columns  # s y = f + s U z: the dials' signs are gone

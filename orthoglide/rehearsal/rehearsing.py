@@ -14,9 +14,9 @@ from orthoglide.observations import Campaign, protocol, read_campaign
 from orthoglide.observations.protocols import Kind, check_dials
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.rehearsal.drawing import Scope
-from orthoglide.rehearsal.kept import Kept, asked
+from orthoglide.rehearsal.journal import Journal, request_digests
+from orthoglide.rehearsal.outcome import Outcome, outcome_of
 from orthoglide.rehearsal.table import Rehearsal
-from orthoglide.rehearsal.trying import Tried, try_one
 from orthoglide.rehearsal.weak_spots import weak_spots
 
 CAMPAIGNS = 90
@@ -63,7 +63,7 @@ def rehearse(
     check_dials(machine.geometry)
     progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, _sheet(machine, sheet))
-    kept = None if out is None else Kept(Path(out), asked(scope, seed))
+    kept = None if out is None else Journal(Path(out), request_digests(scope, seed))
     weak = weak_spots(scope, seed)
     tried = _all(scope, campaigns, seed, jobs, kept, progress)
     found = Rehearsal(machine.spec.title, len(scope.sheet), seed, tried, weak)
@@ -81,8 +81,8 @@ def _sheet(machine: Machine, sheet: Campaign | str | os.PathLike[str]) -> Campai
 
 
 def _all(
-    scope: Scope, campaigns: int, seed: int, jobs: int | None, kept: Kept | None, show: Progress
-) -> tuple[Tried, ...]:
+    scope: Scope, campaigns: int, seed: int, jobs: int | None, kept: Journal | None, show: Progress
+) -> tuple[Outcome, ...]:
     """All campaigns in their order, those of an earlier run as they were."""
     from joblib import Parallel, delayed
 
@@ -91,7 +91,7 @@ def _all(
     began, before = time.monotonic(), campaigns - len(missing)
     show(Step("computing", _left(before, campaigns, 0, 0.0), 100 * before / campaigns))
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    tasks = (delayed(try_one)(scope, k, seed) for k in missing)
+    tasks = (delayed(outcome_of)(scope, k, seed) for k in missing)
     try:
         for tried in parallel(tasks) if missing else ():
             done[tried.number] = tried

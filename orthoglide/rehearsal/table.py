@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.frames import data_frame, html_table
 from orthoglide.rehearsal.drawing import KINDS, OUTSIDE, Kind
-from orthoglide.rehearsal.trying import Tried
+from orthoglide.rehearsal.outcome import Outcome
 from orthoglide.rehearsal.weak_spots import WeakSpot
 
 if TYPE_CHECKING:
@@ -37,10 +37,10 @@ class Rehearsal:
     machine: str
     readings: int
     seed: int
-    campaigns: tuple[Tried, ...]
+    campaigns: tuple[Outcome, ...]
     weak: tuple[WeakSpot, ...]
 
-    def of(self, kind: Kind) -> tuple[Tried, ...]:
+    def of(self, kind: Kind) -> tuple[Outcome, ...]:
         """Campaigns on which that was wrong."""
         return tuple(t for t in self.campaigns if t.kind == kind.name)
 
@@ -130,7 +130,7 @@ def _aligned(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     ]  # fmt: skip
 
 
-def _went(tried: Tried) -> str:
+def _went(tried: Outcome) -> str:
     """What went against the wish in one campaign; empty where nothing did."""
     about = f"campaign {tried.number}, {tried.kind}"
     if tried.failed:

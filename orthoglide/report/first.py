@@ -36,7 +36,7 @@ _STAGES = {
 
 
 @dataclass(frozen=True)
-class Said:
+class Statement:
     """One cause or place as a reader meets it.
 
     Attributes:
@@ -60,9 +60,9 @@ class Claim:
         rivals: that these readings cannot tell from it, most probable first.
     """
 
-    first: Said
-    same: tuple[Said, ...]
-    rivals: tuple[Said, ...]
+    first: Statement
+    same: tuple[Statement, ...]
+    rivals: tuple[Statement, ...]
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,7 @@ def finding(result: Result) -> Data:
         "legs": bool(after.problem.campaigns),
         "loses": any(map(loses, result.effects)) or any(map(loses, result.located)),
         "actions": [_action(action) for action in result.actions],
+        "sheet": result.next_sheet is not None,
         "most": MOST,
         "cautions": [*([first] if first else []), *result.cautions],
         "warnings": [sentence(w) for w in result.warnings],
@@ -111,26 +112,26 @@ def claims(result: Result) -> list[Claim]:
 
 def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
     names = (cause.chosen, *cause.same)  # share one probability
-    first = _said(cause.chosen, sum(one.probability for one in names), next(option))
+    first = _statement(cause.chosen, sum(one.probability for one in names), next(option))
     same, rivals = (
-        tuple(_said(e, e.probability, next(option)) for e in part)
+        tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
     )
     return Claim(first, same, rivals)
 
 
-def _said(one: Explanation, probability: float, option: int) -> Said:
+def _statement(one: Explanation, probability: float, option: int) -> Statement:
     sure = sure_words(probability)
     if one.in_unit is not None:
         effect = one.catalogue.effect_of(one.name)
         spread = one.in_unit[1] * effect.unit.si * _SIDES
         sure += f", its size to ± {size_words(effect, spread)}"
-    return Said(sentence(one.words), sure, option)
+    return Statement(sentence(one.words), sure, option)
 
 
 def _of_place(found: Located, option: Iterator[int]) -> Claim:
     several = tuple(
-        Said(
+        Statement(
             sentence(f"{c.place.words}, by {curve_words(c)}"),
             sure_words(c.probability),
             next(option),

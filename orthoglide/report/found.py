@@ -38,7 +38,7 @@ _FAULTS = {
 
 
 @dataclass(frozen=True)
-class Tile:
+class BeforeAfter:
     """A figure before and after."""
 
     what: str
@@ -47,7 +47,7 @@ class Tile:
     unit: str
 
 
-def tiles(result: Result) -> list[Tile]:
+def before_and_after(result: Result) -> list[BeforeAfter]:
     """What the finding gains, at a glance."""
     before, after = result.before, result.after
     start = before.scores if result.improved else result.nominal
@@ -63,15 +63,15 @@ def tiles(result: Result) -> list[Tile]:
         first = errors.before if result.improved else errors.nominal
         found.append(_tile("TCP, best shift removed", first[0], errors.after[0], "mm mean error"))
     noise = after.problem.noise.typical * 1e3
-    found.append(Tile("Noise of a reading", "", compact(noise, 2), "mm, sigma"))
+    found.append(BeforeAfter("Noise of a reading", "", compact(noise, 2), "mm, sigma"))
     return found
 
 
-def _tile(what: str, before: float, after: float, unit: str) -> Tile:
+def _tile(what: str, before: float, after: float, unit: str) -> BeforeAfter:
     if not math.isfinite(before + after):
-        return Tile(what, "", "–", unit)
+        return BeforeAfter(what, "", "–", unit)
     places = decimals_for(min(before, after) * 1e3, 3)
-    return Tile(what, f"{before * 1e3:.{places}f}", f"{after * 1e3:.{places}f}", unit)
+    return BeforeAfter(what, f"{before * 1e3:.{places}f}", f"{after * 1e3:.{places}f}", unit)
 
 
 def faults(result: Result) -> Data:
@@ -114,7 +114,7 @@ def judged(result: Result, figures: Figures) -> Data:
     """Figures of merit of the nominal machine, before and after."""
     inside = result.tcp["translation"].inside if result.tcp else math.nan
     return {
-        "tiles": tiles(result),
+        "tiles": before_and_after(result),
         "rows": score_rows(result),
         "figure": whole(figures["residuals"]),
         "dials": bool(result.after.problem.campaigns),

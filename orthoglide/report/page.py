@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _JUDGES = {"holdout": "held out to judge by", "tcp": "measured at the TCP to judge by"}
 
 
+_OPEN = ("finding", "view", "left", "firmware", "controller", "changes")
+
+
 @dataclass(frozen=True)
 class Section:
     """One section of the page.
@@ -41,8 +44,8 @@ class Section:
 
     @property
     def folded(self) -> bool:
-        """Whether a reader unfolds it first: all but the verdict, what is left and numbers."""
-        return self.template not in ("finding", "view", "left", "firmware", "controller")
+        """Whether a reader unfolds it first: all but what is wrong, what is left and numbers."""
+        return self.template not in _OPEN
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from orthoglide.numerals import compact, decimals_for, probability, signed
 
@@ -61,19 +61,13 @@ def parameter_rows(result: Result) -> list[ParameterRow]:
     return rows
 
 
-@dataclass(frozen=True)
-class ScoreRow:
+class ScoreRow(NamedTuple):
     """One figure of merit of the nominal machine, before and after."""
 
     what: str
     nominal: str
     before: str
     after: str
-
-    @property
-    def cells(self) -> tuple[str, str, str]:
-        """The three figures."""
-        return self.nominal, self.before, self.after
 
 
 _ALIGNMENTS = {

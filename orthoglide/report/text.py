@@ -150,5 +150,5 @@ def _firmware(found: Corrections) -> Table:
 def _scores(result: Result) -> Table:
     shown = _table("", "nominal", "before", "after")
     for row in score_rows(result):
-        shown.add_row(row.what, *row.cells)
+        shown.add_row(*row)
     return shown

@@ -21,7 +21,7 @@ _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth
 
 
 @dataclass(frozen=True)
-class Option:
+class Suspect:
     """One of the causes that a part is looked at for.
 
     Attributes:
@@ -53,7 +53,7 @@ class Action:
     words: str
     gain: float = math.nan
     gain_sigma: float = math.nan
-    options: tuple[Option, ...] = ()
+    options: tuple[Suspect, ...] = ()
 
 
 def actions(result: Result) -> tuple[Action, ...]:
@@ -96,10 +96,10 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
     for one in several:
         name = one.name if isinstance(one, Cause) else one.members[0].place.effect.name
         if kind == "mend" and not loses(one):
-            yield Action(kind, what[kind], *gains.get(name, (0.0, 0.0)), options=options(one))
+            yield Action(kind, what[kind], *gains.get(name, (0.0, 0.0)), options=suspects(one))
         else:
             lost = f": {_LOST}" if kind == "mend" else ""
-            yield Action(kind, f"{what[kind]}{lost}", options=options(one))
+            yield Action(kind, f"{what[kind]}{lost}", options=suspects(one))
 
 
 def loses(found: Cause | Located) -> bool:
@@ -110,11 +110,11 @@ def loses(found: Cause | Located) -> bool:
     return any("approach" in of(name).needs for name in found.chosen.parameters)
 
 
-def options(found: Cause | Located) -> tuple[Option, ...]:
+def suspects(found: Cause | Located) -> tuple[Suspect, ...]:
     """What to look at for everything in a credible set."""
     if isinstance(found, Cause):
-        return tuple(Option(e.words, e.look_at, confirm(e)) for e in found.explanations)
-    return tuple(Option(c.place.words, c.place.look_at, confirm_place(c)) for c in found.members)
+        return tuple(Suspect(e.words, e.look_at, confirm(e)) for e in found.explanations)
+    return tuple(Suspect(c.place.words, c.place.look_at, confirm_place(c)) for c in found.members)
 
 
 def confirm_place(curve: Curve) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.scene.marks import arrow, marked
-from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, around, box_of
+from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, around, box_of, lettering
 from orthoglide.scene.parts import Dial, Option, Posed
 
 _MARGIN, _FACE = 34.0, 4.5  # on the paper
@@ -96,7 +96,7 @@ def drawing(
     project = projection(posed, points)
     bodies = sorted(_bodies(posed, project), key=lambda body: body[0])
     paper = _occupied(posed, dials, project)
-    names = "".join(_name(name, *at) for name, at in _named(posed, project))
+    names = "".join(lettering(*at, name, "ink", 3) for name, at in _named(posed, project))
     drawn = _marked(options, shown, posed, dials, paper)
     groups = [
         f'<g class="option option-{k}{" first" if k in shown else ""}"'
@@ -207,14 +207,6 @@ def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, fl
         x, y = project(end + 0.12 * (end - start))
         found.append((name, (x, y + 4)))
     return found
-
-
-def _name(name: str, x: float, y: float) -> str:
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-weight="600" '
-        f'fill="var(--m-ink)" stroke="var(--m-paper)" stroke-width="3" '
-        f'paint-order="stroke">{escape(name)}</text>'
-    )
 
 
 def _occupied(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:

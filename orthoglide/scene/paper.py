@@ -40,6 +40,15 @@ def around(x: float, y: float, radius: float) -> Box:
     return x - radius, y - radius, x + radius, y + radius
 
 
+def lettering(x: float, y: float, text: str, colour: str, halo: float) -> str:
+    """A text over the middle of its base line, on a halo of paper."""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-weight="600" '
+        f'fill="var(--m-{colour})" stroke="var(--m-paper)" stroke-width="{halo:g}" '
+        f'paint-order="stroke">{escape(text)}</text>'
+    )
+
+
 @dataclass
 class Paper:
     """From the base frame to the paper, and what is on it already.
@@ -78,11 +87,7 @@ class Paper:
             self.line([tail, at])
         x, y = min(self._places(x, y, text), key=lambda p: self._cost(p, (x, y), text))
         self.taken.append(box_of(x, y, text))
-        return (
-            f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="middle" font-weight="600" '
-            f'fill="var(--m-mark)" stroke="var(--m-paper)" stroke-width="3.5" '
-            f'paint-order="stroke">{escape(text)}</text>'
-        )
+        return lettering(x, y, text, "mark", 3.5)
 
     def _places(self, x: float, y: float, text: str) -> Sequence[Point]:
         """Middles of base lines around a point, all within the paper."""

@@ -19,7 +19,7 @@ from orthoglide.simulation import simulate, simulate_tcp
 
 
 @dataclass(frozen=True)
-class Tried:
+class Outcome:
     """What became of one campaign; millimetres, of the tool after the best translation.
 
     Attributes:
@@ -68,7 +68,7 @@ class Tried:
         return {k: v for k, v in asdict(self).items() if v == v}
 
     @classmethod
-    def from_dict(cls, kept: Mapping[str, Any]) -> Tried:
+    def from_dict(cls, kept: Mapping[str, Any]) -> Outcome:
         """The same back again.
 
         Raises:
@@ -80,7 +80,7 @@ class Tried:
         return cls(**values)
 
 
-def try_one(scope: Scope, number: int, seed: int) -> Tried:
+def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
     """One campaign; a failure is a result like others.
 
     Args:
@@ -101,7 +101,7 @@ def try_one(scope: Scope, number: int, seed: int) -> Tried:
         about["failed"] = f"{type(error).__name__}: {error}"
     except Exception as error:  # a crash is a result too: it is counted and shown
         about["failed"] = f"unexpected {type(error).__name__}: {error}"
-    return Tried(**about, seconds=round(time.perf_counter() - began, 1))
+    return Outcome(**about, seconds=round(time.perf_counter() - began, 1))
 
 
 def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, Any]:

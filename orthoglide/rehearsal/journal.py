@@ -13,7 +13,7 @@ from orthoglide.files import read_bytes, sha256, write_whole, writing
 from orthoglide.machine_file.writing import machine_text
 from orthoglide.observations import campaign_text
 from orthoglide.rehearsal.drawing import Scope
-from orthoglide.rehearsal.trying import Tried
+from orthoglide.rehearsal.outcome import Outcome
 from orthoglide.text import shown
 
 FILE = "campaigns.jsonl"
@@ -23,7 +23,7 @@ TABLE = "rehearsal.txt"
 """Beside it: the table of what is finished."""
 
 
-def asked(scope: Scope, seed: int) -> dict[str, str]:
+def request_digests(scope: Scope, seed: int) -> dict[str, str]:
     """What decides about every campaign, digests of files in place of them."""
     machine = machine_text(scope.machine.spec) + " ".join(scope.machine.catalogue)
     return {
@@ -34,12 +34,12 @@ def asked(scope: Scope, seed: int) -> dict[str, str]:
     }
 
 
-class Kept:
+class Journal:
     """The file of finished campaigns.
 
     Args:
         folder: that holds it; new, empty, or of an earlier run.
-        request: see :func:`asked`.
+        request: see :func:`request_digests`.
 
     Raises:
         FileError: where the folder holds something else, or campaigns of another request.
@@ -47,7 +47,7 @@ class Kept:
 
     def __init__(self, folder: Path, request: Mapping[str, str]) -> None:
         self.path = folder / FILE
-        self.finished: dict[int, Tried] = {}
+        self.finished: dict[int, Outcome] = {}
         if self.path.exists():
             self._read(request)
             return
@@ -71,7 +71,7 @@ class Kept:
         try:
             first, *rest = map(json.loads, whole.decode().splitlines())
             differs = [k for k, v in request.items() if first[k] != v]
-            self.finished = {r["number"]: Tried.from_dict(r) for r in rest}
+            self.finished = {r["number"]: Outcome.from_dict(r) for r in rest}
         except (ValueError, TypeError, KeyError, AttributeError):
             raise FileError(
                 "holds no campaigns of a rehearsal: name another folder", file=shown(self.path)
@@ -86,9 +86,9 @@ class Kept:
             with writing(self.path):
                 os.truncate(self.path, len(whole))
 
-    def add(self, tried: Tried) -> None:
+    def add(self, outcome: Outcome) -> None:
         """Keep one more, at once."""
-        self.finished[tried.number] = tried
-        line = json.dumps(tried.as_dict(), allow_nan=False) + "\n"
+        self.finished[outcome.number] = outcome
+        line = json.dumps(outcome.as_dict(), allow_nan=False) + "\n"
         with writing(self.path), self.path.open("a", encoding="utf-8") as file:
             file.write(line)

@@ -1,0 +1,62 @@
+"""What changed between two states of a machine: for the terminal, and as a page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from orthoglide import __version__
+from orthoglide.checking import COLUMNS
+from orthoglide.effects.wording import parameter_words
+from orthoglide.numerals import plain
+from orthoglide.pages import rendered
+from orthoglide.report.page import Section
+from orthoglide.report.phrases import sentence
+from orthoglide.report.wording import headline
+
+if TYPE_CHECKING:
+    from orthoglide.checking import Check
+
+
+def changes_text(found: Check) -> str:
+    """What changed, what is left, and the readings that prove new zeros, for the terminal."""
+    data = _data(found)
+    parts = [f"- {text}" for text in data["said"]]
+    parts += ["", "What is left now:", data["left"], data["tool"]]
+    parts += [f"Caution: {text}" for text in data["cautions"]]
+    if data["checks"]:
+        parts += ["", f"{data['zeros']}:", *(f"- {text}" for text in data["checks"])]
+    return "\n".join(parts)
+
+
+def changes_page(found: Check) -> str:
+    """The same as HTML, with a drawing and both states in a table."""
+    return rendered(
+        "orthoglide.report",
+        "page.html.j2",
+        title="What changed on this machine",
+        subtitle=f"from {', '.join(found.old)} to {', '.join(found.new)}",
+        sections=[Section("changes", "", _data(found))],
+        view_style="",
+        version=__version__,
+        command="check",
+    )
+
+
+def _data(found: Check) -> dict[str, Any]:
+    verdict = replace(found.verdict, changed=())  # said parameter by parameter
+    numbers = found.verdict.numbers
+    now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
+    zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
+    return {
+        "said": [sentence(text) for text in found.sentences],
+        "left": headline(verdict),
+        "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
+        f"out; {zeros} once the zeros are right.",
+        "cautions": found.verdict.cautions,
+        "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their signs",
+        "checks": [sentence(str(check)[:-1]) for check in numbers.checks],
+        "drawing": found.verdict.picture.svg(),
+        "columns": COLUMNS,
+        "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],
+    }
