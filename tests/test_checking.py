@@ -170,7 +170,7 @@ def test_a_tower_set_upright_between_two_visits_of_a_tracker(tmp_path: Path) -> 
     told = run("check", *files, "--machine", tmp_path / "machine.toml", "--out", tmp_path / "out")
     assert told.exit_code == 0, told.output
     first = " ".join(told.stdout.split()).partition(" - ")[0]
-    assert "axis tilt of leg c toward the outside (or the rail tilt of leg c" in first
+    assert first.startswith("- Axis tilt of leg c toward the outside (or the rail tilt of leg c")
     table = csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text()))
     changed = {
         row["parameter"]: float(row["difference"]) for row in table if row["changed"] == "yes"
