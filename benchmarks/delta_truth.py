@@ -106,7 +106,7 @@ class Cause:
     family: str
     errors: Mapping[str, float]
     extra: Callable[[DeltaRig, float], DeltaRig] | None = None
-    place: str = ""
+    places: tuple[str, ...] = ()
 
     def added_to(self, rig: DeltaRig, size: float) -> DeltaRig:
         """The machine with it."""

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide.closing import Verdict, run
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError
-from orthoglide.fit import Estimate, Problem, account_for_changes, assemble, solve
+from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.problem import Unknown
 from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
@@ -35,6 +35,7 @@ class Difference:
         after: value in the new one.
         sigma: standard deviation of the difference.
         unit: of files.
+        others: what else may have changed instead, in brackets, or empty.
     """
 
     parameter: Parameter
@@ -42,6 +43,7 @@ class Difference:
     after: float
     sigma: float
     unit: Unit
+    others: str = ""
 
     @property
     def changed(self) -> bool:
@@ -61,7 +63,8 @@ class Difference:
         before, after, apart, sigma, unit, _ = self.cells
         words = parameter_words(self.parameter)
         if self.changed:
-            return f"{words} changed from {before} to {after} {unit}: by {apart} ± {sigma}"
+            size = f"from {before} to {after} {unit}: by {apart} ± {sigma}"
+            return f"{words}{self.others} changed {size}"
         return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit}"
 
     @property
@@ -82,14 +85,17 @@ class Check:
     Attributes:
         old: names of the campaigns of the old state.
         new: of the new one.
-        verdict: of all readings together, of the machine as it is in the last of them.
-        differences: of the base parameters and of the causes found.
+        verdict: of the machine as it is in the last readings: of all of them together, or without
+            dials of the new ones, which see no machine but theirs.
+        differences: of the base parameters, of the causes found and of what changed.
+        plates: what changed of probed plates, a sentence each.
     """
 
     old: tuple[str, ...]
     new: tuple[str, ...]
     verdict: Verdict
     differences: tuple[Difference, ...]
+    plates: tuple[str, ...] = ()
 
     @cached_property
     def sentences(self) -> tuple[str, ...]:
@@ -97,9 +103,9 @@ class Check:
         changed = [d for d in self.differences if d.changed]
         changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
         said = [d.still for d in self.differences if not d.changed]
-        what = "nothing else" if changed else "nothing"
+        what = "nothing else" if changed or self.plates else "nothing"
         rest = [f"{what} changed beyond its uncertainty: {', '.join(said)}"] if said else []
-        return (*map(str, changed), *rest)
+        return (*self.plates, *map(str, changed), *rest)
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)
@@ -141,10 +147,12 @@ def check(
     past = [r for r in before if r in tool and any(d in after for d in dials)]
     points = tuple(r for r in tool if r not in past)
     request = Request("close-loop", dials, machine, (), noise, seed, points=points)
-    verdict = run(request, progress)
+    together = verdict = run(request, progress)
+    if not dials:  # a change that is one of several leaves open what there was before
+        verdict = run(replace(request, points=tuple(r for r in points if r in after)), progress)
     progress(Step("comparing"))
-    names = _compared(verdict)
-    problem, later = verdict.before.problem, {a.name for a in after}
+    names = _compared(together)
+    problem, later = together.before.problem, {a.name for a in after}
     # Rows taken for faulty have lost their weight there.
     kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
     both = assemble([*kept, *past], machine, names, own=names, noise=noise if dials else None)
@@ -153,7 +161,8 @@ def check(
         tuple(c.name for c in before),
         tuple(c.name for c in after),
         verdict,
-        tuple(_differences(apart, names)),
+        tuple(_differences(apart, names, together.changed)),
+        tuple(change.message for change in together.changed if change.parameter.setup),
     )
 
 
@@ -203,7 +212,10 @@ def _compared(verdict: Verdict) -> list[str]:
     return list(dict.fromkeys(map(str, (*base, *named))))
 
 
-def _differences(estimate: Estimate, names: Iterable[str]) -> Iterable[Difference]:
+def _differences(
+    estimate: Estimate, names: Iterable[str], changed: Sequence[Change]
+) -> Iterable[Difference]:
+    others = {c.parameter: c.others for c in changed}
     catalogue = estimate.problem.machine.catalogue
     plain_names = [catalogue.parameter(n).plain for n in estimate.names]
     for name in names:
@@ -213,4 +225,5 @@ def _differences(estimate: Estimate, names: Iterable[str]) -> Iterable[Differenc
             spread = estimate.covariance[np.ix_(places, places)]
             sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
             parameter = plain_names[places[0]]
-            yield Difference(parameter, one, other, sigma, catalogue.effect_of(parameter).unit)
+            unit, more = catalogue.effect_of(parameter).unit, others.get(parameter, "")
+            yield Difference(parameter, one, other, sigma, unit, more)

@@ -175,8 +175,15 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     if blunders:
         problem = without(problem, blunders)
         blunders = _with_rivals(before, blunders)
-    # What a change put right is no cause now; what is still wrong is named as one.
-    causes = [c for c in changes if c.is_cause and c.parameter not in before.names]
+    # What a change put right is no cause now; what is still wrong is named as one. Without dials it
+    # is not known which one of several it was.
+    causes = [
+        c
+        for c in changes
+        if c.is_cause
+        and c.parameter not in before.names
+        and (problem.campaigns or not c.members[1:])
+    ]
     if changes:
         problem = separated(problem, [c for c in changes if c not in causes])
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))

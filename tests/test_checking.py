@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks.delta_readings import measured
+from benchmarks.delta_truth import machine as delta
 from orthoglide.checking import Check, check
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
-from orthoglide.observations import Readings, ToolCampaign
+from orthoglide.observations import Readings, ToolCampaign, csv_text, tool_rows
 from orthoglide.planning.owning import sheet_of
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
 from tests.rig import Rig
+from tests.rig_delta import DeltaRig
 from tests.test_cli import run
 
 RIG = Path(__file__).parent / "data" / "rig"
@@ -148,3 +151,45 @@ def test_dials_and_the_tool_are_compared_in_one_go() -> None:
     (only,) = (d for d in alone.differences if str(d.parameter) == "joint_offset.x")
     assert only.after - only.before == pytest.approx(-1e-3, abs=4 * only.sigma)
     assert by.sigma < only.sigma
+
+
+def probed(instrument: str, seed: int, **errors: float) -> ToolCampaign:
+    """A linear delta that nobody calibrated, whose bed has three lobes, with a cause or without."""
+    own = {"joint_offset.a": 4e-4, "axis_offset.b.radial": 3e-4, "plate_trefoil.bed.cos": 8e-5}
+    rig = DeltaRig(errors={**own, **errors})
+    return measured(rig, np.random.default_rng(seed), machine=delta(), instrument=instrument)
+
+
+def test_a_tower_set_upright_between_two_visits_of_a_tracker(tmp_path: Path) -> None:
+    """Independent machines, files and the command line: what changed, and by how much."""
+    delta().save(tmp_path / "machine.toml")
+    for name, error in (("old", 4e-3), ("new", 0.0)):
+        read = probed("tool coordinates", 1 if error else 2, **{"axis_tilt.c.radial": error})
+        (tmp_path / f"{name}.csv").write_text(csv_text(list(tool_rows(read, delta().spec))))
+    files = (tmp_path / "old.csv", tmp_path / "new.csv")
+    told = run("check", *files, "--machine", tmp_path / "machine.toml", "--out", tmp_path / "out")
+    assert told.exit_code == 0, told.output
+    first = " ".join(told.stdout.split()).partition(" - ")[0]
+    assert first.startswith("- Axis tilt of leg c toward the outside (or the rail tilt of leg c")
+    table = csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text()))
+    changed = {
+        row["parameter"]: float(row["difference"]) for row in table if row["changed"] == "yes"
+    }
+    assert changed == {"axis_tilt.c.radial": pytest.approx(-4e-3, abs=3e-4)}
+
+
+def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
+    twist = {f"rail_tilt.{leg}.tangential": 5e-3 for leg in "abc"}
+    old, new = probed("probe", 1, **twist), probed("probe", 2)
+    found = check([replace(old, name="old")], [replace(new, name="new")], delta())
+    told = found.sentences[0]
+    assert "changed" in told
+    for member, size in (("plate trefoil of setup bed", 0.075), ("rail tilt", 5.0)):
+        by = re.search(rf"{member}[^()]*? by \N{{MINUS SIGN}}([\d.]+) (?:mm|mrad)", told)
+        assert by is not None, told
+        assert float(by[1]) == pytest.approx(size, rel=0.3)
+    # The lobes of the bed are there still: of the new readings alone.
+    every = {one.name for cause in found.verdict.effects for one in cause.explanations}
+    assert "plate_trefoil.bed.cos" in every
+    same = check([replace(new, name="old")], [replace(probed("probe", 3), name="new")], delta())
+    assert same.sentences[0].startswith("nothing changed")

@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
 from orthoglide.closing import close_loop
 from orthoglide.diagnosis.signatures import signatures
-from orthoglide.effects.wording import confirm_words
+from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.planning import owned_instruments
@@ -285,3 +286,30 @@ def test_what_is_left_of_touches_is_held_against_their_own_noise() -> None:
     assert "The plate's own shape would explain it, finer than a bowl or three lobes" in told
     assert "mm rms, where the noise of one is 0.019 mm" in told
     assert "dial" not in told
+
+
+def test_a_hinge_turns_the_way_that_a_mechanic_sees() -> None:
+    """A positive turn about a tower is counter-clockwise from above, about its outward direction
+    counter-clockwise from outside.
+    """
+    catalogue = nominal().catalogue
+    for name, words in (
+        ("mount_tilt.a.a", "about the leg's own axis, counter-clockwise seen from above"),
+        ("mount_tilt.c.b", "axis of its pivots, counter-clockwise seen from outside the tower"),
+        ("mount_tilt.b.common", "about their pivots, counter-clockwise seen from outside the"),
+    ):
+        assert words in cause_words(catalogue, name, {name: 0.01})
+        assert words.replace("counter-", "") in cause_words(catalogue, name, {name: -0.01})
+
+
+def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("orthoglide.report.text._WIDTH", 80)
+    machine = Machine.load(v400 / "machine.toml")
+    lines = str(close_loop(v400 / "mesh-default_25Probe.csv", machine)).splitlines()
+    first = next(k for k, line in enumerate(lines) if line.split() == ["probability", "cause"])
+    last = next(k for k, line in enumerate(lines) if "nominal" in line and k > first)
+    assert max(map(len, lines)) <= 80
+    rows = [line[15:].split() for line in lines[first + 2 : last] if line.strip()]
+    names = [row[0] for row in rows if "_" in row[0]]
+    assert "rail_tilt.tangential.common" in names
+    assert len(rows) < 3.5 * len(names)  # two or three lines of words for each

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.changes import Change, separated
+from orthoglide.diagnosis.changes import Change, separated, visits
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
@@ -102,7 +102,7 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
     stale = 0 < len(found) < most
-    several = len(estimate.problem.campaigns) > 1
+    several = len(visits(estimate.problem)) > 1
     for _ in range(_REFITS + (_MOST_CHANGES if several else 0)):
         if stale:
             problem = separated(_muted(estimate.problem, found), changes)

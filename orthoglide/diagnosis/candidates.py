@@ -79,7 +79,7 @@ def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> l
                 _one(effect, member, {n: 1.0 for n in names if n.plain in weights})
                 for member, weights in shared.items()
             ]
-            if len({n.setup for n in names}) > 1
+            if len(set(names)) > len({n.direction for n in names})
             else members
         )
     for campaign in dict.fromkeys(n.campaign for n in names):

@@ -5,8 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from orthoglide.effects.effect import Effect, LegConditions, Motion, constant, once, sideways
-from orthoglide.effects.words import Words, across, along, mm, more, mrad, slope, toward
-from orthoglide.layout import Orthoglide
+from orthoglide.effects.words import (
+    Words,
+    across,
+    along,
+    mm,
+    more,
+    mrad,
+    slope,
+    toward,
+    turned_as_seen,
+)
+from orthoglide.layout import LinearDelta, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD
 
@@ -33,8 +43,15 @@ def _about(p: Parameter) -> str:
     return (
         f"{names.across[names.index(p.leg)][0]}, the axis of its pivots"
         if base
-        else ("the axis of its pivots")
+        else "the axis of its pivots"
     )
+
+
+def _way(p: Parameter, value: float) -> str:
+    """Which way a bracket is turned, as somebody sees it who looks at the machine."""
+    if p.leg in LinearDelta.names.legs:
+        return turned_as_seen(p.direction, value)
+    return more(value, "right-handed", "left-handed")
 
 
 AXIS_OFFSET = Effect(
@@ -145,15 +162,14 @@ MOUNT_TILT = Effect(
     },
     words=Words(
         lambda p, v: (
-            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_about(p)}, "
-            f"{more(v, 'right-handed', 'left-handed')}"
+            f"the first hinge of leg {p.leg} is turned by {mrad(v)} about {_about(p)}, {_way(p, v)}"
         ),
         lambda p: f"the first hinge of leg {p.leg} is turned about {_about(p)}",
         "the first hinges of the legs are turned on their carriages",
         mrad,
         lambda p, v: (
             f"hold a square between carriage {p.leg} and the first hinge of its leg: expect the "
-            f"hinge {mrad(v)} off about {_about(p)}, {more(v, 'right-handed', 'left-handed')}"
+            f"hinge {mrad(v)} off about {_about(p)}, {_way(p, v)}"
         ),
     ),
 )

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import across, mm, more, mrad, percent, toward
-from orthoglide.layout import DIRECTIONS
+from orthoglide.effects.words import across, mm, more, mrad, percent, toward, turned_as_seen
+from orthoglide.layout import DIRECTIONS, LinearDelta
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
@@ -65,16 +65,14 @@ def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Clause for one parameter and its value, SI."""
     if effect.words.one is not None:
         return effect.words.one(parameter, value)
-    sign = "+" if value >= 0 else MINUS
-    return f"{_short(effect, parameter)}, by {sign}{size_words(effect, value)}"
+    return f"{_short(effect, parameter)}, by {signed_size(effect, value)}"
 
 
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """A test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
         return effect.words.confirm(parameter, value)
-    sign = "+" if value >= 0 else MINUS
-    return f"look at {effect.look_at}: expect {sign}{size_words(effect, value)}"
+    return f"look at {effect.look_at}: expect {signed_size(effect, value)}"
 
 
 def size_words(effect: Effect, value: float) -> str:
@@ -84,6 +82,11 @@ def size_words(effect: Effect, value: float) -> str:
     if effect.unit.name in _SIZES:
         return _SIZES[effect.unit.name](value)
     return f"{compact(abs(value) / effect.unit.si, 2)} {effect.unit.name}"
+
+
+def signed_size(effect: Effect, value: float) -> str:
+    """A size with its sign."""
+    return f"{'+' if value >= 0 else MINUS}{size_words(effect, value)}"
 
 
 def parameter_words(parameter: Parameter) -> str:
@@ -154,6 +157,11 @@ def _short_pattern(effect: Effect, member: str) -> str:
     return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
 
 
+def _stands(effect: Effect) -> bool:
+    """Whether it is of towers, which stand around a plate."""
+    return effect.names == LinearDelta.names
+
+
 def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
     size, member = size_words(effect, value), parameter.member
     if member == "cyclic":
@@ -171,5 +179,6 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
     if _sided(effect, side := member.partition(".")[0]):
         return f"all by {size} toward {toward(side, value)}"
     if about := _ABOUT.get(side, "") if "." in member else "":
-        return f"all by {size}{about}, {more(value, 'right-handed', 'left-handed')}"
+        handed = more(value, "right-handed", "left-handed")
+        return f"all by {size}{about}, {turned_as_seen(side, value) if _stands(effect) else handed}"
     return f"all by {'' if value >= 0 else MINUS}{size}"

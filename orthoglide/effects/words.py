@@ -43,6 +43,12 @@ def toward(axis: str, value: float) -> str:
     return axis if value >= 0 else f"{MINUS}{axis}"
 
 
+def turned_as_seen(about: str, value: float) -> str:
+    """Which way something is turned about a tower (``a``, up) or its outward direction (``b``)."""
+    seen = {"a": "from above", "b": "from outside the tower"}[about]
+    return f"{more(value, 'counter-clockwise', 'clockwise')} seen {seen}"
+
+
 def along(leg: str, axis: str) -> str:
     """Where a square lies along a leg with such a direction across it, and which way is on."""
     if axis in _SIDES:

@@ -33,6 +33,8 @@ class Change:
         after: value after the change, SI.
         sigma: standard deviation of the difference, SI.
         sigma_after: standard deviation of the value after the change, SI.
+        sizes: by how much each of ``members`` would have changed, in words; none since a
+            calibration.
     """
 
     parameter: Parameter
@@ -45,6 +47,7 @@ class Change:
     after: float = float("nan")
     sigma: float = float("nan")
     sigma_after: float = float("nan")
+    sizes: tuple[str, ...] = ()
 
     @property
     def message(self) -> str:
@@ -54,12 +57,19 @@ class Change:
             si, unit = 1e-3, "mrad"
         decimals = decimals_for(self.sigma / si)
         before, after = (plain(v / si, decimals) for v in (self.before, self.after))
-        said, *more = (f"the {parameter_words(name)}" for name in self.members)
-        others = f" (or {', or '.join(more)})" if more else ""
         return (
-            f"between {_file(self.between[0])} and {_file(self.between[1])} {said}"
-            f"{others} changed from {before} to {after} {unit} (± {compact(self.sigma / si, 2)})"
+            f"between {_file(self.between[0])} and {_file(self.between[1])} the "
+            f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after} "
+            f"{unit} (± {compact(self.sigma / si, 2)})"
         )
+
+    @property
+    def others(self) -> str:
+        """What else may have changed instead, each by its own size; in brackets, or empty."""
+        more = [f"the {parameter_words(name)}" for name in self.members[1:]]
+        for k, size in enumerate(self.sizes[1:]):
+            more[k] += f" by {size}"
+        return f" (or {', or '.join(more)})" if more else ""
 
     @property
     def own(self) -> tuple[str, ...]:
@@ -88,11 +98,14 @@ class Change:
                 continue
             (before, after), spread = estimate.x[pair], estimate.covariance[np.ix_(pair, pair)]
             sigma = np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1])
-            others = tuple(n for n in self.members if n != name)
+            first = self.members.index(name)
+            order = [first, *(k for k in range(len(self.members)) if k != first)]
             return replace(
                 self,
                 parameter=name,
-                members=(name, *others),
+                members=tuple(self.members[k] for k in order),
+                sizes=tuple(self.sizes[k] for k in order if self.sizes),
+                unit=estimate.problem.machine.catalogue.effect_of(name).unit,
                 before=float(before),
                 after=float(after),
                 sigma=float(sigma),

@@ -88,13 +88,13 @@ def console_text(parts: Iterable[RenderableType]) -> str:
 
 
 def _table(*columns: str) -> Table:
-    """A table whose first column is a name and whose others are numbers, or in words."""
+    """A table whose first column does not wrap and whose others are numbers, or in words."""
     from rich import box
     from rich.table import Table
 
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for k, column in enumerate(columns):
-        left = k == 0 or column == "in words"
+        left = k == 0 or column in ("cause", "if one alone", "in words")
         made.add_column(column, justify="left" if left else "right", no_wrap=k == 0)
     return made
 
@@ -108,19 +108,18 @@ def _parameters(result: Result) -> Table:
 
 
 def _causes(result: Result) -> Table:
-    shown = _table("cause", "probability", "in words")
+    shown = _table("probability", "cause")
     for cause in result.effects:
-        one = cause.chosen
-        shown.add_row(one.name, hundredths(one.probability), one.words)
+        shown.add_row(hundredths(cause.probability), f"{cause.chosen.words}\n{cause.name}")
         for rival in (*cause.same, *cause.rivals):
-            shown.add_row(f"or {rival.name}", hundredths(rival.probability), rival.words)
+            shown.add_row(hundredths(rival.probability), f"or {rival.words}\n{rival.name}")
     return shown
 
 
 def _alone(result: Result) -> Table:
-    shown = _table("if one alone", "probability", "in words")
+    shown = _table("probability", "if one alone")
     for one in result.alone:
-        shown.add_row(one.name, hundredths(one.probability), one.words)
+        shown.add_row(hundredths(one.probability), f"{one.words}\n{one.name}")
     return shown
 
 
