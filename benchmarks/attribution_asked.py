@@ -65,12 +65,18 @@ def classes(record: Record) -> list[Sequence[str]]:
 def misplaced(record: Record) -> bool:
     """Whether a place or a name was claimed for what lies outside that is not its own."""
     elsewhere = len(classes(record)) < len(record["located"])
-    own = record["truth"][0]["places"]
-    others = [
-        e for e in record["effects"]
-        if not any(is_shape_of(p, parts) for p in own for _, parts, _ in e["members"])
-    ]  # fmt: skip
+    others = [e for e in record["effects"] if not _is_shape_of_its_place(e, record)]
     return elsewhere or (record["word"] in ("explained", "ambiguous", "located") and bool(others))
+
+
+def shaped(record: Record) -> bool:
+    """Whether a known shape of the true place was named."""
+    return any(_is_shape_of_its_place(e, record) for e in record["effects"])
+
+
+def _is_shape_of_its_place(effect: Record, record: Record) -> bool:
+    own = record["truth"][0]["places"]
+    return any(is_shape_of(p, parts) for p in own for _, parts, _ in effect["members"])
 
 
 def is_shape_of(place: str, parameters: Sequence[str]) -> bool:
