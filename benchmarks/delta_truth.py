@@ -84,10 +84,10 @@ SHARES = {"nothing": 6, "effect": 14, "outside": 6, "whole": 4}
 
 HEAD = """# The truth table of the linear delta
 
-Printed by `python -m benchmarks.delta_truth --campaigns {campaigns}`. Machines are simulated by the
-tests' own delta, a rigid platform on six bars that shares no code with the package: arms of 345 mm, a
-mesh of 49 touches that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a level at
-13 places to 0.02 mrad, 36 places of the tool to 0.01 mm."""
+Printed by `python -m benchmarks.delta_truth --campaigns {campaigns}`. Machines are simulated by
+the tests' own delta, a rigid platform on six bars that shares no code with the package: arms of 345
+mm, a mesh of 49 touches that repeat to 0.018 mm, thirty distances on a ring of 90 mm to 0.05 mm, a
+level at 13 places to 0.02 mrad, 36 places of the tool to 0.01 mm."""
 
 FEW = """ A few campaigns of each kind are no rate yet;
 `--campaigns 300` takes an hour or two."""
