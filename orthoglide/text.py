@@ -6,6 +6,7 @@ import csv
 import io
 import os
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -80,3 +81,16 @@ def cell_text(cell: str) -> str:
     """A cell of a CSV file as it was meant: see :func:`csv_text`."""
     cell = cell.strip()
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def is_terminal(err: bool = False) -> bool:
+    """Whether somebody sees the output as it comes.
+
+    Args:
+        err: of the error stream.
+    """
+    stream = sys.stderr if err else sys.stdout
+    try:
+        return stream is not None and stream.isatty()
+    except (AttributeError, ValueError):  # no file, or closed
+        return False

@@ -80,7 +80,7 @@ READ = {
     rf"(?P<way>counter-clockwise|clockwise)",
     "rail_bow": rf"the (?P<leg>\w) rail is bent: its middle stands {SIZE} (?P<way>{TOWARD})",
     "mount_tilt": rf"first hinge of leg (?P<leg>\w) is turned by {SIZE} about (?P<axis>[^,]+|\w, "
-    rf"[^,]+), (?P<way>right|left)-handed",
+    rf"[^,]+), (?P<way>right-handed|left-handed|counter-clockwise|clockwise)",
     "leg_length": rf"bars of leg (?P<leg>\w) are {SIZE} (?P<way>longer|shorter)",
     "bar_mismatch": rf"bar 1 of leg (?P<leg>\w) is {SIZE} (?P<way>longer|shorter) than bar 2",
     "parallelogram_width": rf"link of leg (?P<leg>\w) at the platform is {SIZE} "
@@ -94,8 +94,8 @@ READ = {
     "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
     rf"(?P<way>\d+) degrees",
 }
-UP = {"out", "more", "gives way", "right", "longer", "wider", "grow", "grows", "bowl",
-      "counter-clockwise"}  # fmt: skip
+UP = {"out", "more", "gives way", "right", "right-handed", "longer", "wider", "grow", "grows",
+      "bowl", "counter-clockwise"}  # fmt: skip
 SCALES = {"mm": 1e-3, "mrad": 1e-3, "%": 1e-2, "µm": 1e-6}
 # Said for an hour, or from one end of the stroke to the other.
 PER = {"thermal_drift": 1 / 3600, "gauge_drift": 1 / 3600, "rail_torsion": 0.5}

@@ -10,8 +10,9 @@ import click
 
 import orthoglide.cli.options as opt
 from orthoglide.cli.run import INTERRUPTED, Refusal
-from orthoglide.cli.terminal import is_terminal, say
+from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
+from orthoglide.text import is_terminal
 
 if TYPE_CHECKING:
     from orthoglide.measuring import End

@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from orthoglide.cli.run import stop_if_asked
-from orthoglide.cli.terminal import is_terminal, say
+from orthoglide.cli.terminal import say
 from orthoglide.progress import Progress, Step
+from orthoglide.text import is_terminal
 
 _CREEP = 0.15  # of what is left of a stage, each time that the stage comes again
 _BETWEEN = 1.0  # seconds between two lines

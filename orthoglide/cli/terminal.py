@@ -8,11 +8,13 @@ import os
 import re
 import shutil
 import sys
+import textwrap
 import unicodedata
 
 import click
 
 from orthoglide.errors import FileError
+from orthoglide.text import is_terminal
 
 _PLAIN = "orthoglide.plain"
 _SIGNS = {"−": "-", "–": "-", "—": "-", "·": "*", "→": "->", "≤": "<=", "≥": ">=", "χ": "chi",
@@ -53,25 +55,15 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
 
 def wrapped(text: str, width: int) -> str:
     """Lines too long for a terminal broken between words; what follows stands below the words."""
-    lines = ((line, len(line) - len(line.lstrip(" -"))) for line in text.split("\n"))
-    return "\n".join(_broken(line, width, indent) for line, indent in lines)
+    return "\n".join(_broken(line, width) for line in text.split("\n"))
 
 
-def _broken(line: str, width: int, indent: int) -> str:
-    at = line.rfind(" ", indent, width + 1) if len(line) > width else -1
-    if at <= indent or indent > width // 2:
+def _broken(line: str, width: int) -> str:
+    indent = len(line) - len(line.lstrip(" -"))
+    if len(line) <= width or indent > width // 2:
         return line
-    rest = " " * indent + line[at:].lstrip()
-    return f"{line[:at].rstrip()}\n{_broken(rest, width, indent)}"
-
-
-def is_terminal(err: bool = False) -> bool:
-    """Whether somebody sees the output as it comes."""
-    stream = sys.stderr if err else sys.stdout
-    try:
-        return stream is not None and stream.isatty()
-    except ValueError:  # closed
-        return False
+    return textwrap.fill(line, width, subsequent_indent=" " * indent, replace_whitespace=False,
+                         break_long_words=False, break_on_hyphens=False)  # fmt: skip
 
 
 def speak_plainly() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import shutil
-import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from orthoglide.numerals import compact, hundredths, signed
 from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline
+from orthoglide.text import is_terminal
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -75,7 +75,7 @@ def console_text(parts: Iterable[RenderableType]) -> str:
     """Parts one below the other, as wide as the terminal."""
     from rich.console import Console
 
-    terminal = sys.stdout is not None and sys.stdout.isatty()
+    terminal = is_terminal()
     width = min(shutil.get_terminal_size((_WIDTH, 24)).columns, 120) if terminal else _WIDTH
     stream = io.StringIO()
     console = Console(
