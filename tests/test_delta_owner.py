@@ -165,9 +165,16 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     assert left is not None
     assert float(left[2]) > 0.05 > 0.032 > float(left[3])
     assert "the rails lean and their carriages with them, all by" in told
-    assert (  # r^3 cos 3t is nothing at all at these points
-        "three lobes 0.12 mm high, one of them toward 60 degrees: the seven points of "
-        "DELTA_CALIBRATE cannot see it (after their fit it changes no height); a mesh can" in told
+    assert "what the seven points of DELTA_CALIBRATE cannot see" in told
+    lobes = "three lobes 0.12 mm high, one of them toward 60 degrees"
+    assert f"{lobes} (0)" in told  # r^3 cos 3t is nothing at all at these points
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert any(
+        s.endswith(
+            f"{lobes}: the seven points of DELTA_CALIBRATE cannot see it (after their fit it "
+            "changes no height); a mesh can"
+        )
+        for s in result["firmware"]["unseen_by_seven_points"]
     )
     page = (tmp_path / "out" / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())

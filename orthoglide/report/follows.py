@@ -17,6 +17,7 @@ from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
 from orthoglide.report.wording import effects_named
+from orthoglide.result.firmware import UNSEEN, FirmwareAdvice
 
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from orthoglide.observations import Campaign
     from orthoglide.posterior import Located
     from orthoglide.result import Result, Workspace
-    from orthoglide.result.firmware import FirmwareAdvice
 
 Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
@@ -76,7 +76,8 @@ def firmware(advice: FirmwareAdvice, found: Corrections, stands: bool) -> Data:
         "paste": advice.paste,
         "undo": advice.undo,
         "beyond": [sentence(text) for text in advice.beyond],
-        "unseen": [sentence(text) for text in advice.unseen],
+        "unseen": [sentence(one.brief) for one in advice.unseen],
+        "heading": UNSEEN,
     }
 
 

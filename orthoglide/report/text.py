@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, hundredths, signed
 from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline
+from orthoglide.result.firmware import UNSEEN, Unseen
 from orthoglide.text import is_terminal
 
 if TYPE_CHECKING:
@@ -57,9 +58,15 @@ def summary(result: Result, ranked: bool = False) -> str:
         parts.append(_firmware(result.firmware.corrections))
         if not result.stands:
             parts.append(Text("Do not enter these numbers yet: something is left.", style="bold"))
-        parts += [Text(f"- {sentence(text)}") for text in result.firmware.unseen]
+        parts += [Text(line) for line in _unseen(result.firmware.unseen)]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
+
+
+def _unseen(found: Sequence[Unseen]) -> Iterator[str]:
+    if found:
+        yield f"- {UNSEEN}"
+    yield from (f"   - {sentence(one.brief)}" for one in found)
 
 
 def _to_do(result: Result) -> Iterator[str]:

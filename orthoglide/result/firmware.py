@@ -15,6 +15,44 @@ from orthoglide.result.actions import confirm
 
 _SEEN, _HARDLY_SEEN, _NONE = 2.0, 0.5, 1e-3  # sigmas of a touch
 
+UNSEEN = (
+    "A mesh shows what the seven points of DELTA_CALIBRATE cannot see, or hardly; in brackets the "
+    "most that each changes a height after their fit, in times the noise of a touch:"
+)
+"""Heading of what is briefly said to be unseen."""
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A cause that the firmware's own seven points cannot see.
+
+    Attributes:
+        words: of the cause.
+        shown: the most that it changes a height after their fit, sigmas of a touch.
+        bends: whether their fit takes a plate's shape for the machine's.
+    """
+
+    words: str
+    shown: float
+    bends: bool
+
+    @property
+    def sentence(self) -> str:
+        """All of it, without its full stop."""
+        seen = "cannot see it" if self.shown < _HARDLY_SEEN else "hardly see it"
+        bends = "; their fit bends the machine's numbers by it" if self.bends else ""
+        size = f" by more than {compact(self.shown, 2)} times the noise of a touch"
+        return (
+            f"{self.words}: the seven points of DELTA_CALIBRATE {seen} (after their fit it changes "
+            f"no height{size if self.shown > _NONE else ''}){bends}; a mesh can"
+        )
+
+    @property
+    def brief(self) -> str:
+        """What a heading leaves to say."""
+        size = compact(self.shown, 2) if self.shown > _NONE else "0"
+        return f"{self.words} ({size}{', and their fit bends the numbers' * self.bends})"
+
 
 @dataclass(frozen=True)
 class FirmwareAdvice:
@@ -25,13 +63,13 @@ class FirmwareAdvice:
         corrections: old and new numbers; ``None`` where the plate, which is the firmware's z = 0,
             was not touched.
         beyond: causes that no number of the firmware holds, each with what to do about it.
-        unseen: which of them its own seven points cannot see, in sentences.
+        unseen: which of them its own seven points cannot see.
     """
 
     first: str
     corrections: Corrections | None
     beyond: tuple[str, ...]
-    unseen: tuple[str, ...]
+    unseen: tuple[Unseen, ...]
 
     @property
     def paste(self) -> str:
@@ -49,7 +87,7 @@ class FirmwareAdvice:
             **(self.corrections.as_dict() if self.corrections else {}),
             "first": self.first,
             "cannot_hold": list(self.beyond),
-            "unseen_by_seven_points": list(self.unseen),
+            "unseen_by_seven_points": [one.sentence for one in self.unseen],
         }
 
 
@@ -72,7 +110,7 @@ def firmware_advice(
         rods_words(old),
         corrections(old, machine, fit),
         tuple(_beyond(one) for one in every),
-        tuple(text for one in every if (text := _unseen(machine, fit, one))),
+        tuple(u for one in every if (u := _unseen(machine, fit, one)) is not None),
     )
 
 
@@ -80,8 +118,8 @@ def _beyond(one: Explanation) -> str:
     return f"{one.words}: {confirm(one) or f'look at {one.look_at}'}"
 
 
-def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> str:
-    """A sentence where the firmware's own points cannot see a cause of the machine."""
+def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> Unseen | None:
+    """A cause of the machine; ``None`` where the firmware's own points can see it."""
     catalogue = machine.catalogue
     values, plate = dict[str, float](), dict[Shape, float]()
     for name, value in one.values.items():
@@ -94,11 +132,5 @@ def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> str:
             values[part] = values.get(part, 0.0) + weight * value
     shown, bent = unseen_by_firmware(machine, fit, values, plate)
     if not (values or plate) or not shown < _SEEN:
-        return ""
-    bends = "; their fit bends the machine's numbers by it" if plate and bent > _HARDLY_SEEN else ""
-    seen = "cannot see it" if shown < _HARDLY_SEEN else "hardly see it"
-    size = f" by more than {compact(shown, 2)} times the noise of a touch" if shown > _NONE else ""
-    return (
-        f"{one.words}: the seven points of DELTA_CALIBRATE {seen} (after their fit it changes no "
-        f"height{size}){bends}; a mesh can"
-    )
+        return None
+    return Unseen(one.words, shown, bool(plate) and bent > _HARDLY_SEEN)
