@@ -17,6 +17,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import argparse
+import re
 from collections import Counter
 from dataclasses import replace
 
@@ -51,7 +52,8 @@ def large(number: int, seed: int) -> str:
     except OrthoglideError as error:
         told = "times its tolerance" in str(error)
         return f"refused, {'told' if told else str(error)[:80]}"
-    said = {w.split()[0] for w in verdict.after.warnings if w.kind == "tolerance"}
+    far = [w for w in verdict.after.warnings if w.kind == "tolerance"]
+    said = {name for w in far for name in re.findall(r"\((\S+)\) is ", w)}
     if verdict.word != "adequate":
         return f"{verdict.word}, {'told' if said else 'nothing told'}"
     seen = {n for n in names if abs(verdict.after.values[n]) > _FAR * machine.tolerance(n)}
