@@ -84,6 +84,8 @@ def test_rooms_say_what_is_public(room: str) -> None:
         if isinstance(node, ast.ImportFrom) and room not in ("cli", "report"):  # which do more
             own = (f"orthoglide.{room}.", "orthoglide.parameters")
             assert str(node.module).startswith(own), node.module
+            # A plain import is private to type checkers.
+            assert all(alias.asname == alias.name for alias in node.names), node.module
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,26 @@
 files that a controller or another program takes of a calibrated machine.
 """
 
-from orthoglide.control.acting import withheld
-from orthoglide.control.checking import ZeroCheck
+from orthoglide.control.acting import withheld as withheld
+from orthoglide.control.checking import ZeroCheck as ZeroCheck
 from orthoglide.control.compensation import (
-    NOT_COVERED,
-    Compensation,
-    compensate,
+    NOT_COVERED as NOT_COVERED,
+    Compensation as Compensation,
+    compensate as compensate,
 )
-from orthoglide.control.files import PathPoints, commands_text, export_files, read_path
-from orthoglide.control.numbers import RULE, ControllerNumbers, DriveNumbers, controller_numbers
-from orthoglide.control.urdf import calibrated_urdf, held_by_urdf
+from orthoglide.control.files import (
+    PathPoints as PathPoints,
+    commands_text as commands_text,
+    export_files as export_files,
+    read_path as read_path,
+)
+from orthoglide.control.numbers import (
+    RULE as RULE,
+    ControllerNumbers as ControllerNumbers,
+    DriveNumbers as DriveNumbers,
+    controller_numbers as controller_numbers,
+)
+from orthoglide.control.urdf import (
+    calibrated_urdf as calibrated_urdf,
+    held_by_urdf as held_by_urdf,
+)

@@ -1,15 +1,20 @@
 """The catalogue of effects: what real machines have and the nominal one lacks."""
 
-from orthoglide.effects.catalogue import CATALOGUE, Catalogue, catalogue_of, relabelled
-from orthoglide.effects.effect import (
-    DialReading,
-    Effect,
-    LegConditions,
-    Motion,
-    cos,
-    once,
-    sideways,
-    sin,
+from orthoglide.effects.catalogue import (
+    CATALOGUE as CATALOGUE,
+    Catalogue as Catalogue,
+    catalogue_of as catalogue_of,
+    relabelled as relabelled,
 )
-from orthoglide.effects.words import Words
-from orthoglide.parameters import Parameter
+from orthoglide.effects.effect import (
+    DialReading as DialReading,
+    Effect as Effect,
+    LegConditions as LegConditions,
+    Motion as Motion,
+    cos as cos,
+    once as once,
+    sideways as sideways,
+    sin as sin,
+)
+from orthoglide.effects.words import Words as Words
+from orthoglide.parameters import Parameter as Parameter

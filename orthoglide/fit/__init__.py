@@ -1,20 +1,34 @@
 """Identification: from readings to parameters, with their uncertainty and cross-check."""
 
-from orthoglide.fit.change import Change
-from orthoglide.fit.crosscheck import CrossCheck
-from orthoglide.fit.earlier import account_for_changes
-from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.factors import Frame
+from orthoglide.fit.change import Change as Change
+from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
+from orthoglide.fit.earlier import account_for_changes as account_for_changes
+from orthoglide.fit.estimate import Estimate as Estimate
+from orthoglide.fit.factors import Frame as Frame
 from orthoglide.fit.identifying import (
-    Source,
-    assemble,
-    identify,
-    readings_of,
-    sorted_out,
+    Source as Source,
+    assemble as assemble,
+    identify as identify,
+    readings_of as readings_of,
+    sorted_out as sorted_out,
 )
-from orthoglide.fit.noise import Noise, noise_of
-from orthoglide.fit.problem import Problem, Unknown
-from orthoglide.fit.scores import Scores
-from orthoglide.fit.solving import Method, solve
-from orthoglide.fit.unknowns import build_problem, build_unknowns, with_free, with_others
-from orthoglide.fit.weakness import WeakDirection
+from orthoglide.fit.noise import (
+    Noise as Noise,
+    noise_of as noise_of,
+)
+from orthoglide.fit.problem import (
+    Problem as Problem,
+    Unknown as Unknown,
+)
+from orthoglide.fit.scores import Scores as Scores
+from orthoglide.fit.solving import (
+    Method as Method,
+    solve as solve,
+)
+from orthoglide.fit.unknowns import (
+    build_problem as build_problem,
+    build_unknowns as build_unknowns,
+    with_free as with_free,
+    with_others as with_others,
+)
+from orthoglide.fit.weakness import WeakDirection as WeakDirection

@@ -5,9 +5,16 @@ The formats and equations are those of the firmware's documentation and sources
 """
 
 from orthoglide.klipper.corrections import (
-    Corrections,
-    corrections,
-    unseen_by_firmware,
+    Corrections as Corrections,
+    corrections as corrections,
+    unseen_by_firmware as unseen_by_firmware,
 )
-from orthoglide.klipper.firmware import Firmware, firmware_of, rods_words
-from orthoglide.klipper.importing import Imported, import_printer
+from orthoglide.klipper.firmware import (
+    Firmware as Firmware,
+    firmware_of as firmware_of,
+    rods_words as rods_words,
+)
+from orthoglide.klipper.importing import (
+    Imported as Imported,
+    import_printer as import_printer,
+)

@@ -1,15 +1,22 @@
 """The machine file (TOML): what is known of one machine, read strictly and written exactly."""
 
 from orthoglide.machine_file.model import (
-    SCHEMA,
-    Controller,
-    Dial,
-    Instrument,
-    MachineFile,
-    ParameterValue,
-    Stiffness,
-    nominal_machine_file,
+    SCHEMA as SCHEMA,
+    Controller as Controller,
+    Dial as Dial,
+    Instrument as Instrument,
+    MachineFile as MachineFile,
+    ParameterValue as ParameterValue,
+    Stiffness as Stiffness,
+    nominal_machine_file as nominal_machine_file,
 )
-from orthoglide.machine_file.posterior import Posterior
-from orthoglide.machine_file.reading import parse_machine_file, read_machine_file
-from orthoglide.machine_file.writing import machine_files, machine_text, write_machine_file
+from orthoglide.machine_file.posterior import Posterior as Posterior
+from orthoglide.machine_file.reading import (
+    parse_machine_file as parse_machine_file,
+    read_machine_file as read_machine_file,
+)
+from orthoglide.machine_file.writing import (
+    machine_files as machine_files,
+    machine_text as machine_text,
+    write_machine_file as write_machine_file,
+)

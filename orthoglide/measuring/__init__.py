@@ -1,6 +1,14 @@
 """At the machine: the sheet that is carried there, and the conversation while it is measured."""
 
-from orthoglide.measuring.page import sheet_page
-from orthoglide.measuring.program import MOST, SETTLED, opening
-from orthoglide.measuring.record import Record
-from orthoglide.measuring.session import End, Session, Stopped
+from orthoglide.measuring.page import sheet_page as sheet_page
+from orthoglide.measuring.program import (
+    MOST as MOST,
+    SETTLED as SETTLED,
+    opening as opening,
+)
+from orthoglide.measuring.record import Record as Record
+from orthoglide.measuring.session import (
+    End as End,
+    Session as Session,
+    Stopped as Stopped,
+)

@@ -1,4 +1,11 @@
 """The general model: a Pinocchio tree with loop closures, and the same tree in CasADi."""
 
-from orthoglide.mechanism.mechanism import Mechanism, Mode, Posture
-from orthoglide.mechanism.mobility import Conditioning, Mobility
+from orthoglide.mechanism.mechanism import (
+    Mechanism as Mechanism,
+    Mode as Mode,
+    Posture as Posture,
+)
+from orthoglide.mechanism.mobility import (
+    Conditioning as Conditioning,
+    Mobility as Mobility,
+)

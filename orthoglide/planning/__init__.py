@@ -1,17 +1,37 @@
 """Which readings to take: before any measurement, and next."""
 
-from orthoglide.planning.designs import Design, design
-from orthoglide.planning.detectable import Detectability, SmallestEffect, smallest_effects
-from orthoglide.planning.linear import expected_noise
-from orthoglide.planning.observability import Observability, observability
-from orthoglide.planning.owning import INSTRUMENTS, Owned, owned_instruments
-from orthoglide.planning.pool import reading_pool
-from orthoglide.planning.repeats import Repeats, repeats_needed
-from orthoglide.planning.suggestions import (
-    Suggestion,
-    deciding_instruments,
-    next_measurements,
-    next_sheet,
+from orthoglide.planning.designs import (
+    Design as Design,
+    design as design,
 )
-from orthoglide.planning.tolerances import NeededTolerances, needed_tolerances
-from orthoglide.planning.tracing import tracing
+from orthoglide.planning.detectable import (
+    Detectability as Detectability,
+    SmallestEffect as SmallestEffect,
+    smallest_effects as smallest_effects,
+)
+from orthoglide.planning.linear import expected_noise as expected_noise
+from orthoglide.planning.observability import (
+    Observability as Observability,
+    observability as observability,
+)
+from orthoglide.planning.owning import (
+    INSTRUMENTS as INSTRUMENTS,
+    Owned as Owned,
+    owned_instruments as owned_instruments,
+)
+from orthoglide.planning.pool import reading_pool as reading_pool
+from orthoglide.planning.repeats import (
+    Repeats as Repeats,
+    repeats_needed as repeats_needed,
+)
+from orthoglide.planning.suggestions import (
+    Suggestion as Suggestion,
+    deciding_instruments as deciding_instruments,
+    next_measurements as next_measurements,
+    next_sheet as next_sheet,
+)
+from orthoglide.planning.tolerances import (
+    NeededTolerances as NeededTolerances,
+    needed_tolerances as needed_tolerances,
+)
+from orthoglide.planning.tracing import tracing as tracing

@@ -1,4 +1,7 @@
 """Conditions and parameters in, poses and readings out, with sensitivities."""
 
-from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.model import LinearRows, Model
+from orthoglide.prediction.conditions import Conditions as Conditions
+from orthoglide.prediction.model import (
+    LinearRows as LinearRows,
+    Model as Model,
+)

@@ -6,27 +6,33 @@ same without linearising; ``intersect_spheres`` the general form, with carriages
 derivation of its own: nothing here knows the general mechanism.
 """
 
-from orthoglide.reduction.deviations import observe
-from orthoglide.reduction.fit import ReadingFit, fit_readings
+from orthoglide.reduction.deviations import observe as observe
+from orthoglide.reduction.fit import (
+    ReadingFit as ReadingFit,
+    fit_readings as fit_readings,
+)
 from orthoglide.reduction.kinematics import (
-    CONFIGURATIONS,
-    NOMINAL,
-    forward,
-    inverse,
-    jacobians,
+    CONFIGURATIONS as CONFIGURATIONS,
+    NOMINAL as NOMINAL,
+    forward as forward,
+    inverse as inverse,
+    jacobians as jacobians,
 )
 from orthoglide.reduction.linear import (
-    COLUMNS,
-    G,
-    LinearFit,
-    LinearSystem,
-    coefficients,
-    covariance,
-    leg_deviations,
-    reduced_system,
-    solve,
-    stroke_angles,
-    system8,
-    system11,
+    COLUMNS as COLUMNS,
+    G as G,
+    LinearFit as LinearFit,
+    LinearSystem as LinearSystem,
+    coefficients as coefficients,
+    covariance as covariance,
+    leg_deviations as leg_deviations,
+    reduced_system as reduced_system,
+    solve as solve,
+    stroke_angles as stroke_angles,
+    system8 as system8,
+    system11 as system11,
 )
-from orthoglide.reduction.spheres import intersect_spheres, reading
+from orthoglide.reduction.spheres import (
+    intersect_spheres as intersect_spheres,
+    reading as reading,
+)

@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.report.folder import check_folder, write_folder
-from orthoglide.report.result_json import result_text
-from orthoglide.report.text import summary
+from orthoglide.report.folder import (
+    check_folder as check_folder,
+    write_folder as write_folder,
+)
+from orthoglide.report.result_json import result_text as result_text
+from orthoglide.report.text import summary as summary
 
 if TYPE_CHECKING:
     from orthoglide.result import Result

@@ -1,4 +1,8 @@
 """What was asked of the program: kept with every result, so that it can be done again."""
 
-from orthoglide.request.reading import request_of
-from orthoglide.request.request import COMMANDS, Command, Request
+from orthoglide.request.reading import request_of as request_of
+from orthoglide.request.request import (
+    COMMANDS as COMMANDS,
+    Command as Command,
+    Request as Request,
+)

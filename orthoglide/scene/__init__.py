@@ -3,6 +3,16 @@
 Nothing here computes a posture: what is drawn is given in metres, in the base frame.
 """
 
-from orthoglide.scene.drawing import drawing
-from orthoglide.scene.parts import Dial, Mark, Option, Posed
-from orthoglide.scene.view import View, Way, view_html, view_page
+from orthoglide.scene.drawing import drawing as drawing
+from orthoglide.scene.parts import (
+    Dial as Dial,
+    Mark as Mark,
+    Option as Option,
+    Posed as Posed,
+)
+from orthoglide.scene.view import (
+    View as View,
+    Way as Way,
+    view_html as view_html,
+    view_page as view_page,
+)

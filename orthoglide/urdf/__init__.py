@@ -11,13 +11,17 @@ that is the closed machine at mechanical zero, p = 0. The kinematics are the pap
 al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not measured.
 """
 
-from orthoglide.urdf.parallel import ParallelRobot, parallel_robot_files, read_parallel_robot
+from orthoglide.urdf.parallel import (
+    ParallelRobot as ParallelRobot,
+    parallel_robot_files as parallel_robot_files,
+    read_parallel_robot as read_parallel_robot,
+)
 from orthoglide.urdf.tree import (
-    CLOSURES_FILE,
-    URDF_FILE,
-    Closure,
-    closures,
-    closures_text,
-    to_urdf,
-    write,
+    CLOSURES_FILE as CLOSURES_FILE,
+    URDF_FILE as URDF_FILE,
+    Closure as Closure,
+    closures as closures,
+    closures_text as closures_text,
+    to_urdf as to_urdf,
+    write as write,
 )
