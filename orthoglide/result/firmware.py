@@ -120,16 +120,12 @@ def _beyond(one: Explanation) -> str:
 
 def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> Unseen | None:
     """A cause of the machine; ``None`` where the firmware's own points can see it."""
-    catalogue = machine.catalogue
-    values, plate = dict[str, float](), dict[Shape, float]()
+    catalogue, plate = machine.catalogue, dict[Shape, float]()
     for name, value in one.values.items():
-        if catalogue.effect_of(name).of_dial:
-            shapes, parameter = dict(catalogue.effect_of(name).plate), catalogue.parameter(name)
-            part = parameter.direction or parameter.member.rpartition(".")[0]
-            plate |= {shapes[part]: value} if shapes else {}
-            continue
-        for part, weight in catalogue.elementary(name).items():
-            values[part] = values.get(part, 0.0) + weight * value
+        if shapes := dict(catalogue.effect_of(name).plate):
+            parameter = catalogue.parameter(name)
+            plate[shapes[parameter.direction or parameter.member.rpartition(".")[0]]] = value
+    values = catalogue.moved_by(one.values)
     shown, bent = unseen_by_firmware(machine, fit, values, plate)
     if not (values or plate) or not shown < _SEEN:
         return None
