@@ -13,6 +13,7 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.klipper.firmware import TOWERS, Firmware, refitted
 from orthoglide.machine import Machine
+from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 
 PROBED = (0.95, 0.90, 0.85, 0.70, 0.75, 0.80)
@@ -94,7 +95,7 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
 
 
 def unseen_by_firmware(
-    machine: Machine, fit: Estimate, values: Mapping[str, float], plate: Mapping[Shape, float]
+    machine: Machine, fit: Estimate, values: Mapping[Parameter, float], plate: Mapping[Shape, float]
 ) -> tuple[float, float]:
     """What a cause of this size changes the firmware's seven heights by, over a touch.
 
