@@ -17,6 +17,10 @@ STRANGE = 0.1
 """Probability of a place to be wrong in its own way, over that of a cause of the catalogue: what is
 known to go wrong with such machines goes wrong more often."""
 
+EXPECTED = 3.0
+"""Causes that stand out, expected before the readings are seen (the mean of a Poisson law): who
+measures a machine has a reason to."""
+
 _RARE = -3.0
 """Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
 errors that have no structure: one in twenty each."""

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.posterior.linear import SOUND, STRANGE, Linear, Scale, scales
+from orthoglide.posterior.linear import EXPECTED, SOUND, STRANGE, Linear, Scale, scales
 
 _MOST = 6  # groups that stand out together
 _FEW = 2  # coefficients of one cause: more are an effect whole
@@ -70,7 +70,7 @@ class Mixture:
         # Each slab is one of so many, at one of so many scales; strangers are rarer than what a
         # catalogue has.
         chance = np.array([STRANGE if g.free else 1.0 for g in linear.groups])
-        self.cost = np.log(len(linear.slabs) * max(chance.sum(), 1.0) / chance)
+        self.cost = np.log(len(linear.slabs) * max(chance.sum() / EXPECTED, 1.0) / chance)
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self.best = self._search()
