@@ -117,6 +117,7 @@ def test_from_files_and_results_to_words_and_a_page(
     assert "Joint offset of leg x changed from" in page
     assert "<svg" in page
     assert "it must read" in page
+    assert "The report of old, new<" in page
     table = list(csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text())))
     by_name = {row["parameter"]: row for row in table}
     assert by_name["joint_offset.x"]["changed"] == "yes"
@@ -176,6 +177,7 @@ def test_a_tower_set_upright_between_two_visits_of_a_tracker(tmp_path: Path) -> 
         row["parameter"]: float(row["difference"]) for row in table if row["changed"] == "yes"
     }
     assert changed == {"axis_tilt.c.radial": pytest.approx(-4e-3, abs=3e-4)}
+    assert "The report of new<" in (tmp_path / "out" / "check.html").read_text()
 
 
 def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:

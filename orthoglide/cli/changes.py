@@ -31,12 +31,19 @@ def changes_text(found: Check) -> str:
 
 def changes_page(found: Check) -> str:
     """The same as HTML, with a drawing and both states in a table."""
+    request = found.verdict.request
+    drawn = {
+        "judged": ", ".join(c.name for c in (*request.campaigns, *request.tool)),
+        "drawing": found.verdict.picture.svg(),
+        "columns": COLUMNS,
+        "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],
+    }
     return rendered(
         "orthoglide.report",
         "page.html.j2",
         title="What changed on this machine",
         subtitle=f"from {', '.join(found.old)} to {', '.join(found.new)}",
-        sections=[Section("changes", "", _data(found))],
+        sections=[Section("changes", "", _data(found) | drawn)],
         view_style="",
         version=__version__,
         command="check",
@@ -56,7 +63,4 @@ def _data(found: Check) -> dict[str, Any]:
         "cautions": found.verdict.cautions,
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their signs",
         "checks": [sentence(str(check)[:-1]) for check in numbers.checks],
-        "drawing": found.verdict.picture.svg(),
-        "columns": COLUMNS,
-        "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],
     }

@@ -50,10 +50,11 @@ def fit_fault(
     hypotheses: list[Misreading] | None = None
     faulty, dials = True, bool(means.problem.campaigns)
     for effects in range(_EFFECTS_BESIDE_A_CHANGE + 1):
+        lacking = means.chi2 >= _LACK * means.dof * means.floor
         # Touches and distances show a change in few directions: it may hide in the chi2 of all.
-        if dials and means.chi2 < _LACK * means.dof * means.floor:
+        if dials and not lacking:
             return None
-        best = None
+        best, faulty = None, faulty and lacking
         if faulty:
             hypotheses = misreadings(means, free) if hypotheses is None else hypotheses
             best = _likeliest(_misread(means, hypotheses, setups) + _single(means, free))

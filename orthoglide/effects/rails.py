@@ -14,7 +14,7 @@ from orthoglide.effects.words import (
     mrad,
     slope,
     toward,
-    turned_as_seen,
+    turned,
 )
 from orthoglide.layout import LinearDelta, Orthoglide
 from orthoglide.parameters import Parameter
@@ -49,9 +49,7 @@ def _about(p: Parameter) -> str:
 
 def _way(p: Parameter, value: float) -> str:
     """Which way a bracket is turned, as somebody sees it who looks at the machine."""
-    if p.leg in LinearDelta.names.legs:
-        return turned_as_seen(p.direction, value)
-    return more(value, "right-handed", "left-handed")
+    return turned(p.direction, value, p.leg in LinearDelta.names.legs)
 
 
 AXIS_OFFSET = Effect(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.words import across, mm, more, mrad, percent, toward, turned_as_seen
+from orthoglide.effects.words import across, mm, mrad, percent, toward, turned
 from orthoglide.layout import DIRECTIONS, LinearDelta
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
@@ -157,11 +157,6 @@ def _short_pattern(effect: Effect, member: str) -> str:
     return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
 
 
-def _stands(effect: Effect) -> bool:
-    """Whether it is of towers, which stand around a plate."""
-    return effect.names == LinearDelta.names
-
-
 def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
     size, member = size_words(effect, value), parameter.member
     if member == "cyclic":
@@ -179,6 +174,5 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
     if _sided(effect, side := member.partition(".")[0]):
         return f"all by {size} toward {toward(side, value)}"
     if about := _ABOUT.get(side, "") if "." in member else "":
-        handed = more(value, "right-handed", "left-handed")
-        return f"all by {size}{about}, {turned_as_seen(side, value) if _stands(effect) else handed}"
+        return f"all by {size}{about}, {turned(side, value, effect.names == LinearDelta.names)}"
     return f"all by {'' if value >= 0 else MINUS}{size}"

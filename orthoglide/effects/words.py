@@ -43,8 +43,13 @@ def toward(axis: str, value: float) -> str:
     return axis if value >= 0 else f"{MINUS}{axis}"
 
 
-def turned_as_seen(about: str, value: float) -> str:
-    """Which way something is turned about a tower (``a``, up) or its outward direction (``b``)."""
+def turned(about: str, value: float, tower: bool) -> str:
+    """Which way something is turned about its leg's own axis (``a``) or its pivots' (``b``).
+
+    Legs of a tower stand up and turn their pivots outward: there it is said as it is seen.
+    """
+    if not tower:
+        return more(value, "right-handed", "left-handed")
     seen = {"a": "from above", "b": "from outside the tower"}[about]
     return f"{more(value, 'counter-clockwise', 'clockwise')} seen {seen}"
 
