@@ -12,10 +12,8 @@ it stopped, from the cache.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -149,12 +147,7 @@ LEAST = 5e-4
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--machines", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
-    options = parser.parse_args()
+    options = whole_machines.arguments(__doc__, machines=40).parse_args()
     every = [(COUNTS[k // 6 % len(COUNTS)], PROTOCOLS[k % 2], k) for k in range(options.machines)]
     began = time.perf_counter()
     found = list(whole_machines.records(every, options.seed, options.jobs, options.cache, run))

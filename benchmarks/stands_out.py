@@ -8,17 +8,15 @@ times that. A run goes on where it stopped, from the cache.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks import attribution_cases as ac
 from benchmarks.attribution_cases import Cause
 from benchmarks.attribution_run import campaign, machine
-from benchmarks.whole_machines import FAMILIES, SHARES, Record, records, rig_of
+from benchmarks.whole_machines import FAMILIES, SHARES, Record, arguments, records, rig_of
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.errors import OrthoglideError
 from orthoglide.posterior.linear import Basis, Scale
@@ -112,12 +110,7 @@ def _of(hits: int, count: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--machines", type=int, default=60, help="of each row")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
-    options = parser.parse_args()
+    options = arguments(__doc__).parse_args()
     every = [
         (share, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k, times)
         for k in range(options.machines)

@@ -153,12 +153,18 @@ def table(found: Sequence[Record]) -> Iterator[str]:
         )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--machines", type=int, default=60, help="of each share")
+def arguments(says: str, machines: int = 60) -> argparse.ArgumentParser:
+    """Options of a benchmark on machines, which goes on from its cache."""
+    parser = argparse.ArgumentParser(description=says.splitlines()[0])
+    parser.add_argument("--machines", type=int, default=machines, help="of each row")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    return parser
+
+
+def main() -> None:
+    parser = arguments(__doc__)
     parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
     options = parser.parse_args()
     every = [

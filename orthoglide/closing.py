@@ -27,7 +27,7 @@ from orthoglide.frames import html_table
 from orthoglide.judging import fitted_already, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import Readings, TcpPoints
+from orthoglide.observations import TcpPoints
 from orthoglide.posterior import (
     NAMED,
     Cause,
@@ -265,8 +265,7 @@ def judge(verdict: Verdict) -> Verdict:
     scored = errors = None
     if request.holdout:
         scored = hold_out(before, after, machine, request.holdout, request.own)
-        fitted: tuple[Readings, ...] = (*request.campaigns, *request.tool)
-        if any(fitted_already(one, c) for one in request.holdout for c in fitted):
+        if any(fitted_already(one, c) for one in request.holdout for c in request.readings):
             text = "the readings held out are readings that were fitted: they judge nothing"
             warnings = (*verdict.after.warnings, Note(text, "holdout"))
             verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))

@@ -31,9 +31,8 @@ def changes_text(found: Check) -> str:
 
 def changes_page(found: Check) -> str:
     """The same as HTML, with a drawing and both states in a table."""
-    request = found.verdict.request
     drawn = {
-        "judged": ", ".join(c.name for c in (*request.campaigns, *request.tool)),
+        "judged": ", ".join(c.name for c in found.verdict.request.readings),
         "drawing": found.verdict.picture.svg(),
         "columns": COLUMNS,
         "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],

@@ -83,7 +83,7 @@ def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Readi
 
     if path.suffix == ".json":
         request = request_of(read_result(path), str(path))
-        return machine or request.machine, (*request.campaigns, *request.tool)
+        return machine or request.machine, request.readings
     machine = machine or Machine.nominal()
     return machine, readings_of([path], machine)
 

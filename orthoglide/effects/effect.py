@@ -217,6 +217,10 @@ class Effect:
         """Shapes of a plate by what follows the setup in a parameter's name."""
         return dict(self.plate)
 
+    def shape(self, parameter: Parameter) -> Shape:
+        """The plate's shape behind a parameter of one setup, or of a member of all."""
+        return self.shapes[parameter.direction or parameter.member.rpartition(".")[0]]
+
     @property
     def tolerance_si(self) -> float:
         """Standard deviation to expect, SI."""

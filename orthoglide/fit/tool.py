@@ -250,11 +250,11 @@ class ToolReadings:
             parameter = catalogue.parameter(name, self.setup_names) if value else None
             if parameter is None or not parameter.setup:
                 continue
-            shapes = catalogue.effect_of(parameter).shapes
-            if shapes and parameter.setup in self.setup_names:
+            effect = catalogue.effect_of(parameter)
+            if effect.plate and parameter.setup in self.setup_names:
                 rows = (self.setup == self.setup_names.index(parameter.setup)) & self._on_plate
                 x, y = self.place[rows].T
-                found[rows] -= value * shapes[parameter.direction](x, y)
+                found[rows] -= value * effect.shape(parameter)(x, y)
         return found
 
 

@@ -115,11 +115,10 @@ def _readings_of(one: Explanation, fit: Estimate) -> InstrumentReadings:
     )
     turned = np.zeros(_DIRECTIONS)
     for name, value in one.values.items():
-        shapes = catalogue.effect_of(name).shapes
-        if shapes:
+        effect = catalogue.effect_of(name)
+        if effect.plate:
             setups = [s for f in problem.factors for s in f.setup_names]
-            parameter = catalogue.parameter(name, setups)
-            shape = shapes[parameter.direction or parameter.member.rpartition(".")[0]]
+            shape = effect.shape(catalogue.parameter(name, setups))
             there, here = angle - _TURN, angle
             turned += value * (
                 shape(np.cos(there), np.sin(there)) - shape(np.cos(here), np.sin(here))

@@ -115,11 +115,9 @@ def _members(
     found: list[tuple[str, list[str]]] = []
     for cause in causes:
         parts = {
-            str(catalogue.parameter(p).plain)
+            str(p)
             for one in cause.explanations
-            for n in one.parameters
-            if not catalogue.effect_of(n).of_dial
-            for p in catalogue.elementary(n)
+            for p in catalogue.moved_by(dict.fromkeys(one.parameters, 1.0))
         }
         mine = [n for n in left if n in parts]
         if mine:

@@ -75,7 +75,7 @@ class Request:
     def arguments(self) -> dict[str, Any]:
         """As ``result.json`` keeps them: names of files, no places."""
         found: dict[str, Any] = {
-            "campaigns": list(dict.fromkeys(name_of(c) for c in self._files)),
+            "campaigns": list(dict.fromkeys(name_of(c) for c in self.readings)),
             "own": list(self.own),
             "machine": Path(self.machine.spec.file).name or None,
             "noise_mm": None if self.noise is None else round(self.noise * 1e3, 12),
@@ -101,7 +101,8 @@ class Request:
         return tuple(p for p in self.points if isinstance(p, ToolCampaign))
 
     @property
-    def _files(self) -> tuple[Readings, ...]:
+    def readings(self) -> tuple[Readings, ...]:
+        """Files of all kinds but TCP points."""
         return (*self.campaigns, *self.tool)
 
     @property

@@ -122,9 +122,8 @@ def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> Unseen | None:
     """A cause of the machine; ``None`` where the firmware's own points can see it."""
     catalogue, plate = machine.catalogue, dict[Shape, float]()
     for name, value in one.values.items():
-        if shapes := dict(catalogue.effect_of(name).plate):
-            parameter = catalogue.parameter(name)
-            plate[shapes[parameter.direction or parameter.member.rpartition(".")[0]]] = value
+        if (effect := catalogue.effect_of(name)).plate:
+            plate[effect.shape(catalogue.parameter(name))] = value
     values = catalogue.moved_by(one.values)
     shown, bent = unseen_by_firmware(machine, fit, values, plate)
     if not (values or plate) or not shown < _SEEN:
