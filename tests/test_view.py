@@ -167,6 +167,19 @@ def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign:
         assert all(apart(size, x - r, y - r, x + r, y + r) for x, y, r in circles), parameter
 
 
+def test_a_machine_ten_times_larger_is_drawn_as_well() -> None:
+    """Arrows and dials have their size on the paper, whatever the machine's."""
+    small = og.Machine.nominal()
+    g = small.geometry
+    large = Posed(
+        replace(g, L=10 * g.L, d=10 * g.d, r=10 * g.r, stroke=(10 * g.stroke[0], 10 * g.stroke[1])),
+        *(10 * value for value in (small.posed().lines, small.posed().p, small.posed().travel)),
+    )
+    cause = option(small, "words", dict.fromkeys(("joint_offset.y", "leg_length.x"), 1e-3))
+    text = drawing(small.posed(), [cause], [Dial("x1", small.posed().carriage(0), np.eye(3)[2])])
+    assert text == drawing(large, [cause], [Dial("x1", large.carriage(0), np.eye(3)[2])])
+
+
 def test_sizes_of_causes_that_are_shown_together_keep_apart() -> None:
     own = machine("orthoglide")
     both = [option(own, "", {f"{e}.x.y": 2e-3}) for e in ("axis_tilt", "rail_bow")]

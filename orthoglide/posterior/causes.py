@@ -193,8 +193,8 @@ class Outstanding:
     """Everything that stands out of the background.
 
     Attributes:
-        causes: with names.
-        located: places without.
+        causes: with names, that first without which the readings are explained worst.
+        located: places without, in the same order.
         weighed: all that came near, most probable first.
         alone: where nothing stands out of a background that shows: causes of which one would be
             behind it if the rest of the machine were sound.

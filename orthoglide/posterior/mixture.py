@@ -284,12 +284,25 @@ class Mixture:
                 found[group] += float(weight.sum())
         return found
 
+    def without(self, member: int) -> State:
+        """The best state without one of its groups."""
+        return tuple(s for s in self.best if s[0] != member)
+
+    @cached_property
+    def strongest(self) -> tuple[int, ...]:
+        """Groups of the best state, that first without which readings are explained worst."""
+        left = {}
+        for member, _ in self.best:
+            self._best_child(rest := self.without(member))
+            left[member] = self._total(rest)
+        return tuple(sorted(left, key=lambda member: left[member]))
+
     def alternatives(self, member: int) -> Array:
         """Probability of each group ``(groups,)`` in one place of the best state, the rest given.
 
         The last entry, behind the groups, is that of nothing.
         """
-        rest = tuple(s for s in self.best if s[0] != member)
+        rest = self.without(member)
         self._best_child(rest)
         table = self.children[rest]
         nothing = self._total(rest)

@@ -48,7 +48,7 @@ def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstand
         given: causes that were known to stand out.
     """
     reader = _Reader(posterior)
-    found = [reader.set_of(member, given) for member, _ in posterior.mixture.best]
+    found = [reader.set_of(member, given) for member in posterior.mixture.strongest]
     return Outstanding(
         tuple(f for f in found if isinstance(f, Cause)),
         tuple(f for f in found if isinstance(f, Located)),
@@ -93,8 +93,7 @@ class _Reader:
         mixture = self.posterior.mixture
         if other == member:
             return mixture.best
-        rest = tuple(s for s in mixture.best if s[0] != member)
-        return mixture.child(rest, other)
+        return mixture.child(mixture.without(member), other)
 
     def alone(self) -> tuple[Explanation, ...]:
         """Causes of which one would be behind it if the rest of the machine were sound: a set of

@@ -15,7 +15,6 @@ from orthoglide.scene.paper import HEIGHT, WIDTH, Paper, around, box_of, letteri
 from orthoglide.scene.parts import Dial, Option, Posed
 
 _MARGIN, _FACE = 34.0, 4.5  # on the paper
-_STEM = 0.022  # metres beyond the touched point
 _SPACE = 'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" '
 _STYLE = (
     "--m-rail:#98a4ad;--m-body:#c3ccd3;--m-bar:#7b8790;--m-ink:#1f2a33;--m-dial:#0072b2;"
@@ -184,16 +183,13 @@ def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> 
     )
 
 
-def _face(dial: Dial) -> Array:
-    return dial.at - 0.035 * dial.way
-
-
 def _dial(dial: Dial, paper: Paper) -> str:
     """A dial: its stem to the touched point, and an arrow in the way that it counts."""
-    x, y = paper(_face(dial))
+    face = dial.face(paper.unit)
+    x, y = paper(face)
     return (
         f"<g><title>dial {escape(dial.name)}</title>"
-        f"{arrow(_face(dial), dial.at + _STEM * dial.way, paper, 'dial', 1.3)}"
+        f"{arrow(face, dial.tip(paper.unit), paper, 'dial', 1.3)}"
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_FACE:g}" fill="var(--m-paper)" '
         f'stroke="var(--m-dial)" stroke-width="1.3"/></g>'
     )
@@ -211,11 +207,11 @@ def _named(posed: Posed, project: Projection) -> list[tuple[str, tuple[float, fl
 
 def _occupied(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper:
     """The paper with names, dials, rails and bars on it."""
-    paper = Paper(project)
+    paper = Paper(project, 1 / project.scale)
     paper.taken += [box_of(*at, name) for name, at in _named(posed, project)]
     for dial in dials:
-        paper.taken.append(around(*project(_face(dial)), _FACE))
-        paper.line([_face(dial), dial.at + _STEM * dial.way])
+        paper.taken.append(around(*project(dial.face(paper.unit)), _FACE))
+        paper.line([dial.face(paper.unit), dial.tip(paper.unit)])
     for leg in range(3):
         paper.line(posed.rail(leg))
         for ends in posed.lines[leg]:

@@ -11,8 +11,8 @@ from orthoglide.geometry import Array
 from orthoglide.scene.paper import Paper
 from orthoglide.scene.parts import Dial, Mark, Posed
 
-_LENGTH = 0.075  # metres of an arrow
-_BOW = 0.055  # metres to which the largest error of a path is drawn
+_LENGTH = 46.0  # of an arrow, on the paper
+_BOW = 34.0  # to which the largest error of a path is drawn
 
 
 def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str:
@@ -46,7 +46,7 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
 
 
 def _pointing(at: Array, mark: Mark, paper: Paper) -> str:
-    way = _LENGTH * mark.way
+    way = _LENGTH * paper.unit * mark.way
     one = arrow(at, at + way, paper, "mark")
     return one + (arrow(at, at - way, paper, "mark") if mark.both else "")
 
@@ -65,28 +65,29 @@ def _drive(mark: Mark, posed: Posed, paper: Paper) -> str:
     low, high = posed.geometry.stroke
     along = [posed.path(mark.leg, low), posed.path(mark.leg, high)]
     start = at + 0.5 * posed.geometry.d * mark.way
+    tip = start + 1.1 * _LENGTH * paper.unit * mark.way
     return (
         _stroke(along, paper, 2.0, ' stroke-dasharray="2 5"')
         + _stroke([at, at], paper, 11.0)
         + _pointing(start, mark, paper)
-        + paper.words(start + 1.1 * _LENGTH * mark.way, mark.label, start)
+        + paper.words(tip, mark.label, start)
     )
 
 
 def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
     curve = np.array([[mark.at, 1.0]]) if mark.curve is None else mark.curve
     straight = [posed.path(mark.leg, float(s)) for s in curve[:, 0]]
-    wrong = [p + _BOW * float(v) * mark.way for p, v in zip(straight, curve[:, 1], strict=True)]
+    way = _BOW * paper.unit * mark.way
+    wrong = [p + float(v) * way for p, v in zip(straight, curve[:, 1], strict=True)]
     at = posed.path(mark.leg, mark.at)
-    tip = at + _BOW * mark.way
     ends = posed.rail(mark.leg)
     return (
         _stroke(ends, paper, 5.0)
         + _stroke(straight, paper, 1.2, ' stroke-dasharray="3 4"')
         + _stroke(wrong, paper, 2.2)
-        + arrow(at, tip, paper, "mark")
-        + (arrow(at, at - _BOW * mark.way, paper, "mark") if mark.both else "")
-        + paper.words(tip, mark.label, at)
+        + arrow(at, at + way, paper, "mark")
+        + (arrow(at, at - way, paper, "mark") if mark.both else "")
+        + paper.words(at + way, mark.label, at)
     )
 
 
@@ -116,9 +117,9 @@ def _bar(mark: Mark, posed: Posed, paper: Paper) -> str:
     found = [_stroke(list(line), paper, 5.0) for line in lines]
     grows = float(mark.way @ (posed.carriage(mark.leg) - posed.platform(mark.leg))) > 0
     for a, b in lines:
-        along = (a - b) / np.linalg.norm(a - b)
+        along = _LENGTH * paper.unit * (a - b) / np.linalg.norm(a - b)
         for end, out in ((a, along), (b, -along)):
-            near, far = end + 0.1 * _LENGTH * out, end + 0.7 * _LENGTH * out
+            near, far = end + 0.1 * out, end + 0.7 * out
             found.append(arrow(*((near, far) if grows else (far, near)), paper, "mark"))
     return "".join(found) + paper.words(middle, mark.label)
 
@@ -126,19 +127,19 @@ def _bar(mark: Mark, posed: Posed, paper: Paper) -> str:
 def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
     """The short link at the platform, wider or narrower along the way."""
     ends = posed.lines[mark.leg, :, 1]
-    out = (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
+    out = _LENGTH * paper.unit * (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
     grows, found = float(mark.way @ out) > 0, [_stroke(list(ends), paper, 5.0)]
     for end, away in ((ends[0], out), (ends[1], -out)):
-        tip = end + 0.6 * _LENGTH * away
+        tip = end + 0.6 * away
         found.append(arrow(*((end, tip) if grows else (tip, end)), paper, "mark"))
-    top = ends[0] + 0.75 * _LENGTH * out
+    top = ends[0] + 0.75 * out
     return "".join(found) + paper.words(top, mark.label)
 
 
 def _end(mark: Mark, posed: Posed, paper: Paper) -> str:
     """The leg's end at the platform."""
     at = posed.platform(mark.leg)
-    tip = at + 1.1 * _LENGTH * mark.way
+    tip = at + 1.1 * _LENGTH * paper.unit * mark.way
     return (
         _stroke(list(posed.lines[mark.leg, :, 1]), paper, 5.0)
         + _pointing(at, mark, paper)
@@ -155,12 +156,12 @@ def _plate(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _dialled(mark: Mark, dial: Dial, paper: Paper) -> str:
-    x, y = paper(dial.at - 0.035 * dial.way)
-    here = dial.at + 0.0 * dial.way
+    x, y = paper(dial.face(paper.unit))
     found = (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--m-mark)" '
         f'stroke-width="3"/>'
     )
+    way = _LENGTH * paper.unit * mark.way
     if mark.way.any():
-        found += arrow(here, here + _LENGTH * mark.way, paper, "mark")
-    return found + paper.words(here + 1.1 * _LENGTH * mark.way, mark.label, here)
+        found += arrow(dial.at, dial.at + way, paper, "mark")
+    return found + paper.words(dial.at + 1.1 * way, mark.label, dial.at)

@@ -55,11 +55,13 @@ class Paper:
 
     Attributes:
         project: paper coordinates of a point ``(3,)``.
+        unit: metres that are one unit of the paper.
         taken: boxes that no words may cover.
         lines: points of lines that words had better not cover.
     """
 
     project: Callable[[Array], Point]
+    unit: float
     taken: list[Box] = field(default_factory=list)
     lines: list[Point] = field(default_factory=list)
 
@@ -69,7 +71,7 @@ class Paper:
 
     def another(self) -> Paper:
         """The same, to be written on without changing this one."""
-        return Paper(self.project, list(self.taken), list(self.lines))
+        return Paper(self.project, self.unit, list(self.taken), list(self.lines))
 
     def line(self, points: Iterable[Array]) -> None:
         """Notes a line through points ``(3,)``."""

@@ -64,6 +64,14 @@ class Dial:
     way: Array
     bar: int = 0
 
+    def face(self, unit: float) -> Array:
+        """Where its face is drawn ``(3,)``; a unit of the paper is so many metres."""
+        return np.asarray(self.at - 21.5 * unit * self.way)
+
+    def tip(self, unit: float) -> Array:
+        """Where the arrow ends that says which way it counts."""
+        return np.asarray(self.at + 13.5 * unit * self.way)
+
 
 @dataclass(frozen=True, eq=False)
 class Mark:
