@@ -28,7 +28,7 @@ from orthoglide.posterior.causes import (
 )
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.linear import Group
-from orthoglide.posterior.mixture import State
+from orthoglide.posterior.search import State
 from orthoglide.prediction import Conditions
 
 _OFF = 0.1  # tolerances: a background that is worth a word
