@@ -9,6 +9,7 @@ import pytest
 import orthoglide as og
 from tests.rig import Rig
 from tests.rig_campaigns import protocol_rows, simulate
+from tests.test_checking import delta, probed
 
 SHEET = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
 ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4, "leg_length.z": 5e-5}
@@ -93,3 +94,31 @@ def test_what_changed_is_said_first(tmp_path: Path) -> None:
     assert said is not None, text
     assert float(said[1]) == pytest.approx(0.06, abs=0.01)
     assert "Nothing else is wrong" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("backlash.z", 1.2e-4), ("rail_bow.y.x", -2e-4), ("axis_tilt.x.y", -8e-3)],
+)
+def test_a_fault_put_right_leaves_nothing(tmp_path: Path, name: str, size: float) -> None:
+    """Six tolerances taken back: the old value was held on to, and a place found that undid it."""
+    first = og.close_loop(measured({**ERRORS, name: size}, 5, "first"), SHEET)
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    again = og.close_loop(measured(ERRORS, 6, "second"), known)
+    assert again.word == "adequate"
+    (change,) = again.changed
+    assert name in change.members
+    assert change.before == pytest.approx(size, rel=0.1)
+    assert abs(change.after) < 3 * change.sigma
+
+
+def test_a_tower_that_leans_since_the_calibration_is_told_in_full(tmp_path: Path) -> None:
+    """Four tolerances: it was told by half, and what that left was called the readings' noise."""
+    first = og.close_loop([probed("probe", 1)], delta())
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    again = og.close_loop([probed("probe", 2, **{"axis_tilt.b.radial": 1.2e-2})], known)
+    (change,) = [c for c in again.changed if "axis_tilt.b.radial" in c.members]
+    assert change.after - change.before == pytest.approx(1.2e-2, rel=0.15)
+    assert again.after.scores.chi2 < 1.5 * again.after.scores.dof
