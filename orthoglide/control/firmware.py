@@ -38,7 +38,9 @@ class FirmwareNumbers:
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
-        return self.found.as_dict() if self.found else {"old": self.old.as_dict(), "missing": _LACKING}
+        return (
+            self.found.as_dict() if self.found else {"old": self.old.as_dict(), "missing": _LACKING}
+        )
 
     def paragraphs(self) -> tuple[str, ...]:
         """For people; a table's lines are kept as they are."""
