@@ -117,7 +117,9 @@ def assemble(
     readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
     if readings and not campaigns and noise is None:
         sigma = np.concatenate([r.sigma for r in readings])
-        level = replace(level, typical=float(np.sqrt(np.mean(sigma**2))))
+        told = all(np.isfinite(p.sigma).all() for p in points)
+        typical = float(np.sqrt(np.mean(sigma**2)))
+        level = replace(level, typical=typical, source="declared" if told else level.source)
     return build_problem(
         machine, campaigns, free, level, own=own, priors=priors, bounds=bounds, points=readings,
         earlier=earlier_of(machine) if priors else None,
