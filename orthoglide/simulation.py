@@ -8,7 +8,7 @@ import numpy as np
 
 from orthoglide.accuracy import workspace
 from orthoglide.errors import InputError
-from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import commands as commands_of
@@ -100,10 +100,7 @@ def _noise(machine: Machine, noise: float | None) -> float:
     if noise is None:
         repeatability = machine.spec.dial.repeatability
         return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
-    if not 0 <= noise < 1:
-        raise InputError(
-            f"noise must be a standard deviation in metres, 0 or more and less than 1, not {noise}"
-        )
+    check_noise(noise, 0.0)
     return noise
 
 
