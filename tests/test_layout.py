@@ -1,11 +1,14 @@
 """The linear delta against three spheres and against an independent machine of six bars."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from orthoglide.accuracy import workspace
+from orthoglide.closing import close_loop
 from orthoglide.effects import catalogue_of, relabelled
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
@@ -18,6 +21,7 @@ from orthoglide.mechanism.loops import Loops
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
+from orthoglide.simulation import simulate_tcp
 from tests.rig_delta import DeltaRig
 
 RIG = DeltaRig()
@@ -258,3 +262,31 @@ def test_free_legs_say_their_directions() -> None:
     assert "toward c" in parameter_words(catalogue.parameter("axis_offset.u.c"))
     with pytest.raises(InputError, match="across its slide"):
         FreeLeg("u", (0.3, 0, 0), (1, 0, 0), (1, 0, 1)).axes  # noqa: B018
+
+
+TALL = Geometry(0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
+"""One leg that goes alone through this stroke leaves the others behind."""
+SPREAD = Geometry(layout=FreeLegs(tuple(
+    FreeLeg(name, tuple(0.34125 * np.eye(3)[k]), tuple(np.eye(3)[k]), tuple(np.eye(3)[k - 1]))
+    for k, name in enumerate(("left", "mid", "right"))
+)))  # fmt: skip
+
+
+@pytest.mark.parametrize("geometry", [TALL, SPREAD], ids=["delta", "free"])
+def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry) -> None:
+    sound = Machine(MachineFile(geometry=geometry))
+    leg = geometry.leg_names[1]
+    tilt = f"axis_tilt.{leg}.{sound.catalogue.legs.across[1][0]}"
+    worn = sound.with_parameters({f"joint_offset.{leg}": 5e-4, tilt: 4e-3})
+    drawn = simulate_tcp(worn)
+    assert len(drawn) == 60
+    assert geometry.in_stroke(drawn.command).all()
+    assert np.ptp(drawn.p, axis=0).min() > 0.05
+    noise = np.random.default_rng(0).normal(scale=1e-5, size=drawn.p.shape)
+    verdict = close_loop([replace(drawn, p=drawn.p + noise)], sound)
+    assert verdict.stands
+    for picture in (verdict._repr_html_(), verdict.plot("tool").svg):
+        assert "<svg" in picture
+    space = verdict.workspace
+    assert space is not None
+    assert np.abs(space.at - sound.forward(workspace(geometry))).max() < 1e-9

@@ -128,7 +128,7 @@ _KEYS: dict[str, dict[str, Parser]] = {
     },
     "dial_mm": {
         "resolution": _quantity(1e-3, 5e-5, 10),
-        "repeatability": _quantity(1e-3, 1e-7, 10),
+        "repeatability": _quantity(1e-3, 1e-7, units.NOISE[1] / 1e-3),
         "placement": _quantity(1e-3, 0, 100, open_end=False),
     },
     "drive": {"screw_pitch_mm": _quantity(1e-3, 0.1, 1000)},
