@@ -456,7 +456,7 @@ def test_the_machine_says_what_it_fights_against() -> None:
     # With rigid bars and limp legs nothing gives, yet bars and drives carry the load.
     stiff = Machine.nominal().deformation(rho, load=LOAD)
     assert stiff.total.max() == 0.0
-    force = Machine.nominal().model.force(Conditions.at(rho, load=LOAD))
+    force = force(Machine.nominal().model.mechanism, Conditions.at(rho, load=LOAD))
     np.testing.assert_allclose(stiff.drive.reshape(-1, 3), force, rtol=0, atol=1e-9)
 
 

@@ -12,11 +12,14 @@ from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import ClosureError, FileError, InputError, OrthoglideError
 from orthoglide.geometry import Geometry
+from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
+from orthoglide.machine_file import MachineFile
 from orthoglide.observations import protocol
 from tests.rig import Rig
 
 NOMINAL = Machine.nominal()
+DELTA = Geometry(0.27, 0.05, 0.032, (-0.2, 0.1), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
 ERRORS = {
     "joint_offset.x": 1e-3, "joint_offset.z": -7e-4, "leg_length.y": 1e-4,
     "axis_tilt.y.z": 2e-3, "rail_bow.x.y": 1e-4, "bar_mismatch.x": 3e-4,
@@ -81,6 +84,19 @@ def test_jacobian_by_differences() -> None:
         step = h * np.eye(3)[axis]
         slope = (CROOKED.forward(rho + step) - CROOKED.forward(rho - step)) / (2 * h)
         assert np.allclose(CROOKED.jacobian(rho)[..., axis], slope, rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize("machine", [NOMINAL, Machine(MachineFile(geometry=DELTA))])
+def test_jacobian_by_differences_under_a_load(machine: Machine) -> None:
+    """The load's force on a drive depends on the command."""
+    names = machine.geometry.leg_names
+    soft = machine.with_parameters({f"drive_compliance.{leg}": 1e-5 for leg in names[:2]})
+    rho, h = machine.geometry.zero + commands(4) - NOMINAL.geometry.zero, 1e-5
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        ends = (soft.forward(rho + side * step, load=100.0) for side in (1, -1))
+        slope = np.subtract(*ends) / (2 * h)
+        assert np.allclose(soft.jacobian(rho, load=100.0)[..., axis], slope, rtol=0, atol=1e-8)
 
 
 def test_nominal_jacobian_is_equation_5() -> None:
