@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -165,6 +166,41 @@ def test_structured_members_set_what_they_stand_for() -> None:
 def test_with_parameters_refuses(values: dict[str, float]) -> None:
     with pytest.raises(InputError):
         NOMINAL.with_parameters(values)
+
+
+@pytest.mark.parametrize(
+    ("values", "sigmas", "told"),
+    [
+        ({"joint_offset.x@april": 1e-3}, {}, "campaign april has for itself"),
+        ({"joint_offset.x": 1e-3}, {"joint_offset.x": -1e-6}, "0 or more, not -1e-06"),
+        ({"joint_offset.x": 1e-3}, {"joint_offset.x": float("nan")}, "0 or more, not nan"),
+        ({"joint_offset.x": 1e-3}, {"joint_offset.y": 1e-6}, "joint_offset.y, which is not set"),
+    ],
+)
+def test_with_parameters_says_what_is_wrong(
+    values: dict[str, float], sigmas: dict[str, float], told: str
+) -> None:
+    for make in (NOMINAL.with_parameters, NOMINAL.with_only):
+        with pytest.raises(InputError, match=told):
+            make(values, sigmas)
+
+
+@pytest.mark.parametrize(
+    ("seen", "told"),
+    [
+        ({"approach": [10, 0, 0]}, r"\+1 or -1"),
+        ({"approach": 0.5}, r"\+1 or -1"),
+        ({"approach": [1, 1]}, r"approach must be numbers of the shape \(2, 3\)"),
+        ({"time": [1, 2, 3]}, r"time must be numbers of the shape \(2,\)"),
+        ({"load": "heavy"}, "load must be numbers"),
+        ({"load": float("nan")}, "load must be finite"),
+        ({"warming": None}, "warming must be finite"),
+    ],
+)
+def test_refuses_what_is_no_condition(seen: dict[str, Any], told: str) -> None:
+    for ask in (NOMINAL.forward, NOMINAL.jacobian, NOMINAL.deformation, NOMINAL.inverse):
+        with pytest.raises(InputError, match=told):
+            ask([[0.31] * 3, [0.32] * 3] if ask != NOMINAL.inverse else np.zeros((2, 3)), **seen)
 
 
 @pytest.mark.parametrize("bad", [1.0, [1.0, 2.0], [[1.0, 2.0]], [0.3, 0.3, float("nan")]])

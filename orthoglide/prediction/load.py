@@ -1,4 +1,4 @@
-"""What a load at the TCP does to the drives: forces by virtual work, and how they follow commands."""
+"""What a load at the TCP does to the drives: forces by virtual work, by command."""
 
 from __future__ import annotations
 
