@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.klipper.corrections import PROBED
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolCampaign, readings_from_rows
+from orthoglide.result.corrections import PROBED
 from tests.rig_delta import DeltaRig
 
 Array = NDArray[np.float64]

@@ -152,7 +152,7 @@ OPTIONAL = (
 def _more(draw: Random, table: Table) -> None:
     """An optional column, with values that may be right."""
     name = draw.choice(OPTIONAL)
-    likely = {"bar": ("1", "2", ""), "kind": ("leg", "move"), "sigma_mm": ("0.005", "1e-6", "1000")}
+    likely = {"bar": ("1", "2", ""), "kind": ("leg", "move"), "sigma_mm": ("0.005", "1e-6", "1")}
     cells = likely.get(name, ("1", "-1", "0", "20", ""))
     same = draw.choice(cells)
     for k, row in enumerate(table):

@@ -171,16 +171,18 @@ def _wanted(machine: Machine) -> Array:
     return machine.with_only({}).forward(workspace(machine.geometry))
 
 
-def _mostly_shape(field: Array) -> Array:
-    """A field ``(g, 3, ...)`` with little of its translation."""
-    return field - (1 - _PLACE) * field.mean(axis=0)
+def _weighed(field: Array, place: float) -> Array:
+    """A field ``(g, 3, ...)`` with this share of its translation."""
+    return field - (1 - place) * field.mean(axis=0)
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     """Settings of a controller that takes little: the zeros that leave the least shape error.
 
-    Where several leave the same, as on parallel slides, they are those that leave the least place.
-    What the controller cannot take shifts the zeros that are best: they are fitted, by least
+    Where several leave the same, they are those that leave the least place. On parallel slides
+    they leave the tool where it is above its plate: no reading there tells the machine's own
+    height, and zeros by what was only supposed of it would drive the tool into the plate. What the
+    controller cannot take shifts the zeros that are best: they are fitted, by least
     squares over the workspace, to the machine with all its parameters.
 
     Args:
@@ -194,11 +196,13 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     zeros = [p for e in machine.catalogue.values() if e.controller == "zero" for p in e.motions]
     identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
-    wanted = _wanted(machine)
+    wanted, goal, weight = _wanted(machine), np.zeros(3), _PLACE
+    if machine.geometry.layout.hanging:
+        goal, weight = (machine.forward(workspace(machine.geometry)) - wanted).mean(axis=0), 1.0
     for _ in range(_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
-        left = _mostly_shape(machine.forward(commands) - wanted)
-        slopes = _mostly_shape(tcp_slopes(machine, zeros, Conditions.at(commands)))
+        left = _weighed(machine.forward(commands) - wanted - goal, weight)
+        slopes = _weighed(tcp_slopes(machine, zeros, Conditions.at(commands)), weight)
         step = np.linalg.lstsq(slopes.reshape(-1, len(zeros)), left.reshape(-1))[0]
         settings.update({n: settings[n] + float(d) for n, d in zip(zeros, step, strict=True)})
     return settings

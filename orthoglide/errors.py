@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
@@ -117,3 +117,24 @@ class CrossCheckError(NumericsError):
     def __init__(self, message: str, *, difference: float = float("nan")) -> None:
         super().__init__(message)
         self.difference = difference
+
+
+def check_word(what: str, given: object, known: Iterable[str]) -> None:
+    """Refuses a word that is none of those known, and says which there are.
+
+    Raises:
+        InputError: naming what the word is for.
+    """
+    known = tuple(known)
+    if given not in known:
+        raise InputError(f"there is no {what} {given!r}: it is one of {', '.join(known)}")
+
+
+def check_list(what: str, given: object) -> None:
+    """Refuses a single text where names are listed, which would be taken letter by letter.
+
+    Raises:
+        InputError: naming what the names are for.
+    """
+    if isinstance(given, str):
+        raise InputError(f"{what} is a list of names: give [{given!r}], not {given!r}")

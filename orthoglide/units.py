@@ -18,6 +18,9 @@ class Unit(NamedTuple):
     si: float
 
 
+NOISE = (1e-9, 1e-3)
+"""Standard deviations that readings can have, metres: an atom, and more than any dial scatters."""
+
 MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
 
 

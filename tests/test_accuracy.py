@@ -175,14 +175,16 @@ def test_what_is_no_posterior_is_refused() -> None:
         Posterior(NAMES, np.zeros(3), np.full((3, 3), np.nan))
 
 
-def test_zeros_that_leave_the_same_shape_leave_the_least_place() -> None:
-    """Parallel slides raise the tool as a whole: no zero may pay for shape with centimetres."""
-    from orthoglide.accuracy import best_zeros
+def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:
+    """No reading tells that height, and no zero may pay for shape with it."""
+    from orthoglide.accuracy import best_zeros, workspace
     from tests.test_layout import DELTA
 
     worn = og.Machine(replace(og.Machine.nominal().spec, geometry=DELTA)).with_parameters(
         {"axis_tilt.a.radial": 4e-3, "mount_tilt.b.a": 8e-3, "joint_offset.c": -4e-4}
     )
-    error = expected_error(worn, best_zeros(worn))
-    assert error.shape <= expected_error(worn, {}).shape + 1e-6
-    assert error.place < 2e-3
+    zeros = best_zeros(worn)
+    assert expected_error(worn, zeros).shape <= expected_error(worn, {}).shape + 1e-6
+    where = worn.with_only({}).forward(workspace(DELTA))
+    now, then = (worn.forward(worn.with_only(v).inverse(where)) for v in ({}, zeros))
+    assert np.abs((then - now).mean(axis=0)[2]) < 2e-5

@@ -156,8 +156,8 @@ def test_the_same_bytes_wherever_the_files_lie(rig: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--noise", "0"), "--noise must be a positive number"),
-        (("--noise", "nan"), "--noise must be a positive number"),
+        (("--noise", "0"), "--noise must be a number of millimetres"),
+        (("--noise", "nan"), "--noise must be a number of millimetres"),
         (("--seed", "-1"), "--seed must be 0 or more"),
         (("--machine", "none.toml"), "none.toml: there is no such file"),
         (("--holdout", "none.csv"), "none.csv: there is no such file"),

@@ -13,11 +13,11 @@ from orthoglide.cli import cli
 from orthoglide.closing import close_loop
 from orthoglide.errors import FileError, InputError
 from orthoglide.klipper import Firmware, import_printer
-from orthoglide.klipper.corrections import corrections
 from orthoglide.klipper.firmware import refitted
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.observations import csv_text, read_readings, readings_from_rows, tool_rows
+from orthoglide.result.corrections import corrections
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
 
@@ -157,6 +157,27 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     assert "Numbers for the firmware" in page
     calibrated = Machine.load(done / "calibrated.toml")
     assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
+    exported = og.controller_numbers(calibrated)
+    assert exported.as_dict()["firmware"] == {k: firmware[k] for k in firmware_keys(firmware)}
+    assert exported.to_frame().loc["[stepper_a] position_endstop", "new"] == pytest.approx(
+        firmware["new"]["position_endstop_mm"][0], abs=1e-6
+    )
+    for told_there in (exported.text(), page):
+        assert f"delta_radius: {firmware['new']['delta_radius_mm']:.6f}" in told_there
+        assert "zeros" not in told_there.split("Numbers for the firmware")[1].split("To undo")[0]
+
+
+def firmware_keys(firmware: dict[str, object]) -> set[str]:
+    return {"old", "new", "height_rms_mm", "sideways_rms_mm"} & set(firmware)
+
+
+def test_a_printer_without_readings_of_its_plate_is_given_no_numbers() -> None:
+    """Zeros by a model that no touch of the plate tied to it would drive the nozzle into it."""
+    machine = Machine(import_printer(V400).machine).with_parameters({"axis_tilt.a.radial": 4e-3})
+    numbers = og.controller_numbers(machine)
+    assert "There are none" in numbers.text()
+    assert "zero" not in numbers.text().replace("z = 0", "")
+    assert set(numbers.as_dict()["firmware"]) == {"old", "missing"}
 
 
 BROKEN = {

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import orthoglide as og
 from orthoglide.errors import InputError
 from orthoglide.fit import noise_of
 from orthoglide.fit.noise import (
@@ -41,9 +42,9 @@ def test_declared_for_the_run_replaces_everything() -> None:
     assert np.all(noise.sigma[0] == 4e-5)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1e-5, float("nan"), float("inf")])
-def test_declared_noise_must_be_positive(bad: float) -> None:
-    with pytest.raises(InputError, match="positive standard deviation"):
+@pytest.mark.parametrize("bad", [0.0, -1e-5, float("nan"), float("inf"), 5e-3])
+def test_declared_noise_is_some_instruments(bad: float) -> None:
+    with pytest.raises(InputError, match=r"deviation in metres, from 1e-09 to 0\.001, not"):
         noise_of([campaign()], EXACT, bad)
 
 
@@ -53,6 +54,43 @@ def test_declared_by_row() -> None:
     assert noise.source == "declared"
     assert np.array_equal(noise.sigma[0], sigma)
     assert noise.typical == pytest.approx(np.sqrt(np.mean(sigma**2)))
+
+
+def caution(estimate: og.Estimate) -> str:
+    """What is said of readings that scatter less than was declared."""
+    return " ".join(w for w in estimate.warnings if w.kind == "quiet")
+
+
+def test_noise_declared_far_too_large_is_said() -> None:
+    """Faults that it hides would else pass for a sound machine."""
+    worn = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "axis_tilt.y.z": 2.5e-3})
+    read = og.simulate(worn, "sweep", noise=5e-6, seed=1)
+    verdict = og.close_loop(read, noise=1e-3)
+    assert verdict.word == "adequate"
+    said = caution(verdict.after)
+    assert said.startswith("the readings scatter")
+    assert "times less than the noise that was declared (1 mm; chi2 " in said
+    assert said in verdict.warnings
+    by_row = replace(read, sigma=np.full(len(read), 1e-3))
+    assert caution(og.identify(by_row)) == caution(og.identify(read, noise=1e-3)) != ""
+
+
+@pytest.mark.parametrize("count", [8, 60])
+def test_noise_declared_too_large_for_points_of_the_tool(count: int) -> None:
+    points = og.simulate_tcp(og.Machine.nominal(), count, seed=1)
+    spread = np.random.default_rng(2).normal(scale=1e-5, size=points.p.shape)
+    points = replace(points, p=points.p + spread)
+    assert caution(og.identify(points, noise=5e-4))
+    assert caution(og.identify(replace(points, sigma=np.full(count, 5e-4))))
+    assert not caution(og.identify(points, noise=1e-5))
+    assert not caution(og.identify(points))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_declared_about_right_is_not_doubted(seed: int) -> None:
+    read = og.simulate(og.Machine.nominal(), "standard", noise=5e-6, seed=seed)
+    for noise in (4e-6, 5e-6, 1e-5, None):
+        assert not caution(og.identify(read, noise=noise))
 
 
 def test_rows_without_a_sigma_take_the_machines() -> None:

@@ -10,6 +10,7 @@ import click
 
 from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
+from orthoglide.units import NOISE
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
@@ -94,23 +95,17 @@ def quantities(option: str, items: tuple[str, ...]) -> dict[str, float]:
     return found
 
 
-_NOISE = (1e-6, 1e3)  # millimetres: an atom, and more than any dial shows
+def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Decorator:
+    """``--noise MM`` as metres, what counts where it is absent, and the least, metres."""
 
-
-def _metres(_: Any, __: Any, value: float | None) -> float | None:
-    if value is None:
-        return None
-    low, high = _NOISE
-    if not low <= value <= high:
+    def _metres(_: Any, __: Any, value: float | None) -> float | None:
+        if value is None or least <= value * 1e-3 <= NOISE[1]:
+            return None if value is None else value * 1e-3
         raise InputError(
-            f"--noise must be a positive number of millimetres from {low:g} to {high:g}, "
-            f"not {value:g}"
+            f"--noise must be a number of millimetres from {least * 1e3:g} to "
+            f"{NOISE[1] * 1e3:g}, not {value:g}"
         )
-    return value * 1e-3
 
-
-def noise(otherwise: str = "the machine file's") -> Decorator:
-    """``--noise MM`` as metres, and what counts where it is absent."""
     return click.option(
         "--noise", type=float, metavar="MM",
         callback=_metres,

@@ -39,8 +39,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
 @click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Campaign to write.")
 @_kind_option
 @opt.seed
-@click.option("--noise", "noise_mm", type=float, metavar="MM",
-              help="Standard deviation of one reading; else the machine file's.")  # fmt: skip
+@opt.noise(least=0.0)
 @click.option("--exact", is_flag=True,
               help="No noise, no rounding, dials exactly in place, datums zero.")  # fmt: skip
 @click.option("--tcp", type=opt.PATH, metavar="TCP.csv",
@@ -51,7 +50,7 @@ def simulate(
     out: Path,
     kind: str,
     seed: int,
-    noise_mm: float | None,
+    noise: float | None,
     exact: bool,
     tcp: Path | None,
 ) -> None:
@@ -74,12 +73,9 @@ def simulate(
         check_new(path)
     if seed < 0:
         raise InputError(f"--seed must be 0 or more, not {seed}")
-    if noise_mm is not None and not 0 <= noise_mm < 1e3:
-        raise InputError(f"--noise must be a standard deviation in mm, 0 or more, not {noise_mm}")
     added = opt.quantities("--error", errors)
     machine = opt.load_machine(machine_path).with_parameters(added)
     draw = np.random.default_rng(seed)
-    noise = None if noise_mm is None else noise_mm * 1e-3
     filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
     texts = {out: campaign_text(filled)}
     if tcp is not None:

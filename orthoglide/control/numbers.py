@@ -11,7 +11,9 @@ import numpy as np
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
+from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
 from orthoglide.frames import Framed
+from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
 
@@ -120,6 +122,8 @@ class ControllerNumbers(Framed):
         zeros_only: zeros for a controller that takes nothing else, metres.
         checks: readings that prove the sign of each new zero.
         expected: errors of the TCP, by what is corrected.
+        firmware: numbers of the firmware that a machine was imported from, which then are given in
+            the place of all others; ``None`` of another machine.
     """
 
     name: str
@@ -129,6 +133,7 @@ class ControllerNumbers(Framed):
     zeros_only: tuple[float, ...]
     checks: tuple[ZeroCheck, ...]
     expected: dict[str, ExpectedError]
+    firmware: FirmwareNumbers | None = None
     _index = "drive"
 
     def __repr__(self) -> str:
@@ -140,11 +145,14 @@ class ControllerNumbers(Framed):
     @property
     def title(self) -> str:
         """What they are, with the machine's name where it has one."""
-        return f"Numbers for the controller{f': {self.name}' if self.name else ''}"
+        taker = "firmware" if self.firmware else "controller"
+        return f"Numbers for the {taker}{f': {self.name}' if self.name else ''}"
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """A row a drive, in millimetres."""
+        """A row a drive, in millimetres; or the firmware's numbers."""
+        if self.firmware:
+            return self.firmware.columns
         rows = [{"drive": d.leg, **d.as_dict()} for d in self.drives]
         return {name: [row[name] for row in rows] for name in rows[0]}
 
@@ -161,6 +169,8 @@ class ControllerNumbers(Framed):
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""
+        if self.firmware:
+            return {"machine": self.name, "firmware": self.firmware.as_dict()}
         return {
             "machine": self.name,
             "rule": RULE,
@@ -175,6 +185,9 @@ class ControllerNumbers(Framed):
 
     def text(self) -> str:
         """For people: the rule in words, one worked line, a table, and the checks."""
+        if self.firmware:
+            told = (t if "\n" in t else _fill(t) for t in self.firmware.paragraphs())
+            return "\n\n".join((self.title, *told)) + "\n"
         shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
         named = zip(self.drives, self.zeros_only, strict=True)
         alone = [f"{d.leg} {_mm(v):.4f}" for d, v in named]
@@ -185,7 +198,8 @@ class ControllerNumbers(Framed):
             table="\n".join(map(_line, self.drives)),
             checks=_CHECKS.format(
                 legs=", ".join(self.names.legs),
-                checks="\n".join(_fill(f"- {c}") for c in self.checks) or _NONE,
+                checks="\n".join(_fill(f"- {c}") for c in self.checks)
+                or (_NONE if self.names.legs == LEGS else _fill(_UNDIALLED)),
             ),
             alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)),
             rest=_rest(self.beyond),
@@ -235,6 +249,7 @@ def controller_numbers(
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
+        firmware_numbers(machine),
     )
 
 
@@ -280,6 +295,10 @@ def _rest(names: tuple[str, ...]) -> str:
 
 
 _NONE = "- no zero moves by what a dial on a leg shows."
+_UNDIALLED = (
+    "- no dial is set against the legs of this machine: enter them with the tool well clear, then "
+    "read the tool again as for the calibration. A zero with the wrong sign doubles what was off."
+)
 _CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the numbers in brackets
 are what the controller shows for {legs}.
 {checks}"""

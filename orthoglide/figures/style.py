@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orthoglide.errors import InputError
 from orthoglide.files import write_whole
 
 if TYPE_CHECKING:
@@ -70,8 +71,11 @@ class Drawing:
             overwrite: whether an existing file may be replaced.
 
         Raises:
+            InputError: for a name that does not end in ``.svg``.
             FileError: where a file stands already and may not be replaced, or none can be written.
         """
+        if not os.fspath(path).lower().endswith(".svg"):
+            raise InputError("figures are drawn as SVG: choose a name that ends in .svg")
         write_whole(path, self.svg, overwrite=overwrite)
 
 

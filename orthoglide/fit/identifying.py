@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.fit.doubts import check_slips, check_units
 from orthoglide.fit.earlier import account_for_changes, earlier_of
 from orthoglide.fit.estimate import Estimate
@@ -31,6 +31,8 @@ from orthoglide.observations import (
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
+Weighting = Literal["readings", "deviations"]
+
 Source = Given | TcpPoints | ToolCampaign
 """A campaign of dial readings, readings of the tool, the path of either, or TCP points."""
 
@@ -44,7 +46,7 @@ def identify(
     priors: bool = True,
     noise: float | None = None,
     bounds: Mapping[str, float] | None = None,
-    weighting: Literal["readings", "deviations"] = "readings",
+    weighting: Weighting = "readings",
     method: Method = "auto",
     frame: Frame = "rigid",
 ) -> Estimate:
@@ -76,6 +78,8 @@ def identify(
         SolverError: where no solver reaches an answer that passes our own checks.
         CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
     """
+    check_word("weighting", weighting, get_args(Weighting))
+    check_word("method", method, get_args(Method))
     machine = machine or Machine.nominal()
     chosen = machine.catalogue.base if free is None else free
     problem = assemble(
@@ -104,13 +108,18 @@ def assemble(
     frame: Frame = "rigid",
 ) -> Problem:
     """The problem of readings of all kinds together; arguments as of :func:`identify`."""
+    check_word("frame", frame, get_args(Frame))
+    check_list("free", free)
+    check_list("own", own)
     campaigns, points = sorted_out(given, machine)
     check_units(campaigns, machine.spec.dial)
     level = noise_of(campaigns, machine.spec.dial, noise)
     readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
     if readings and not campaigns and noise is None:
         sigma = np.concatenate([r.sigma for r in readings])
-        level = replace(level, typical=float(np.sqrt(np.mean(sigma**2))))
+        told = all(np.isfinite(p.sigma).all() for p in points)
+        typical = float(np.sqrt(np.mean(sigma**2)))
+        level = replace(level, typical=typical, source="declared" if told else level.source)
     return build_problem(
         machine, campaigns, free, level, own=own, priors=priors, bounds=bounds, points=readings,
         earlier=earlier_of(machine) if priors else None,

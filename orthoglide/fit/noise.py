@@ -13,6 +13,7 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign
+from orthoglide.units import NOISE
 
 NoiseSource = Literal["declared", "machine", "repeats"]
 
@@ -59,7 +60,7 @@ def noise_of(campaigns: Sequence[Campaign], dial: Dial, declared: float | None =
         declared: standard deviation of one reading, metres; replaces all others.
 
     Raises:
-        InputError: where ``declared`` is no positive length.
+        InputError: where ``declared`` is nothing that a dial scatters by.
     """
     noise = _level(campaigns, dial, declared)
     common = float(common_rounding(noise.typical, dial.resolution))
@@ -136,11 +137,23 @@ def repeated(campaigns: Sequence[Campaign]) -> bool:
     return any(len(np.unique(station_table(c), axis=0)) < len(c) for c in campaigns)
 
 
+def check_noise(noise: float, least: float = NOISE[0]) -> None:
+    """Refuses what no instrument scatters by, such as millimetres taken for metres.
+
+    Raises:
+        InputError: saying what is possible.
+    """
+    if not least <= noise <= NOISE[1]:
+        raise InputError(
+            f"the noise must be a standard deviation in metres, from {least:g} to {NOISE[1]:g}, "
+            f"not {noise:g}"
+        )
+
+
 def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> Noise:
     rounding = dial.resolution**2 / 12
     if declared is not None:
-        if not (np.isfinite(declared) and declared > 0):
-            raise InputError("the noise must be a positive standard deviation, in metres")
+        check_noise(declared)
         return _filled(campaigns, declared, "declared", rows_count=False)
     if dial.repeatability is not None:
         return _filled(campaigns, float(np.sqrt(dial.repeatability**2 + rounding)), "machine")

@@ -84,6 +84,8 @@ def _widened(found: Estimate, method: Method) -> Estimate:
 
 def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     if method == "reduction" and not problem.representable:
+        if problem.points:
+            raise InputError("the reduction predicts dials only: leave out the tool's readings")
         raise InputError("the reduction has joint offsets and leg lengths only: free nothing else")
     begin = _begin(problem, method) if start is None else start
     first = linearise(problem, begin)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from orthoglide.effects import Catalogue
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_word
 from orthoglide.fit.noise import Noise
 from orthoglide.fit.problem import Beside, Factor, Problem, Unknown
 from orthoglide.machine import Machine
@@ -128,6 +128,9 @@ def build_problem(
     _check_own(machine.catalogue, own, nothing.factors)
     unknowns = build_unknowns(machine, nothing.factors, free, own)
     if bounds:
+        keys = [k for u in unknowns for k in _bound_keys(u)]
+        for key in bounds:
+            check_word("free parameter", key, dict.fromkeys(keys))
         unknowns = tuple(replace(u, bound=_bound(u, bounds)) for u in unknowns)
     every = tuple(machine.values for _ in nothing.factors)
     return replace(nothing, unknowns=unknowns, held=_without(every, unknowns))
@@ -193,8 +196,13 @@ def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Facto
         _expanded(catalogue, [plain], sources)
 
 
+def _bound_keys(unknown: Unknown) -> tuple[str, ...]:
+    """What a bound may call it, the nearest first."""
+    return unknown.name, unknown.name.plain, unknown.name.effect
+
+
 def _bound(unknown: Unknown, bounds: Mapping[str, float]) -> float:
-    for key in (unknown.name, unknown.name.plain, unknown.name.effect):
+    for key in _bound_keys(unknown):
         if key in bounds:
             if not bounds[key] > 0:
                 raise InputError(f"the bound of {key} must be a positive number")

@@ -6,8 +6,7 @@ The formats and equations are those of the firmware's documentation and sources
 
 from orthoglide.klipper.corrections import (
     Corrections as Corrections,
-    corrections as corrections,
-    unseen_by_firmware as unseen_by_firmware,
+    corrections_of as corrections_of,
 )
 from orthoglide.klipper.firmware import (
     Firmware as Firmware,

@@ -21,6 +21,7 @@ from orthoglide.observations.table import (
     whole,
 )
 from orthoglide.observations.tool import KINDS
+from orthoglide.units import NOISE
 
 MM = 1e-3
 NAN = float("nan")
@@ -48,7 +49,7 @@ ROW_COLUMNS: dict[str, Column] = {
     "temperature_C": Column(number(low=-40, high=100), NAN),
     "load_N": Column(number(low=0, high=1e4), 0.0),
     "reading_mm": Column(number(MM), NAN),
-    "sigma_mm": Column(positive(MM), NAN),
+    "sigma_mm": Column(positive(MM, NOISE[1]), NAN),
 }
 """What each row has of its own, besides its command and approach; of ``kind``: is it a move?"""
 
@@ -63,8 +64,11 @@ TOOL_COLUMNS: dict[str, Column] = {
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
 
+TURNS = 0.1
+"""The largest standard deviation of a turn, radians: a level in a telephone shows hundredths."""
+
 READING_MRAD = Column(number(MM), NAN)
-SIGMA_MRAD = Column(positive(MM), NAN)
+SIGMA_MRAD = Column(positive(MM, TURNS), NAN)
 
 
 def names_of(leg_names: tuple[str, str, str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

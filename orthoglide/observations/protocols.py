@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.campaign import Campaign, Setup
@@ -75,8 +75,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     Raises:
         InputError: for an unknown kind.
     """
-    if kind not in get_args(Kind):
-        raise InputError(f"there is no protocol {kind!r}: it is one of {', '.join(get_args(Kind))}")
+    check_word("protocol", kind, get_args(Kind))
     geometry = geometry or Geometry()
     check_dials(geometry)
     postures = _named(geometry) if kind == "standard" else _swept(geometry)

@@ -236,22 +236,18 @@ def label(cell: str) -> str:
     return cell
 
 
-SIGMA = (1e-6, 1e3)
-"""Standard deviations that an instrument can have, millimetres: an atom, and more than it shows."""
-
-
-def positive(factor: float) -> Callable[[str], float]:
-    """Parser of a standard deviation in a unit worth ``factor``."""
+def positive(factor: float, most: float) -> Callable[[str], float]:
+    """Parser of a standard deviation, SI no larger than ``most``, in a unit worth ``factor``."""
     any_number = number(factor)
 
     def parse(cell: str) -> float:
         value = any_number(cell)
         if value <= 0:
             raise ValueError("not a standard deviation: give one above 0 or leave the field empty")
-        if not SIGMA[0] <= float(cell) <= SIGMA[1]:
+        if not units.NOISE[0] <= value <= most:
             raise ValueError(
-                f"which no instrument has: give a standard deviation from {SIGMA[0]:g} to "
-                f"{SIGMA[1]:g} or leave the field empty"
+                "which no instrument has: give a standard deviation from "
+                f"{units.NOISE[0] / factor:g} to {most / factor:g} or leave the field empty"
             )
         return value
 

@@ -39,8 +39,10 @@ def choose(
         Rows of the pool, with repetitions, and the criterion with them.
 
     Raises:
-        InputError: for fewer than two readings.
+        InputError: for a number of readings that is not whole, or fewer than two.
     """
+    if count != int(count):
+        raise InputError(f"readings are counted: ask for {int(count)}, not {count}")
     if count < 2:
         raise InputError(
             f"a setup needs two readings, as its datum is free: ask for 2, not {count}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
@@ -107,10 +107,8 @@ def design(
     Raises:
         InputError: for dial effects, too few readings, or an unknown criterion.
     """
-    if criterion not in get_args(Criterion):
-        raise InputError(
-            f"there is no criterion {criterion!r}: it is one of {', '.join(get_args(Criterion))}"
-        )
+    check_word("criterion", criterion, get_args(Criterion))
+    check_list("free", free)
     pool = pool or reading_pool(machine.geometry)
     closest: tuple[Pair, ...] = ()
     never: tuple[Pair, ...] = ()
@@ -120,6 +118,8 @@ def design(
         readings = LinearReadings.of(machine, pool, names, noise)
         start = Determinant(np.eye(len(names)) / _LOOSE**2)
         rows, best = choose(readings, start, count, exchange=True)
+        if not rows:
+            raise InputError("through this noise no reading says anything: correct it")
         value = best.value - start.value
     else:
         fitted = machine.catalogue.expand(base)

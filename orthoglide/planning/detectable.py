@@ -11,6 +11,7 @@ import numpy as np
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
+from orthoglide.errors import check_list
 from orthoglide.fit import Estimate, assemble, build_problem, solve
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.fit.tool import ToolReadings
@@ -122,7 +123,12 @@ def smallest_effects(
         level: family-wise probability of a false alarm.
         noise: standard deviation of one reading, metres.
         seed: of the bootstrap on noise.
+
+    Raises:
+        InputError: for names that are neither effects nor parameters.
     """
+    check_list("names", names)
+    machine.catalogue.expand(names)
     seen = signatures(as_expected(machine, campaign, noise))
     scoring = Scoring.of(seen, seen.candidates)
     drawn = noise_residuals(seen, np.random.default_rng(seed), DRAWS)
@@ -154,7 +160,7 @@ def smallest_effects(
             )
         )
     effect_of = machine.catalogue.effect_of
-    hidden = [n for n in seen.invisible if not names or effect_of(n).name in names]
+    hidden = [n for n in seen.invisible if not names or {n, effect_of(n).name} & set(names)]
     return Detectability(tuple(found), tuple(hidden), threshold)
 
 

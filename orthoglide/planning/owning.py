@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.errors import InputError, UnreachableError
+from orthoglide.errors import UnreachableError, check_word
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, protocol
@@ -86,9 +86,7 @@ def owned_instruments(
             that cannot be chosen.
     """
     for kind in kinds:
-        if kind not in INSTRUMENTS:
-            raise InputError(f"there is no instrument {kind!r}: it is one of "
-                             f"{', '.join(INSTRUMENTS)}")  # fmt: skip
+        check_word("instrument", kind, INSTRUMENTS)
     sheets = {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
     if count is not None:
         of_tool = [s for s in sheets.values() if isinstance(s, ToolCampaign)]

@@ -61,8 +61,6 @@ def _origin(request: Request) -> dict[str, Any]:
         "campaigns": [{"file": name, "sha256": digest} for name, digest in files],
     }
     spec = request.machine.spec
-    if "klipper" in spec.provenance:  # what its firmware believes stays with it
-        found["klipper"] = spec.provenance["klipper"]
     if spec.file:
         found["machine"] = {"file": Path(spec.file).name, "sha256": spec.sha256}
     return found

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import Corrections, corrections, firmware_of, rods_words, unseen_by_firmware
+from orthoglide.klipper import Corrections, firmware_of, rods_words
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.posterior import Cause, Explanation
 from orthoglide.result.actions import confirm
+from orthoglide.result.corrections import unseen_by_firmware
 
 _SEEN, _HARDLY_SEEN, _NONE = 2.0, 0.5, 1e-3  # sigmas of a touch
 
@@ -92,23 +93,23 @@ class FirmwareAdvice:
 
 
 def firmware_advice(
-    imported: Machine, machine: Machine, fit: Estimate, causes: Sequence[Cause]
+    found: Corrections | None, machine: Machine, fit: Estimate, causes: Sequence[Cause]
 ) -> FirmwareAdvice | None:
     """Advice for a machine that was imported; ``None`` for others.
 
     Args:
-        imported: as its firmware stored it.
-        machine: calibrated.
+        found: new numbers, where the plate was touched.
+        machine: calibrated, with what its firmware stored.
         fit: the last one.
         causes: that were added.
     """
-    old = firmware_of(imported)
+    old = firmware_of(machine)
     if old is None:
         return None
     every = [one for cause in causes for one in cause.explanations]
     return FirmwareAdvice(
         rods_words(old),
-        corrections(old, machine, fit),
+        found,
         tuple(_beyond(one) for one in every),
         tuple(u for one in every if (u := _unseen(machine, fit, one)) is not None),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,6 +19,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import Framed
 from orthoglide.judging import HoldOut, TcpErrors
+from orthoglide.klipper import Corrections, firmware_of
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
@@ -32,6 +34,7 @@ from orthoglide.posterior import (
 )
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
+from orthoglide.result.corrections import corrections
 from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
 from orthoglide.result.picture import Picture, picture, view_of
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
@@ -156,7 +159,17 @@ class Result(Framed):
         kept: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
         if self.cautions:
             kept["cautions"] = list(self.cautions)
+        stored = self.request.machine.spec.provenance.get("klipper")
+        if isinstance(stored, Mapping):  # what its firmware believes stays with it
+            kept["klipper"] = {k: v for k, v in stored.items() if k != "corrected"}
+            if self._corrections is not None:
+                kept["klipper"]["corrected"] = self._corrections.kept
         return self._machine.with_provenance(kept)
+
+    @cached_property
+    def _corrections(self) -> Corrections | None:
+        old = firmware_of(self.request.machine)
+        return None if old is None else corrections(old, self._machine, self.after)
 
     @property
     def _machine(self) -> Machine:
@@ -337,7 +350,7 @@ class Result(Framed):
     @cached_property
     def firmware(self) -> FirmwareAdvice | None:
         """Numbers for the firmware of a machine that was imported from it; ``None`` for others."""
-        return firmware_advice(self.request.machine, self.machine, self.after, self.effects)
+        return firmware_advice(self._corrections, self.machine, self.after, self.effects)
 
     @property
     def cautions(self) -> tuple[str, ...]:
