@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.checking import check
 from tests.rig import Rig
 from tests.rig_campaigns import protocol_rows, simulate
 from tests.test_checking import delta, probed
@@ -122,3 +123,16 @@ def test_a_tower_that_leans_since_the_calibration_is_told_in_full(tmp_path: Path
     (change,) = [c for c in again.changed if "axis_tilt.b.radial" in c.members]
     assert change.after - change.before == pytest.approx(1.2e-2, rel=0.15)
     assert again.after.scores.chi2 < 1.5 * again.after.scores.dof
+
+
+def test_what_is_left_after_many_changes_at_once_is_told_of_the_new_readings() -> None:
+    """Zeros entered and a drive mended in one visit: closed together, dials of the old one were
+    blamed for what the two states differ in.
+    """
+    zeros = {"joint_offset.x": 6e-4, "joint_offset.y": -1.2e-3}
+    old = measured({**zeros, "backlash.z": 1.5e-4, TILT: 6e-3}, 7, "old")
+    found = check([old], [measured({TILT: 6e-3}, 8, "new")], SHEET)
+    assert {d.parameter for d in found.differences if d.changed} == {*zeros, "backlash.z"}
+    (left,) = found.verdict.effects
+    assert {one.name for one in left.explanations} == {TILT, "rail_tilt.y.z"}
+    assert found.verdict.after.scores.rms < 7e-6

@@ -52,15 +52,13 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
-        si, unit = self.unit.si, self.unit.name
-        if unit == "rad":
-            si, unit = 1e-3, "mrad"
-        decimals = decimals_for(self.sigma / si)
-        before, after = (plain(v / si, decimals) for v in (self.before, self.after))
+        unit = self.unit.spoken
+        decimals = decimals_for(self.sigma / unit.si)
+        before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
         return (
             f"between {_file(self.between[0])} and {_file(self.between[1])} the "
             f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after} "
-            f"{unit} (± {compact(self.sigma / si, 2)})"
+            f"{unit.name} (± {compact(self.sigma / unit.si, 2)})"
         )
 
     @property
