@@ -8,6 +8,7 @@ from orthoglide.observations.campaign import (
     Campaign as Campaign,
     Setup as Setup,
 )
+from orthoglide.observations.given import check_given as check_given
 from orthoglide.observations.protocols import protocol as protocol
 from orthoglide.observations.reading import (
     Given as Given,

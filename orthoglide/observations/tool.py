@@ -12,8 +12,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.errors import check_word
 from orthoglide.geometry import Array
 from orthoglide.observations.approach import Ints
+from orthoglide.observations.arrays import (
+    MAYBE,
+    MAYBE_VECTOR,
+    NUMBER,
+    VECTOR,
+    WHOLE,
+    check_setups,
+    hold,
+)
 
 Kind = Literal["tcp", "plate", "distance", "ballbar", "incline"]
 KINDS: tuple[Kind, ...] = ("tcp", "plate", "distance", "ballbar", "incline")
@@ -32,6 +42,9 @@ class ToolSetup:
 
     name: str
     kind: Kind
+
+    def __post_init__(self) -> None:
+        check_word("kind of reading", self.kind, KINDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +95,10 @@ class ToolCampaign:
     sha256: str = ""
     warnings: tuple[Any, ...] = ()
 
+    def __post_init__(self) -> None:
+        hold(self, self.name, _ARRAYS, "reading")
+        check_setups(self.name, [s.name for s in self.setups], self.setup)
+
     def __len__(self) -> int:
         return len(self.reading)
 
@@ -103,3 +120,21 @@ class ToolCampaign:
         """Against the first recorded ``(n,)``, kelvin; 0 where not recorded."""
         known = self.temperature[np.isfinite(self.temperature)]
         return np.nan_to_num(self.temperature - (known[0] if len(known) else 0.0))
+
+
+_ARRAYS = {
+    "setup": WHOLE,
+    "axis": WHOLE,
+    "sign": NUMBER,
+    "command": VECTOR,
+    "second": MAYBE_VECTOR,
+    "approach": VECTOR,
+    "time": MAYBE,
+    "temperature": MAYBE,
+    "load": NUMBER,
+    "repeat": WHOLE,
+    "order": WHOLE,
+    "reading": MAYBE,
+    "sigma": MAYBE,
+    "line": WHOLE,
+}

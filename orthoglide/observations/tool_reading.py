@@ -145,7 +145,7 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
         sha256=table.sha256,
         warnings=warnings,
     )
-    _check(made, table.fail)
+    check_tool(made, table.fail)
     return made
 
 
@@ -196,7 +196,8 @@ def _either(table: Table, kinds: list[Any], mm: str, mrad: str) -> Array:
     return np.where([kind == "incline" for kind in kinds], angles, lengths)
 
 
-def _check(campaign: ToolCampaign, fail: Fail) -> None:
+def check_tool(campaign: ToolCampaign, fail: Fail) -> None:
+    """Refuses readings of the tool that cannot be meant as they stand; ``fail`` raises."""
     empty = np.flatnonzero(np.isnan(campaign.reading))
     if len(empty):
         fail("the reading is empty: fill it in or remove the row", int(empty[0]))
