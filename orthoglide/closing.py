@@ -115,7 +115,7 @@ def close_loop(
     """Identify, ask what is left, trace it to a cause, add it, and judge.
 
     Args:
-        campaigns: one or several, of dial readings (paths are read as by ``read_campaign``) or TCP
+        campaigns: one or several, of dial readings (paths are read as by ``read_readings``) or TCP
             points that are readings like the others.
         machine: dimensions, tolerances, dial; nominal where absent.
         own: effects or parameters that each campaign has for itself; the rest is shared.

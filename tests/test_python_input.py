@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.observations import ToolCampaign, ToolSetup
 from orthoglide.planning.owning import sheet_of
 
 WORN = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "leg_length.y": 5e-5})
@@ -81,9 +80,9 @@ def with_one(name: str, value: Any, given: Any = DIALS) -> Any:
     return replace(given, **{name: array})
 
 
-def tool(kind: str = "ballbar") -> ToolCampaign:
+def tool(kind: str = "ballbar") -> og.ToolCampaign:
     found = sheet_of(og.Machine.nominal(), kind)
-    assert isinstance(found, ToolCampaign)
+    assert isinstance(found, og.ToolCampaign)
     return found
 
 
@@ -115,7 +114,7 @@ def tool(kind: str = "ballbar") -> ToolCampaign:
     ("tool's sigma", lambda: with_one("sigma", 0.005, tool()), "row 3 .*sigma is 0.005"),
     ("level's sigma", lambda: with_one("sigma", 0.2, tool("incline")), "row 3 .*1e-09 to 0.1"),
     ("tool's shape", lambda: replace(tool(), sigma=np.zeros(2)), "sigma must have shape"),
-    ("tool's kind", lambda: ToolSetup("a", "ruler"), "no kind of reading 'ruler'"),  # type: ignore[arg-type]
+    ("tool's kind", lambda: og.ToolSetup("a", "ruler"), "no kind of reading 'ruler'"),  # type: ignore[arg-type]
 )  # fmt: skip
 def test_readings_that_cannot_be(call: Callable[[], Any], words: str) -> None:
     """As files are checked; of what has no unit, already where it is put together."""

@@ -54,7 +54,7 @@ def identify(
     """Identify parameters of the general mechanism from dial readings.
 
     Args:
-        campaigns: one or several; paths are read as by ``read_campaign``.
+        campaigns: one or several; paths are read as by ``read_readings``.
         machine: dimensions, tolerances and what is known already; nominal where absent.
         free: effects, parameters or structured members to identify; joint offsets and leg lengths
             where absent.

@@ -88,7 +88,7 @@ class Campaign:
     """
 
     from_frame: ClassVar[Callable[..., Campaign]]
-    to_frame: ClassVar[Callable[[Campaign], Any]]
+    to_frame: ClassVar[Callable[..., Any]]
 
     name: str
     setups: tuple[Setup, ...]

@@ -6,13 +6,15 @@ instrument each, as those of dials are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import check_word
+from orthoglide.frames import html_table
 from orthoglide.geometry import Array
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import (
@@ -72,7 +74,13 @@ class ToolCampaign:
         file: the file's name as the caller gave it.
         sha256: digest of the file.
         warnings: what was noticed on reading and is no error.
+        from_frame: readings from a data frame with the columns of their file.
+        to_frame: the rows of their file as a data frame; of a machine file's layout, where that is
+            given.
     """
+
+    from_frame: ClassVar[Callable[..., ToolCampaign]]
+    to_frame: ClassVar[Callable[..., Any]]
 
     name: str
     setups: tuple[ToolSetup, ...]
@@ -105,6 +113,15 @@ class ToolCampaign:
     def __repr__(self) -> str:
         kinds = ", ".join(dict.fromkeys(s.kind for s in self.setups))
         return f"<ToolCampaign {self.name!r}: {len(self)} readings ({kinds})>"
+
+    def _repr_html_(self) -> str:
+        columns = {
+            "kind": self.kind,
+            "setup": [self.setups[k].name for k in self.setup],
+            "posture": self.posture,
+            "reading, mm or mrad": (self.reading * 1e3).tolist(),
+        }
+        return html_table(repr(self)[1:-1], columns)
 
     @property
     def kind(self) -> tuple[Kind, ...]:

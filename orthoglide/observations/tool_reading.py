@@ -54,7 +54,7 @@ def read_readings(
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    return _readings(table, Path(table.file).stem, machine_file)
+    return readings_of_table(table, Path(table.file).stem, machine_file)
 
 
 def readings_from_rows(
@@ -80,10 +80,13 @@ def readings_from_rows(
         FileError: as `read_readings`.
     """
     table = rows_table(rows, file or name, lines, sha256)
-    return tuple(replace(r, file=file) for r in _readings(table, name, machine_file))
+    return tuple(replace(r, file=file) for r in readings_of_table(table, name, machine_file))
 
 
-def _readings(table: Table, name: str, machine_file: MachineFile | None) -> tuple[Readings, ...]:
+def readings_of_table(
+    table: Table, name: str, machine_file: MachineFile | None
+) -> tuple[Readings, ...]:
+    """Readings of any kind from a table of cells; arguments as for `readings_from_rows`."""
     machine = machine_file or nominal_machine_file()
     kinds = table.values("kind", _KIND)
     of_tool = [k for k, kind in enumerate(kinds) if kind in KINDS]
