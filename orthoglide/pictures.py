@@ -99,12 +99,17 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
 
 
 def _along(machine: Machine, leg: int, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Displacements of all virtual joints as one leg goes through its stroke."""
+    """Displacements of all virtual joints as one leg goes through its stroke.
+
+    Where the platform hangs the others go with it, which could not follow one that goes alone.
+    """
     geometry = machine.geometry
     travel = np.linspace(*geometry.stroke, _STATIONS)
     command = np.repeat(geometry.zero[None], _STATIONS, axis=0)
-    command[:, leg] += travel
-    return travel, machine.model.displacements(values, _shown(command))
+    command[:, slice(None) if geometry.layout.hanging else slice(leg, leg + 1)] += travel[:, None]
+    # Only the load's force needs a posture that closes.
+    where, place = machine.model.merged(_shown(command), values)
+    return travel, machine.model.displacements(values, where)[place]
 
 
 def _shown(command: Array) -> Conditions:

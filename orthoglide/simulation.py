@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from orthoglide.accuracy import workspace
 from orthoglide.errors import InputError
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.mechanism.seed import commands as commands_of
 from orthoglide.observations import Campaign, TcpPoints, protocol
 from orthoglide.observations.protocols import Kind
 
@@ -20,6 +22,7 @@ TCP_POINTS = 60
 
 Seed = int | np.random.Generator
 
+_BETWEEN = 4  # points of the workspace between which a point is drawn
 _DATUM = 1e-3  # metres: where a dial's zero may lie
 
 
@@ -62,16 +65,24 @@ def simulate(
 
 
 def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:
-    """Exact TCP points at commands drawn over the whole stroke, in the middle of any dead band.
+    """Exact TCP points at commands drawn over the workspace, in the middle of any dead band.
+
+    On the Orthoglide that is the whole stroke; elsewhere they lie between points of the workspace.
 
     Args:
         machine: with its errors as parameters.
         count: points.
         seed: of all random draws, or where to draw from.
     """
-    low, high = machine.geometry.stroke
-    travel = _draws(seed).uniform(low, high, (count, 3))
-    rho = np.round(machine.geometry.zero + travel, 9)
+    geometry, draw = machine.geometry, _draws(seed)
+    if geometry.dialled:
+        rho = geometry.zero + draw.uniform(*geometry.stroke, (count, 3))
+    else:
+        places = machine.with_only({}).forward(workspace(geometry))
+        shares = draw.dirichlet(np.full(_BETWEEN, 0.5), count)
+        chosen = draw.integers(len(places), size=(count, _BETWEEN))
+        rho = commands_of(geometry, np.einsum("nk,nkx->nx", shares, places[chosen]))
+    rho = np.round(rho, 9)
     return TcpPoints(
         command=rho,
         p=machine.forward(rho),

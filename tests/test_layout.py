@@ -1,23 +1,27 @@
 """The linear delta against three spheres and against an independent machine of six bars."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from orthoglide.accuracy import workspace
+from orthoglide.closing import close_loop
 from orthoglide.effects import catalogue_of, relabelled
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine import Machine
-from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
+from orthoglide.machine_file import MachineFile, Stiffness, machine_text, parse_machine_file
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.loops import Loops
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
+from orthoglide.simulation import simulate_tcp
 from tests.rig_delta import DeltaRig
 
 RIG = DeltaRig()
@@ -63,6 +67,22 @@ def test_parallel_legs_are_three_spheres(geometry: Geometry, compile: bool) -> N
     assert np.abs(mechanism.forward(travel) - p).max() < 1e-12
     assert np.abs(mechanism.close(travel[0]).p - p[0]).max() < 1e-12
     assert np.abs(mechanism.forward(np.zeros(3))).max() < 1e-14
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_every_command_that_the_arms_reach_closes_below_the_carriages(compile: bool) -> None:
+    """Newton's method from the neutral posture ended above them, or nowhere, for a third."""
+    geometry = Geometry(0.25, 0.05, 0.03, (-0.1, 0.3), LinearDelta((0.12,) * 3, tool=(0, 0, -0.04)))
+    travel = np.random.default_rng(5).uniform(*geometry.stroke, (3000 if compile else 300, 3))
+    centres = geometry.centres + travel[:, :, None] * geometry.slides
+    expected = intersect_spheres(centres, geometry.L)
+    mechanism = Mechanism(geometry, compile=compile)
+    assert np.abs(mechanism.forward(travel) - expected).max() < 1e-9
+    assert np.abs(mechanism.forward(travel, np.zeros(30)) - expected).max() < 1e-9
+    closed = [mechanism.close(one).p for one in travel[:60]]
+    assert np.abs(closed - expected[:60]).max() < 1e-9
+    soft = Machine(MachineFile(geometry=geometry, stiffness=Stiffness(bar=1e8)))
+    assert np.abs(soft.forward(travel[:20], load=1e-6) - expected[:20]).max() < 1e-9
 
 
 def test_the_other_assembly_mode_is_the_mirror_image() -> None:
@@ -172,6 +192,19 @@ def test_towers_that_cannot_be_meant_are_refused() -> None:
         LinearDelta((0.2, -0.2, 0.2))
 
 
+@pytest.mark.parametrize("name", ["le.ft", "m d", "", "a_b", "7"])
+def test_legs_that_cannot_be_called_so_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="cannot be called"):
+        FreeLeg(name, (0.3, 0, 0), (1, 0, 0), (0, 0, 1))
+
+
+def test_legs_that_stand_nowhere_are_refused() -> None:
+    with pytest.raises(InputError, match="finite"):
+        FreeLeg("a", (np.nan, 0, 0), (1, 0, 0), (0, 0, 1))
+    with pytest.raises(InputError, match="finite"):
+        FreeLeg("a", (0.3, 0, 0), (1, np.inf, 0), (0, 0, 1))
+
+
 def freely(geometry: Geometry, names: str = "uvw", turn: np.ndarray | None = None) -> Geometry:
     """The same legs given one by one, the machine turned about the base frame's origin."""
     about, tool = np.eye(3) if turn is None else turn, getattr(geometry.layout, "tool", (0, 0, 0))
@@ -242,3 +275,31 @@ def test_free_legs_say_their_directions() -> None:
     assert "toward c" in parameter_words(catalogue.parameter("axis_offset.u.c"))
     with pytest.raises(InputError, match="across its slide"):
         FreeLeg("u", (0.3, 0, 0), (1, 0, 0), (1, 0, 1)).axes  # noqa: B018
+
+
+TALL = Geometry(0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
+"""One leg that goes alone through this stroke leaves the others behind."""
+SPREAD = Geometry(layout=FreeLegs(tuple(
+    FreeLeg(name, tuple(0.34125 * np.eye(3)[k]), tuple(np.eye(3)[k]), tuple(np.eye(3)[k - 1]))
+    for k, name in enumerate(("left", "mid", "right"))
+)))  # fmt: skip
+
+
+@pytest.mark.parametrize("geometry", [TALL, SPREAD], ids=["delta", "free"])
+def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry) -> None:
+    sound = Machine(MachineFile(geometry=geometry))
+    leg = geometry.leg_names[1]
+    tilt = f"axis_tilt.{leg}.{sound.catalogue.legs.across[1][0]}"
+    worn = sound.with_parameters({f"joint_offset.{leg}": 5e-4, tilt: 4e-3})
+    drawn = simulate_tcp(worn)
+    assert len(drawn) == 60
+    assert geometry.in_stroke(drawn.command).all()
+    assert np.ptp(drawn.p, axis=0).min() > 0.05
+    noise = np.random.default_rng(0).normal(scale=1e-5, size=drawn.p.shape)
+    verdict = close_loop([replace(drawn, p=drawn.p + noise)], sound)
+    assert verdict.stands
+    for picture in (verdict._repr_html_(), verdict.plot("tool").svg):
+        assert "<svg" in picture
+    space = verdict.workspace
+    assert space is not None
+    assert np.abs(space.at - sound.forward(workspace(geometry))).max() < 1e-9

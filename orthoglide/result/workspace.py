@@ -19,14 +19,16 @@ class Workspace:
     """The TCP over the workspace, best translation removed, metres.
 
     Attributes:
-        travel: from mechanical zero ``(g, 3)``.
+        at: travel from mechanical zero on the Orthoglide, else where the tool is wanted ``(g, 3)``.
+        axis: what its columns are, with the axis' name to fill in.
         now: predicted error of a controller that knows of no error ``(g, 3)``.
         left: predicted error of one that knows of joint offsets and leg lengths ``(g, 3)``.
         sure_before: 95 % radius about the base model, everything else allowed ``(g,)``.
         sure: 95 % radius about the calibrated machine, everything else allowed ``(g,)``.
     """
 
-    travel: Array
+    at: Array
+    axis: str
     now: Array
     left: Array
     sure_before: Array
@@ -61,8 +63,10 @@ def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace
         calibrated: map of the calibrated machine.
     """
     base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
+    travels = known.geometry.dialled  # elsewhere no levels of travel are levels of the tool
     return Workspace(
-        calibrated.commands - known.geometry.zero,
+        calibrated.commands - known.geometry.zero if travels else calibrated.nominal,
+        "travel of {}" if travels else "{} of the tool",
         without_place(calibrated.p - calibrated.nominal),
         without_place(calibrated.p - base.p),
         base.uncertainty,
