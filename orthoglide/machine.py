@@ -118,7 +118,7 @@ class Machine:
         """The same machine, with a user's own effects beside those it knows.
 
         Raises:
-            InputError: where two effects share a name.
+            InputError: where two effects share a name, or a basis does not work on symbols.
         """
         catalogue = self.catalogue.with_effects(effects)
         same = catalogue.effects == self.catalogue.effects
