@@ -19,6 +19,7 @@ from orthoglide.posterior.search import Search, State, whitened
 
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
 _KEPT = 60  # of them at most
+_LIKELY, _ASKED = 0.05, 8  # weight of explanations over that of the likeliest, and their number
 
 LEAST_SHARE = 0.05
 """Probability of a place from which it is part of the calibrated machine."""
@@ -102,14 +103,17 @@ class Mixture(Search):
         return named, free, rough
 
     @cached_property
-    def named(self) -> tuple[State, Scale]:
-        """The likeliest explanation without small errors that have no name: without those of
-        single stations, and without free functions but those that stand out.
+    def named(self) -> tuple[tuple[State, Scale], ...]:
+        """The likely explanations without small errors that have no name, the likeliest first:
+        without those of single stations, and without free functions but those that stand out.
         """
         least = min(s.free_share for s in self.scales)
         plain = np.array([s.rough == 0 and s.free_share == least for s in self.scales])
-        state = max(self.weights, key=lambda s: self.weights[s][plain].sum())
-        return state, self.scales[int(np.argmax(np.where(plain, self.weights[state], -1.0)))]
+        weight = {state: float(found[plain].sum()) for state, found in self.weights.items()}
+        order = sorted(weight, key=lambda state: -weight[state])[:_ASKED]
+        likely = [state for state in order if weight[state] >= _LIKELY * weight[order[0]]]
+        at = [int(np.argmax(np.where(plain, self.weights[s], -1.0))) for s in likely]
+        return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
 
     @cached_property
     def rare(self) -> float:

@@ -10,10 +10,12 @@ from orthoglide.geometry import Array
 from orthoglide.posterior.everything import FullPosterior
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
+_ENOUGH = 0.05  # probability from which an explanation leaves nothing
 
 
 def remains(posterior: FullPosterior) -> Left:
-    """Test what the likeliest explanation by name or place leaves against the noise.
+    """Test what explanations by name or place leave against the noise: the likeliest, and where it
+    leaves something those that are nearly as likely, of which one may be the truth.
 
     With ``S = 1 + A D A^T`` the rest ``S^-1 r`` has the covariance ``S^-1`` where the explanation
     is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
@@ -23,12 +25,15 @@ def remains(posterior: FullPosterior) -> Left:
     Args:
         posterior: of everything.
     """
-    state, scale = posterior.mixture.named
-    p = _chance(posterior, posterior.mixture.precision(state, scale))
-    if not posterior.mixture.linear.unnamed.any():
-        return Left(p, posterior.mixture.rare)
-    shaped = posterior.mixture.precision(state, scale, unnamed=True)
-    return Left(p, posterior.mixture.rare, _chance(posterior, shaped))
+    mixture, p = posterior.mixture, 0.0
+    for state, scale in mixture.named:
+        p = max(p, _chance(posterior, mixture.precision(state, scale)))
+        if p > _ENOUGH:
+            break
+    if not mixture.linear.unnamed.any():
+        return Left(p, mixture.rare)
+    shaped = mixture.precision(*mixture.named[0], unnamed=True)
+    return Left(p, mixture.rare, _chance(posterior, shaped))
 
 
 def _chance(posterior: FullPosterior, inverse: Array) -> float:
