@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,9 @@ from orthoglide.cli import cli
 from orthoglide.cli.run import stop_cleanly
 from orthoglide.errors import CrossCheckError, SolverError
 from orthoglide.fit import identify
-from orthoglide.machine_file import machine_text, nominal_machine_file
+from orthoglide.machine_file import Controller, machine_text, nominal_machine_file
 from orthoglide.observations import campaign_text, protocol
+from orthoglide.text import csv_text as table_text
 
 EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
 EXPERIMENT_3 = (files("orthoglide") / "data" / "experiment3.csv").read_text()
@@ -691,6 +693,30 @@ def test_forward_and_inverse_on_a_csv(here: Path) -> None:
     (here / "travel.csv").write_text("travel_x_mm,travel_y_mm,travel_z_mm\n0,0,0\n")
     done("forward", "--csv", "travel.csv", "--out", "zero.csv")
     assert (here / "zero.csv").read_text().splitlines()[1] == "0,0,0,0.000000,0.000000,0.000000"
+
+
+def test_forward_reads_what_compensate_wrote(here: Path) -> None:
+    """Commands both ways counted, and how each drive arrives: lost motion is in what it says."""
+    errors = {"joint_offset.x": 1e-3, "backlash.z": 2e-4}
+    counting = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
+    spec = replace(og.Machine.nominal().spec, controller=counting)
+    og.Machine(spec).with_parameters(errors).save("worn.toml")
+    (here / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n1,2,3\n-20,10,5\n0,0,-9\n")
+    machine = ("--machine", "worn.toml")
+    done("compensate", "path.csv", "--out", "commands.csv", *machine)
+    done("forward", "--csv", "commands.csv", "--out", "again.csv", *machine)
+    for row in csv.DictReader((here / "again.csv").open()):
+        for leg in "xyz":
+            assert float(row[f"computed_p_{leg}_mm"]) == pytest.approx(
+                float(row[f"p_{leg}_mm"]), abs=3e-6
+            )
+    bent = (here / "commands.csv").read_text()
+    rows = list(csv.DictReader(bent.splitlines()))
+    rows[1]["travel_x_mm"] = "1.0"
+    (here / "bent.csv").write_text(table_text(tuple(rows[0]), [r.values() for r in rows]))
+    result = run("forward", "--csv", "bent.csv", "--out", "other.csv", *machine)
+    assert result.exit_code == 2
+    assert "both rho_ and travel_" in result.stderr
 
 
 @pytest.mark.parametrize(

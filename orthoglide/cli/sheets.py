@@ -80,7 +80,7 @@ def simulate(
     texts = {out: campaign_text(filled)}
     if tcp is not None:
         points = simulation.simulate_tcp(machine, seed=draw)
-        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9))))
+        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9)), machine.spec))
     write_texts(texts)
     for path, text in texts.items():
         say(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")

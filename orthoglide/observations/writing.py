@@ -14,7 +14,15 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.columns import (
+    APPROACH,
+    MM,
+    POINT,
+    RHO,
+    TRAVEL,
+    approach_of,
+    names_of,
+)
 from orthoglide.observations.tcp import TcpPoints
 
 if TYPE_CHECKING:
@@ -119,13 +127,23 @@ def campaign_frame(campaign: Campaign) -> pd.DataFrame:
 Campaign.to_frame = campaign_frame
 
 
-def tcp_rows(points: TcpPoints) -> list[Row]:
-    """The rows of a file of TCP points; optional columns only where they say something."""
-    columns = _commands(points.command, None) | {
-        name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)
-    }
+def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
+    """The rows of a file of TCP points; optional columns only where they say something.
+
+    Args:
+        points: measured.
+        machine_file: of a machine that is no Orthoglide, whose controller's values the commands are
+            then; others give joint coordinates.
+    """
+    if machine_file is None or machine_file.geometry.dialled:
+        legs, shown = LEGS, _commands(points.command, None)
+    else:
+        legs = machine_file.geometry.leg_names
+        shown = shown_commands(points.command, machine_file, names_of(legs)[0])
+    columns = shown | {name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)}
     if points.approach.any():
-        columns |= {name: signs(points.approach[:, axis]) for axis, name in enumerate(APPROACH)}
+        named = enumerate(approach_of(legs))
+        columns |= {name: signs(points.approach[:, axis]) for axis, name in named}
     if np.isfinite(points.sigma).any():
         columns["sigma_mm"] = numbers(points.sigma, MM)
     return rows_of(columns)

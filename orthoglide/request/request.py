@@ -120,7 +120,7 @@ class Request:
 
     def _input(self, given: Readings | TcpPoints, role: str) -> dict[str, Any]:
         if isinstance(given, TcpPoints):
-            return _input(given, role, tcp_rows(given))
+            return _input(given, role, tcp_rows(given, self.machine.spec))
         if isinstance(given, ToolCampaign):
             return _input(given, role, tool_rows(given, self.machine.spec))
         return _input(given, role, campaign_rows(given))
