@@ -16,7 +16,13 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Controller, MachineFile, machine_text, parse_machine_file
+from orthoglide.machine_file import (
+    Controller,
+    MachineFile,
+    Stiffness,
+    machine_text,
+    parse_machine_file,
+)
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.loops import Loops
 from orthoglide.observations import csv_text, read_tcp, tcp_rows
@@ -69,6 +75,22 @@ def test_parallel_legs_are_three_spheres(geometry: Geometry, compile: bool) -> N
     assert np.abs(mechanism.forward(travel) - p).max() < 1e-12
     assert np.abs(mechanism.close(travel[0]).p - p[0]).max() < 1e-12
     assert np.abs(mechanism.forward(np.zeros(3))).max() < 1e-14
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_every_command_that_the_arms_reach_closes_below_the_carriages(compile: bool) -> None:
+    """Newton's method from the neutral posture ended above them, or nowhere, for a third."""
+    geometry = Geometry(0.25, 0.05, 0.03, (-0.1, 0.3), LinearDelta((0.12,) * 3, tool=(0, 0, -0.04)))
+    travel = np.random.default_rng(5).uniform(*geometry.stroke, (3000 if compile else 300, 3))
+    centres = geometry.centres + travel[:, :, None] * geometry.slides
+    expected = intersect_spheres(centres, geometry.L)
+    mechanism = Mechanism(geometry, compile=compile)
+    assert np.abs(mechanism.forward(travel) - expected).max() < 1e-9
+    assert np.abs(mechanism.forward(travel, np.zeros(30)) - expected).max() < 1e-9
+    closed = [mechanism.close(one).p for one in travel[:60]]
+    assert np.abs(closed - expected[:60]).max() < 1e-9
+    soft = Machine(MachineFile(geometry=geometry, stiffness=Stiffness(bar=1e8)))
+    assert np.abs(soft.forward(travel[:20], load=1e-6) - expected[:20]).max() < 1e-9
 
 
 def test_the_other_assembly_mode_is_the_mirror_image() -> None:

@@ -13,11 +13,12 @@ import pytest
 from orthoglide import reduction
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array, Geometry
+from orthoglide.machine import Machine
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS, ROTATION, TCP
 from orthoglide.mechanism.loops import Loops
-from orthoglide.mechanism.mechanism import Mode
+from orthoglide.mechanism.seed import Mode
 from orthoglide.mechanism.tree import (
     RELIEF_NAMES,
     VIRTUAL_NAMES,
@@ -428,7 +429,8 @@ def test_turns_of_any_size_close_compiled() -> None:
     given = mechanism().given(commands(16, 25), displacements(16, 25))
     x = batch.close(given)
     turns = 2 * np.pi * np.random.default_rng(25).integers(-50, 50, x.shape)
-    assert np.abs(batch.close(given, x + turns) - x - turns).max() < 1e-12
+    assert np.abs(batch._functions["close"](x + turns, given)[0] - x - turns).max() < 1e-12
+    assert np.abs(batch.close(given, x + turns) - x).max() < 1e-12  # from perfect legs
 
 
 @pytest.mark.parametrize("shape", [(2, 32), (2, 34), (33,)])
@@ -536,6 +538,23 @@ def right_or_refused(rho: Array) -> tuple[int, int]:
 
 def test_carriages_beyond_the_origin_close_on_the_right_pose_or_not_at_all() -> None:
     assert right_or_refused(np.random.default_rng(5).uniform(-0.4, 0.4, (200, 3)))[0] > 20
+
+
+@pytest.mark.parametrize("command", [[0, 0, 0], [0.06, -0.1, 0.0]])
+def test_where_the_assembly_modes_meet_is_no_pose(command: list[float]) -> None:
+    """Travel in place of commands: all carriages at the origin, or one of them."""
+    for ask in (mechanism().forward, compiled_mechanism().forward, Machine.nominal().jacobian):
+        with pytest.raises(ClosureError, match=r"at mechanical zero every command is 0\.31025 m"):
+            ask(command)
+
+
+def test_points_beyond_the_carriages_are_said_to_be_there() -> None:
+    with pytest.raises(
+        UnreachableError, match=r"^point 2: .* 157\.331 mm beyond their plane"
+    ) as on:
+        mechanism().inverse([[0.0, 0.0, 0.0], [0.2, 0.2, 0.2]])
+    assert on.value.index == (1,)
+    assert on.value.excess == pytest.approx(0.157331, abs=1e-6)
 
 
 def test_whatever_the_legs_reach_near_the_stroke_closes() -> None:

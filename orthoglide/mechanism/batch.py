@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import ClosureError, UnreachableError
 from orthoglide.geometry import Array
+from orthoglide.mechanism import seed
 from orthoglide.mechanism.functions import (
     LINES,
     ROTATION,
@@ -25,6 +26,16 @@ from orthoglide.mechanism.tree import Tree
 
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
+
+# A side, m^6 or m^5, whose sign is chosen by rounding: carriages in one line, or in one plane with
+# the tool or the origin. A millimetre from there it is ten thousand times as large.
+_FLAT = 1e-20
+
+JUMPED = 100.0
+"""Sum of the joints' squared angles, rad^2, from which Newton's method has jumped, perhaps to a
+wrong posture: of 20,000 all over the stroke of each of three linear deltas no right one had 75 but
+by whole turns, and the wrong ones had thousands.
+"""
 
 # Compiling takes seconds once: as much as this many postures have cost by then.
 _WORTH_COMPILING = 20_000
@@ -120,15 +131,15 @@ class BatchClosure:
             self._pending = False
 
     def _compiled(self, build: bool) -> Mapping[str, Mapped | Lanes] | None:
-        functions = ClosureFunctions(**self._plain)
-        return lanes(functions.residual, functions.outputs, self._samples, build=build)
+        plain = ClosureFunctions(**self._plain)
+        return lanes(plain.residual, plain.outputs, plain.side, self._samples, build=build)
 
     def _samples(self) -> tuple[Array, Array]:
         """Unknowns and what is known of postures all over the workspace, neutral first."""
         draws = np.random.default_rng(0)
         known = np.zeros((_SAMPLES, self._plain["close"].size1_in(1)))
         known[1:, :3] = draws.uniform(*self.tree.geometry.stroke, (_SAMPLES - 1, 3))
-        x, residual = self._interpreted["close"](np.zeros(self._size), known)
+        x, residual, _ = self._interpreted["close"](np.zeros(self._size), known)
         closed = _closed(residual)
         return x[closed], known[closed]
 
@@ -160,34 +171,53 @@ class BatchClosure:
         self._count(1)
         if not self.compiled:
             return None
-        x, residual, steps, shown = self._functions["posture"](start, given[None])
+        x, residual, _, steps, shown = self._functions["posture"](start, given[None])
         return x[0], residual[0], int(steps[0, 0]), Outputs(shown[0])
 
-    def _solved(self, start: Array, known: Array) -> tuple[Array, Array]:
-        """Unknowns where Newton's method ends, and the residual of each row."""
-        x, residual, *_ = self._call("close", start, known)
-        open_ = np.flatnonzero(~_closed(residual))
-        if self.compiled and open_.size:  # what is interpreted chooses its pivots as it goes
-            start = np.broadcast_to(start, x.shape)
-            x[open_], residual[open_] = self._interpreted["close"](start[open_], known[open_])
-        return x, residual
+    def _solved(
+        self, start: Array, known: Array, mode: seed.Mode
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Unknowns where Newton's method ends, the residual, and which rows closed in ``mode``."""
 
-    def close(self, given: Array, guess: Array | None = None) -> Array:
+        def right() -> NDArray[np.bool_]:
+            here = side[:, 0] < -_FLAT if mode == "machine" else side[:, 0] > _FLAT
+            return _closed(residual) & here & (side[:, 1] < JUMPED)
+
+        x, residual, side = self._call("close", start, known)[:3]
+        done = right()
+        # What is interpreted chooses its pivots as it goes.
+        for functions in (self._functions, self._interpreted):
+            again = np.flatnonzero(~done)
+            if again.size:
+                near = self._seed(np.broadcast_to(start, x.shape)[again], known[again], mode)
+                x[again], residual[again], side[again] = functions["close"](near, known[again])[:3]
+                done = right()
+        return x, residual, done
+
+    def _seed(self, start: Array, known: Array, mode: seed.Mode) -> Array:
+        """Perfect legs' joints where those meet, else ``start`` ``(N, n)``."""
+        near, p = start.copy(), seed.tool(self.tree.geometry, known[:, :3], mode)
+        near[:, : len(self.tree.free)] = seed.free_joints(self.tree, known[:, :3], p)
+        return np.where(np.isfinite(p[:, :1]), near, start)
+
+    def close(self, given: Array, guess: Array | None = None, mode: seed.Mode = "machine") -> Array:
         """Unknowns that close the loops.
 
         Args:
             given: ``(N, 3 + m)``.
             guess: unknowns to start from, ``(N, n)``; the assembled neutral posture by default.
+            mode: assembly mode. What ends elsewhere starts again from perfect legs.
 
         Returns:
             ``(N, n)``: free joints in the order of ``tree.free``, radians.
 
         Raises:
-            ClosureError: naming the first posture that does not close, with its residual by loop.
+            ClosureError: naming the first posture that does not close in this assembly mode, with
+                its residual by loop.
         """
-        known = self._known(given)
-        x, residual = self._solved(np.zeros(self._size) if guess is None else guess, known)
-        bad = np.flatnonzero(~_closed(residual))
+        known, start = self._known(given), np.zeros(self._size) if guess is None else guess
+        x, residual, done = self._solved(start, known, mode)
+        bad = np.flatnonzero(~done)
         if bad.size:
             raise self._failure(int(bad[0]), residual[bad[0]], len(bad), known)
         return x
@@ -197,12 +227,25 @@ class BatchClosure:
         full[list(self._rows)] = residual
         by_loop = self.tree.by_loop(full)
         worst = max(by_loop, key=lambda name: np.nan_to_num(by_loop[name], nan=np.inf))
+        how = (
+            "which closes only in the other assembly mode or where the two meet"
+            if by_loop[worst] <= CLOSED
+            else f"with its largest misfit of {by_loop[worst] * 1e3:.3g} mm or mrad at {worst}"
+        )
         return ClosureError(
-            f"{count} of {len(known)} postures do not close; the first is number {index}, with its "
-            f"largest misfit of {by_loop[worst] * 1e3:.3g} mm or mrad at {worst}",
+            f"{count} of {len(known)} postures do not close; the first is number {index}, {how}"
+            f"{self._counted_from_zero(known[index, :3])}",
             residuals=by_loop,
             index=(index,),
         )
+
+    def _counted_from_zero(self, travel: Array) -> str:
+        """A hint where a command would be within the stroke if it were travel."""
+        geometry = self.tree.geometry
+        zero = geometry.zero
+        if not zero.any() or not geometry.in_stroke(travel + 2 * zero).all():
+            return ""
+        return f": at mechanical zero every command is {zero[0]:g} m, not 0"
 
     def outputs(self, x: Array, given: Array) -> Outputs:
         """What postures show, for unknowns ``(N, n)`` as :meth:`close` returns them."""

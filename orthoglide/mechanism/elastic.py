@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import LEGS, Array
-from orthoglide.mechanism.batch import CLOSED, BatchClosure
+from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.mechanism.compiled import compiled
 from orthoglide.mechanism.elastic_functions import BARS, TENSION, elastic_functions
 from orthoglide.mechanism.mapped import Mapped
@@ -167,8 +167,8 @@ class ElasticClosure(BatchClosure):
     def _failure(self, index: int, residual: Array, count: int, known: Array) -> ClosureError:
         slack = known[index : index + 1].copy()
         slack[:, -3:] = 0.0  # no load, rigid bars, legs free to twist: do the loops close at all?
-        _, without = self._solved(np.zeros(len(residual)), slack)
-        if not float(np.max(np.abs(without))) <= CLOSED:
+        _, without, closed = self._solved(np.zeros(len(residual)), slack, "machine")
+        if not closed.all():
             return super()._failure(index, without[0, : len(self.tree.free)], count, known)
         return ClosureError(
             f"{count} of {len(known)} postures find no elastic equilibrium; the first is number "

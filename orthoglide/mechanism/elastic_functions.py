@@ -44,7 +44,8 @@ class ElasticFunctions:
     Attributes:
         residual: (unknown, condition) -> ``(27,)``: closure residual, then how far each tension is
             from balance, in TENSION newtons plus the metres that this stretches the bar.
-        close: (guess, condition) -> unknown at equilibrium, and the residual that is left.
+        close: (guess, condition) -> unknown at equilibrium, the residual that is left, and the side
+            as of the plain closure.
         outputs: (unknown, condition) -> ``(48,)``, as of the plain closure.
         tangent: (unknown, condition) -> outputs and their total derivative ``(48, 34)`` by
             ``[drives; virtual; load]`` along equilibria.
@@ -86,9 +87,10 @@ class _Builder:
         outputs = self.plain.outputs(self.z, self.w)
         step, residual = self._step()
         residual = self._function("residual", residual)
+        side = self._function("side", self.plain.side(self.z, self.w))
         return ElasticFunctions(
             residual,
-            closing(_rootfinder(self._function("step", step)), residual),
+            closing(_rootfinder(self._function("step", step)), residual, side),
             self._function("outputs", outputs),
             self._function("tangent", *self._tangent()),
             self._function("force", self._force()),

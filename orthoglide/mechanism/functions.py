@@ -29,17 +29,22 @@ class ClosureFunctions:
 
     Attributes:
         residual: (free, [drive; virtual]) -> ``(n,)`` closure residual, metres and sines of angles.
-        close: (guess, [drive; virtual]) -> free joints that close the loops (Newton), and the
-            residual that is left.
+        close: (guess, [drive; virtual]) -> free joints that close the loops (Newton), the
+            residual that is left, and the side.
         outputs: (free, [drive; virtual]) -> ``(48,)``, see ``TCP``, ``ROTATION``, ``LINES``.
         tangent: (free, [drive; virtual]) -> outputs and their total derivative ``(48, 3 + m)``
             with the loops kept closed.
+        side: (free, [drive; virtual]) -> a number that is negative in the machine's own assembly
+            mode, positive in the other and 0 where they meet, without a scale; and the sum of the
+            squares of the free joints' angles: Newton's method that jumped ends many turns away,
+            and not always with its bars parallel.
     """
 
     residual: Any
     close: Any
     outputs: Any
     tangent: Any
+    side: Any
 
 
 def closure_functions(
@@ -60,22 +65,24 @@ def closure_functions(
     arguments, names = [x, given], ["guess", "given"]
     residual_f = ca.Function("residual", arguments, [residual], names, ["residual"])
     outputs_f = ca.Function("outputs", arguments, [outputs], names, ["outputs"])
+    side_f = ca.Function("side", arguments, [_side(x, outputs, tree)], names, ["side"])
     root = ca.rootfinder(
         "root",
         "fast_newton",
         residual_f,
         {"max_iter": 25, "abstol": 1e-14, "abstolStep": 1e-13, "error_on_fail": False},
     )
-    close_f, tangent_f = closing(root, residual_f), _tangent(x, given, residual, outputs)
-    return ClosureFunctions(residual_f, close_f, outputs_f, tangent_f)
+    close_f, tangent_f = closing(root, residual_f, side_f), _tangent(x, given, residual, outputs)
+    return ClosureFunctions(residual_f, close_f, outputs_f, tangent_f, side_f)
 
 
-def closing(root: Any, residual: Any) -> Any:
-    """(guess, known) -> what a root finder ends at, and the residual there."""
+def closing(root: Any, residual: Any, side: Any) -> Any:
+    """(guess, known) -> what a root finder ends at, the residual and the side there."""
     guess, known = ca.MX.sym("guess", root.size1_in(0)), ca.MX.sym("given", root.size1_in(1))
     x = root(guess, known)
-    names = ["guess", "given"], ["x", "residual"]
-    return ca.Function("close", [guess, known], [x, residual(x, known)], *names)
+    names = ["guess", "given"], ["x", "residual", "side"]
+    found = [x, residual(x, known), side(x, known)]
+    return ca.Function("close", [guess, known], found, *names)
 
 
 def rigid_rows(tree: Tree) -> tuple[int, ...]:
@@ -127,6 +134,24 @@ def _outputs(walked: SymbolicTree, tree: Tree) -> Any:
             carriage = fork @ Transform(ca.SX.eye(3), side)
             parts += [carriage.t, ends[bar].t]
     return ca.densify(ca.vertcat(*parts))
+
+
+def _side(x: Any, outputs: Any, tree: Tree) -> Any:
+    """Of the plane of the carriages, the platform's size taken out: where the tool is, times where
+    the machine's side is not; and how far the joints are from neutral.
+
+    A hanging platform is below; else the origin's side is the machine's, for the legs' order alone
+    would point at the origin once a carriage has passed it.
+    """
+    geometry, starts = tree.geometry, LINES.start
+    one, two, three = (
+        (outputs[k : k + 3] + outputs[k + 6 : k + 9]) / 2 - ca.SX(leg.platform)
+        for k, leg in zip(range(starts, OUTPUTS, 12), geometry.legs, strict=True)
+    )
+    normal = ca.cross(two - one, three - one)
+    away = ca.SX(geometry.slides[0]) if geometry.layout.hanging else one
+    below = ca.dot(normal, outputs[TCP] - one) * ca.dot(normal, away)
+    return ca.vertcat(below, ca.sumsqr(x))
 
 
 def _tangent(x: Any, given: Any, residual: Any, outputs: Any) -> Any:

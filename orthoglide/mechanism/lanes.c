@@ -69,10 +69,11 @@ static void scatter(long rows, long first, long width, const real *from, double 
 static void step(const real *restrict, const real *restrict, real *restrict);
 static void residual(const real *restrict, const real *restrict, real *restrict);
 static void outputs(const real *restrict, const real *restrict, real *restrict);
+static void side(const real *restrict, const real *restrict, real *restrict);
 
 /* Newton's method. A lane stands still once a step of it was below 1e-8, which leaves the square of
    that: what a posture gets does not depend on its neighbours. Found are the unknowns, their
-   residual and the number of steps. */
+   residual, the side and the number of steps. */
 static void close(const real *restrict start, const real *restrict known, real *restrict found)
 {
     real change[UNKNOWNS], steps = zero;
@@ -93,12 +94,13 @@ static void close(const real *restrict start, const real *restrict known, real *
         if (!any) break;
     }
     residual(found, known, found + UNKNOWNS);
-    found[2 * UNKNOWNS] = steps;
+    side(found, known, found + 2 * UNKNOWNS);
+    found[2 * UNKNOWNS + 2] = steps;
 }
 
 /* All of a posture in one call. */
 static void posture(const real *restrict start, const real *restrict known, real *restrict found)
 {
     close(start, known, found);
-    outputs(found, known, found + 2 * UNKNOWNS + 1);
+    outputs(found, known, found + 2 * UNKNOWNS + 3);
 }

@@ -80,16 +80,18 @@ class Lanes:
 def lanes(
     residual: Any,
     outputs: Any,
+    side: Any,
     samples: Callable[[], tuple[Array, Array]],
     *,
     build: bool,
 ) -> dict[str, Lanes] | None:
     """Functions by the names of ``ClosureFunctions``, compiled; ``close`` finds the unknowns, their
-    residual and the number of Newton's steps, ``posture`` also the outputs.
+    residual, the side and the number of Newton's steps, ``posture`` also the outputs.
 
     Args:
         residual: SX function of (free, known), as many rows as are free.
         outputs: SX function of the same.
+        side: SX function of the same.
         samples: closed postures, free ``(S, n)`` and known ``(S, m)``: they choose the pivots.
         build: whether to compile where the cache has nothing.
 
@@ -99,13 +101,14 @@ def lanes(
     n, m, count = residual.size1_in(0), residual.size1_in(1), outputs.size1_out(0)
     here = files("orthoglide.mechanism")
     own = [here.joinpath(name).read_text("utf-8") for name in _WRITERS]
-    content = "".join([*own, residual.serialize(), outputs.serialize()])
-    path = library(content, lambda: _source(residual, outputs, samples()), _FLAGS, build=build)
+    functions = residual, outputs, side
+    content = "".join([*own, *(function.serialize() for function in functions)])
+    path = library(content, lambda: _source(*functions, samples()), _FLAGS, build=build)
     if path is None:
         return None
     shapes: dict[str, list[tuple[int, ...]]] = {
-        "close": [(n,), (n,), (1,)],
-        "posture": [(n,), (n,), (1,), (count,)],
+        "close": [(n,), (n,), (2,), (1,)],
+        "posture": [(n,), (n,), (2,), (1,), (count,)],
         "residual": [(n,)],
         "outputs": [(count,)],
         "tangent": [(count,), (count, m)],
@@ -117,7 +120,7 @@ def lanes(
     return {name: Lanes(found[f"{name}_each"], (n, m), of) for name, of in shapes.items()}
 
 
-def _source(residual: Any, outputs: Any, samples: tuple[Array, Array]) -> str:
+def _source(residual: Any, outputs: Any, side: Any, samples: tuple[Array, Array]) -> str:
     x, known = ca.SX.sym("x", residual.size1_in(0)), ca.SX.sym("known", residual.size1_in(1))
     g, out = residual(x, known), outputs(x, known)
     by_x = ca.jacobian(g, x)
@@ -127,10 +130,11 @@ def _source(residual: Any, outputs: Any, samples: tuple[Array, Array]) -> str:
     written = {
         "residual": [g],
         "outputs": [out],
+        "side": [side(x, known)],
         "step": [ca.densify(solve(by_x, g, order))],
         "tangent": [out, ca.vec(by_known.T)],
     }
-    close = 2 * x.numel() + 1
+    close = 2 * x.numel() + 3
     sizes = {
         "close": close,
         "posture": close + out.numel(),
@@ -141,7 +145,11 @@ def _source(residual: Any, outputs: Any, samples: tuple[Array, Array]) -> str:
         [
             f"#define UNKNOWNS {x.numel()}\n#define KNOWN {known.numel()}\n{head}",
             *(_written(name, x, known, ca.vertcat(*parts)) for name, parts in written.items()),
-            *(f"EACH({name}, {size})" for name, size in sizes.items() if name != "step"),
+            *(
+                f"EACH({name}, {size})"
+                for name, size in sizes.items()
+                if name not in ("step", "side")
+            ),
             "",
         ]
     )

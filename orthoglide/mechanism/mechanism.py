@@ -12,13 +12,11 @@ from numpy.typing import ArrayLike
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.mechanism import seed
-from orthoglide.mechanism.batch import CLOSED, BatchClosure, Outputs, placed
+from orthoglide.mechanism.batch import CLOSED, JUMPED, BatchClosure, placed
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.mobility import Conditioning, Mobility, conditioning, mobility
+from orthoglide.mechanism.seed import Mode
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, general_tree, nominal_tree
-
-Mode = Literal["machine", "other"]
-"""The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
 VIRTUAL_COUNT = 3 * len(VIRTUAL_NAMES)
 _NONE = np.zeros((3, len(VIRTUAL_NAMES)))  # displacements
@@ -106,7 +104,21 @@ class Mechanism:
             ClosureError: where the loops do not close, with the residual by loop.
             InputError: where the arguments have the wrong shape or are not finite.
         """
-        q = self._start(command, displacements, mode, guess)
+        q = self._start(command, displacements, guess)
+        if guess is None and mode == "machine":  # from the neutral posture, which is quicker
+            try:
+                return self._closed(q.copy(), mode, legs)
+            except ClosureError:
+                pass
+        if guess is None:
+            travel = q[None, self.tree.drive]
+            p = seed.tool(self.geometry, travel, mode)
+            if np.isfinite(p).all():
+                q[self.tree.free] = seed.free_joints(self.tree, travel, p)[0]
+        return self._closed(q, mode, legs)
+
+    def _closed(self, q: Array, mode: Mode, legs: Literal["relieved", "rigid"]) -> Posture:
+        """The posture that is reached from ``q``, which changes."""
         if legs == "relieved" and self._compile is not False:
             found = self._by_compiled_code(q, mode)
             if found is not None:
@@ -133,7 +145,9 @@ class Mechanism:
             return None
         x, residual, steps, shown = found
         by_loop, p = self.tree.by_loop(residual), shown.p
-        if not all(v <= CLOSED for v in by_loop.values()) or self._mode(q, p) != mode:
+        if not all(v <= CLOSED for v in by_loop.values()) or x @ x > JUMPED:
+            return None
+        if self._mode(q, p) != mode:
             return None
         closed = q.copy()
         closed[self.tree.free] = x
@@ -145,7 +159,7 @@ class Mechanism:
         return "machine" if below else "other"
 
     def _start(
-        self, command: ArrayLike, displacements: ArrayLike | None, mode: Mode, guess: Posture | None
+        self, command: ArrayLike, displacements: ArrayLike | None, guess: Posture | None
     ) -> Array:
         rho = np.asarray(command, dtype=float)
         moves = _NONE if displacements is None else np.asarray(displacements, dtype=float)
@@ -153,23 +167,9 @@ class Mechanism:
             raise InputError("close takes one command (3,) and displacements (3, 10)")
         if not (np.isfinite(rho).all() and (moves is _NONE or np.isfinite(moves).all())):
             raise InputError("the command and the displacements must be finite numbers")
-        if guess is not None:
-            q = guess.q.copy()
-        elif mode == "other":
-            q = self._mirrored_start(rho, moves)
-        else:
-            q = np.zeros(self.tree.model.nq)
+        q = np.zeros(self.tree.model.nq) if guess is None else guess.q.copy()
         q[self.tree.drive] = rho - self.geometry.zero
         q[self.tree.virtual] = moves.ravel()
-        return q
-
-    def _mirrored_start(self, rho: Array, moves: Array) -> Array:
-        own = self.close(rho, moves)
-        given = self.given(rho[None], moves[None])
-        lines = self.batch.outputs(own.q[self.tree.free][None], given).lines
-        p = seed.mirrored(self.geometry, lines, own.p[None])
-        q = own.q.copy()
-        q[self.tree.free] = seed.free_joints(self.tree, rho[None] - self.geometry.zero, p)[0]
         return q
 
     @staticmethod
@@ -274,21 +274,7 @@ class Mechanism:
         rho = self.geometry.commands(commands, "commands")
         batch, given = self._closing(rho, displacements)
         with placed(rho.shape[:-1]):
-            return self._outputs(batch, given, mode).p.reshape(rho.shape)
-
-    def _outputs(self, batch: BatchClosure, given: Array, mode: Mode) -> Outputs:
-        out = batch.outputs(batch.close(given), given)
-        if mode == "other":
-            p = seed.mirrored(self.geometry, out.lines, out.p)
-            start = seed.free_joints(batch.tree, given[:, :3], p)
-            out = batch.outputs(batch.close(given, start), given)
-        wrong = np.flatnonzero(
-            seed.in_machine_mode(self.geometry, out.lines, out.p) ^ (mode == "machine")
-        )
-        if wrong.size:
-            first = int(wrong[0])
-            raise ClosureError(f"posture {first} closed in the wrong assembly mode", index=(first,))
-        return out
+            return batch.outputs(batch.close(given, mode=mode), given).p.reshape(rho.shape)
 
     def inverse(self, p: ArrayLike, displacements: ArrayLike | None = None) -> Array:
         """Commands rho ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from operator import mul
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.errors import UnreachableError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
+
+Mode = Literal["machine", "other"]
+"""The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
 _FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
 
@@ -40,7 +43,8 @@ def commands(geometry: Geometry, p: Array) -> Array:
     """Commands ``(N, 3)`` of perfect legs that hold the TCP at ``p`` ``(N, 3)``, metres.
 
     Raises:
-        UnreachableError: naming the leg that is too short, and the point that it misses most.
+        UnreachableError: naming the leg that is too short, and the point that it misses most; or
+            the point that lies farthest beyond the plane of the carriages.
     """
     reach = p[:, None] - _centres(geometry, np.zeros((1, 3)))  # from each leg's sphere at zero
     along = np.einsum("nli,li->nl", reach, geometry.slides)
@@ -52,16 +56,31 @@ def commands(geometry: Geometry, p: Array) -> Array:
         leg, worst = int(short[0]), int(np.argmax(excess[:, short[0]]))
         size = float(excess[worst, leg])
         shown = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
-        which = f"point {worst + 1}: " if len(p) > 1 else ""
         away = float(np.hypot.reduce(p[worst]))
         far = f" for a point {away:g} m away" if away > _FAR * geometry.L else ""
         raise UnreachableError(
-            f"{which}leg {geometry.leg_names[leg]} is {shown} mm too short{far}",
+            f"{_which(worst, p)}leg {geometry.leg_names[leg]} is {shown} mm too short{far}",
             leg=geometry.leg_names[leg],
             excess=size,
             index=(worst,),
         )
-    return np.asarray(geometry.zero + along + np.sqrt(geometry.L**2 - across**2))
+    travel = along + np.sqrt(geometry.L**2 - across**2)
+    normal, offset = _carriage_plane(geometry, _centres(geometry, travel))
+    beyond = np.sum(normal * p, axis=1) - offset
+    if (beyond >= 0).any():
+        worst = int(np.argmax(beyond))
+        raise UnreachableError(
+            f"{_which(worst, p)}the machine does not come to the far side of its carriages: the "
+            f"tool would stand {beyond[worst] * 1e3:.3f} mm beyond their plane, in the other "
+            f"assembly mode",
+            excess=float(beyond[worst]),
+            index=(worst,),
+        )
+    return np.asarray(geometry.zero + travel)
+
+
+def _which(point: int, p: Array) -> str:
+    return f"point {point + 1}: " if len(p) > 1 else ""
 
 
 def _centres(geometry: Geometry, travel: Array) -> Array:
@@ -78,28 +97,32 @@ def _angles(geometry: Geometry, leg: int, span: Array) -> Array:
     return np.stack([by_name[name] for name in PASSIVE_NAMES], axis=1)
 
 
-def mirrored(geometry: Geometry, lines: Array, p: Array) -> Array:
-    """Mirror image of ``p`` in the plane of the three carriages: the other assembly mode.
+def tool(geometry: Geometry, travel: Array, mode: Mode = "machine") -> Array:
+    """TCP ``(N, 3)`` of perfect legs, where three spheres about the carriages meet, metres.
 
     Args:
         geometry: nominal dimensions.
-        lines: ends of the bars ``(N, 3, 2, 2, 3)``.
-        p: TCP ``(N, 3)``.
+        travel: of the carriages from mechanical zero, ``(N, 3)``, metres.
+        mode: which of the two points, mirror images in the plane of the carriages.
+
+    Returns:
+        NaN where the legs do not meet, or the carriages stand in one line.
     """
-    normal, offset = _carriage_plane(geometry, _seen(geometry, lines))
-    return p - 2 * (np.sum(normal * p, axis=-1) - offset)[:, None] * normal
-
-
-def in_machine_mode(geometry: Geometry, lines: Array, p: Array) -> NDArray[np.bool_]:
-    """Whether postures ``(N,)`` stand in the machine's own assembly mode; as :func:`mirrored`."""
-    normal, offset = _carriage_plane(geometry, _seen(geometry, lines))
-    return np.asarray(np.sum(normal * p, axis=-1) < offset)
+    centres = _centres(geometry, travel)
+    u, v = centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0]
+    w = np.cross(u, v)
+    uu, vv, ww = (np.sum(x * x, axis=1, keepdims=True) for x in (u, v, w))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        foot = (uu * np.cross(v, w) + vv * np.cross(w, u)) / (2 * ww)
+        height = np.sqrt(geometry.L**2 - np.sum(foot * foot, axis=1, keepdims=True))
+        normal, _ = _carriage_plane(geometry, centres)
+    return np.asarray(centres[:, 0] + foot + height * normal * (-1 if mode == "machine" else 1))
 
 
 def below_carriages(geometry: Geometry, travel: Array, p: Array) -> bool:
     """Whether a TCP ``(3,)`` is on the machine's side of perfect legs' carriages.
 
-    As :func:`in_machine_mode`, in plain numbers: numpy would take longer than closing the loops.
+    As ``ClosureFunctions.side``, in plain numbers: numpy would take longer than closing the loops.
     """
     first, second, third = (geometry.centres + travel[:, None] * geometry.slides).tolist()
     u, v = ([b - a for a, b in zip(first, other, strict=True)] for other in (second, third))
@@ -108,10 +131,6 @@ def below_carriages(geometry: Geometry, travel: Array, p: Array) -> bool:
     up = sum(map(mul, normal, geometry.slides[0].tolist())) if geometry.layout.hanging else offset
     below = sum(map(mul, normal, p.tolist())) - offset
     return below > 0 if up < 0 else below < 0
-
-
-def _seen(geometry: Geometry, lines: Array) -> Array:
-    return lines[:, :, :, 0].mean(axis=2) - np.stack([leg.platform for leg in geometry.legs])
 
 
 def _carriage_plane(geometry: Geometry, centres: Array) -> tuple[Array, Array]:
@@ -123,8 +142,6 @@ def _carriage_plane(geometry: Geometry, centres: Array) -> tuple[Array, Array]:
     normal = np.cross(centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     offset = np.sum(normal * centres[:, 0], axis=-1)
-    # A hanging platform is below; else the origin's side is the machine's, for the legs' order
-    # alone would point at the origin once a carriage has passed it.
     up = normal @ geometry.slides[0] if geometry.layout.hanging else offset
     side = np.where(up < 0, -1.0, 1.0)
     return normal * side[:, None], offset * side
