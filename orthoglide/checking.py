@@ -60,18 +60,19 @@ class Difference:
         return (*values, apart, f"{self.sigma / si:.{places}f}", self.unit.name, said)
 
     def __str__(self) -> str:
-        before, after, apart, sigma, unit, _ = self.cells
+        before, after, apart, sigma, *_ = self.cells
         words = parameter_words(self.parameter)
         if self.changed:
-            size = f"from {before} to {after} {unit}: by {apart} ± {sigma}"
+            size = f"from {before} to {after}{self.unit.behind}: by {apart} ± {sigma}"
             return f"{words}{self.others} changed {size}"
-        return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit}"
+        still = f"{apart} ± {sigma}{self.unit.behind}"
+        return f"{words} did not change by more than its uncertainty: {still}"
 
     @property
     def still(self) -> str:
         """By how much it did not change, in a list."""
-        _, _, apart, sigma, unit, _ = self.cells
-        return f"{parameter_words(self.parameter)} {apart} ± {sigma} {unit}"
+        _, _, apart, sigma, *_ = self.cells
+        return f"{parameter_words(self.parameter)} {apart} ± {sigma}{self.unit.behind}"
 
 
 COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")

@@ -17,6 +17,11 @@ class Unit(NamedTuple):
     name: str
     si: float
 
+    @property
+    def behind(self) -> str:
+        """As a sentence has it behind a number: nothing for a ratio."""
+        return "" if self.name == "1" else f" {self.name}"
+
 
 NOISE = (1e-9, 1e-3)
 """Standard deviations that readings can have, metres: an atom, and more than any dial scatters."""

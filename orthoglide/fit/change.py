@@ -52,14 +52,14 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
-        si, unit = self.unit.si, self.unit.name
-        if unit == "rad":
-            si, unit = 1e-3, "mrad"
+        si, unit = self.unit.si, self.unit.behind
+        if self.unit.name == "rad":
+            si, unit = 1e-3, " mrad"
         decimals = decimals_for(self.sigma / si)
         before, after = (plain(v / si, decimals) for v in (self.before, self.after))
         return (
             f"between {_file(self.between[0])} and {_file(self.between[1])} the "
-            f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after} "
+            f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after}"
             f"{unit} (± {compact(self.sigma / si, 2)})"
         )
 

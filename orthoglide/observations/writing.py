@@ -135,9 +135,9 @@ def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list
         machine_file: of a machine that is no Orthoglide, whose controller's values the commands are
             then; others give joint coordinates.
     """
-    if machine_file is None or machine_file.geometry.dialled:
-        legs, shown = LEGS, _commands(points.command, None)
-    else:
+    legs: tuple[str, str, str] = LEGS
+    shown = _commands(points.command, None)
+    if machine_file is not None and not machine_file.geometry.dialled:
         legs = machine_file.geometry.leg_names
         shown = shown_commands(points.command, machine_file, names_of(legs)[0])
     columns = shown | {name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)}
