@@ -53,26 +53,28 @@ class Difference:
     @property
     def cells(self) -> tuple[str, ...]:
         """Old, new, difference and its sigma in the unit of files, and whether it changed."""
-        si, places = self.unit.si, decimals_for(self.sigma / self.unit.si, most=9)
-        values = (plain(v / si, places) for v in (self.before, self.after))
+        return (*self._figures(self.unit), self.unit.name, "yes" if self.changed else "no")
+
+    def _figures(self, unit: Unit) -> tuple[str, str, str, str]:
+        """Old, new, difference and its sigma."""
+        si, places = unit.si, decimals_for(self.sigma / unit.si, most=9)
+        before, after = (plain(v / si, places) for v in (self.before, self.after))
         apart = signed((self.after - self.before) / si, places)
-        said = "yes" if self.changed else "no"
-        return (*values, apart, f"{self.sigma / si:.{places}f}", self.unit.name, said)
+        return before, after, apart, f"{self.sigma / si:.{places}f}"
 
     def __str__(self) -> str:
-        before, after, apart, sigma, *_ = self.cells
-        words = parameter_words(self.parameter)
+        unit, words = self.unit.spoken, parameter_words(self.parameter)
+        before, after, apart, sigma = self._figures(unit)
         if self.changed:
-            size = f"from {before} to {after}{self.unit.behind}: by {apart} ± {sigma}"
+            size = f"from {before} to {after} {unit.name}: by {apart} ± {sigma}"
             return f"{words}{self.others} changed {size}"
-        still = f"{apart} ± {sigma}{self.unit.behind}"
-        return f"{words} did not change by more than its uncertainty: {still}"
+        return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit.name}"
 
     @property
     def still(self) -> str:
         """By how much it did not change, in a list."""
-        _, _, apart, sigma, *_ = self.cells
-        return f"{parameter_words(self.parameter)} {apart} ± {sigma}{self.unit.behind}"
+        _, _, apart, sigma = self._figures(self.unit.spoken)
+        return f"{parameter_words(self.parameter)} {apart} ± {sigma} {self.unit.spoken.name}"
 
 
 COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
@@ -86,8 +88,7 @@ class Check:
     Attributes:
         old: names of the campaigns of the old state.
         new: of the new one.
-        verdict: of the machine as it is in the last readings: of all of them together, or without
-            dials of the new ones, which see no machine but theirs.
+        verdict: of the machine as it is now, from the new readings alone.
         differences: of the base parameters, of the causes found and of what changed.
         plates: what changed of probed plates, a sentence each.
     """
@@ -125,6 +126,7 @@ def check(
 
     Both states are closed together, so that what never changed is known from all readings; then
     every parameter of the base and of the causes found is given one value before and one after.
+    What is left is told from the new readings.
 
     Args:
         old: readings of the old state, in the order they were taken.
@@ -148,9 +150,11 @@ def check(
     past = [r for r in before if r in tool and any(d in after for d in dials)]
     points = tuple(r for r in tool if r not in past)
     request = Request("close-loop", dials, machine, (), noise, seed, points=points)
-    together = verdict = run(request, progress)
-    if not dials:  # a change that is one of several leaves open what there was before
-        verdict = run(replace(request, points=tuple(r for r in points if r in after)), progress)
+    together = run(request, progress)
+    # A change that is one of several leaves open what there was before: not so the new readings.
+    now_dials = tuple(r for r in dials if r in after)
+    now_points = tuple(r for r in points if r in after)
+    verdict = run(replace(request, campaigns=now_dials, points=now_points), progress)
     progress(Step("comparing"))
     names = _compared(together)
     problem, later = together.before.problem, {a.name for a in after}

@@ -163,6 +163,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
     before = account_for_changes(solve(problem))
+    since = before.changes
     check_slips(before)
     problem = before.problem
     from orthoglide.diagnosis.blunders import examine, without
@@ -202,8 +203,10 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         found.weighed, left, known, blunders, faulty=faulty,
         alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
-    since = tuple(c.now(verdict.after) for c in before.changes)
-    changed = (*since, *(c.measured(verdict.after) for c in changes))
+    changed = (
+        *(now for c in since if (now := c.now(verdict.after)).is_larger_than_sigma),
+        *(c.measured(verdict.after) for c in changes),
+    )
     progress(Step("judging"))
     return judge(replace(verdict, changed=changed))
 

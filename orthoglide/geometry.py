@@ -23,7 +23,8 @@ Leg = Literal["x", "y", "z"]
 LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
 """The base axes, and the Orthoglide's legs: its leg i slides along base axis i."""
 
-_FAR = 100.0  # bars' lengths; the longest command within a machine's reach is two
+_FAR = 4.0  # bars' lengths beyond the stroke; legs two apart no longer meet
+_LARGEST = 10.0  # metres
 
 
 def vectors(values: ArrayLike, name: str) -> Array:
@@ -106,6 +107,11 @@ class Geometry:
             value = getattr(self, name)
             if not np.isfinite(value) or value <= 0:
                 raise InputError(f"geometry: {name} must be a positive length, not {value}")
+            if value > _LARGEST:
+                raise InputError(
+                    f"geometry: {name} = {value:g} m is far from any machine: give lengths in "
+                    f"metres, not millimetres"
+                )
         if not self.layout.stroke_fits(self.L, self.stroke):
             raise InputError(
                 f"geometry: the stroke must run from below 0 to above 0 and stay within a bar's "
@@ -153,11 +159,11 @@ class Geometry:
                 that they must be millimetres.
         """
         rho = vectors(values, name)
-        largest = float(np.abs(rho).max(initial=0.0))
-        if largest > _FAR * self.L:
+        beyond = np.abs(rho - self.layout.zero(self.L)) - max(np.abs(self.stroke))
+        if beyond.max(initial=0.0) > _FAR * self.L:
             raise InputError(
-                f"{name}: {largest:g} m is far from any reach of a machine whose bars are "
-                f"{self.L:g} m long: give commands in metres, not millimetres"
+                f"{name}: {np.abs(rho).max():g} m is far from any reach of a machine whose bars "
+                f"are {self.L:g} m long: give commands in metres, not millimetres"
             )
         return rho
 

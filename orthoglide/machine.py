@@ -118,7 +118,7 @@ class Machine:
         """The same machine, with a user's own effects beside those it knows.
 
         Raises:
-            InputError: where two effects share a name.
+            InputError: where two effects share a name, or a basis does not work on symbols.
         """
         catalogue = self.catalogue.with_effects(effects)
         same = catalogue.effects == self.catalogue.effects
@@ -151,12 +151,16 @@ class Machine:
     ) -> Machine:
         """The same machine with parameters set, SI; structured members set those they stand for.
 
+        The covariance of a calibrated machine is about other values and is left behind: what is
+        then known of its parameters are their standard deviations alone.
+
         Args:
             values: such as ``{"joint_offset.x": 1e-3, "axis_tilt.cyclic": 2e-3}``.
-            sigmas: their standard deviations; 0 (known) where not given.
+            sigmas: standard deviations of some of them; 0 (known) where not given.
 
         Raises:
-            InputError: for a name that is no parameter, or a value that is no number.
+            InputError: for a name that is no parameter of the machine or one campaign's, a value
+                that is no number, and a standard deviation that is none or of another parameter.
         """
         return self._with(dict(self.spec.parameters), values, sigmas or {})
 
@@ -194,12 +198,19 @@ class Machine:
         sigmas: Mapping[str, float],
         posterior: Posterior | None = None,
     ) -> Machine:
+        if posterior is None:
+            _check_sigmas(values, sigmas)
         for name, value in values.items():
             if not np.isfinite(value):
                 raise InputError(f"{name} must be a finite number, not {value}")
             sigma = sigmas.get(name, 0.0)
             unit = self.catalogue.effect_of(name).unit.name
             for part, weight in self.catalogue.elementary(name).items():
+                if campaign := self.catalogue.parameter(part).campaign:
+                    raise InputError(
+                        f"{name} is what the campaign {campaign} has for itself: a machine has "
+                        f"{part.partition('@')[0]}"
+                    )
                 entries[part] = ParameterValue(
                     weight * float(value), abs(weight) * float(sigma), unit
                 )
@@ -226,33 +237,21 @@ class Machine:
             self._models.append(built)
         return self._models[0]
 
-    def _conditions(self, rho: Array, **seen: ArrayLike) -> Conditions:
-        batch = rho.shape[:-1]
-        flat = {
-            name: np.broadcast_to(
-                np.asarray(value, float), (*batch, 3) if name == "approach" else batch
-            ).reshape((-1, 3) if name == "approach" else (-1,))
-            for name, value in seen.items()
-        }
-        return Conditions.at(rho.reshape(-1, 3), **flat)
-
     def pose(self, rho: ArrayLike, **seen: ArrayLike) -> Pose:
         """Pose of the platform.
 
         Args:
             rho: commands ``(..., 3)``, metres (2008, eq. 2).
-            seen: conditions where they matter: ``approach (..., 3)``, ``time``, ``warming``,
-                ``load (...)``. Approach unknown is the middle of the dead band.
+            seen: conditions where they matter: ``approach (..., 3)``, +1, -1, or 0 where it is
+                unknown, the middle of the dead band; ``time``, ``warming``, ``load (...)``.
 
         Raises:
             ClosureError: where a posture does not close.
-            InputError: for commands that are not numbers, have the wrong shape, or are so large
-                that they must be millimetres.
+            InputError: for commands or conditions that are not numbers or have the wrong shape,
+                or commands so large that they must be millimetres.
         """
         commands = self.geometry.commands(rho)
-        closure, given = self.model.closing(
-            self._machine_values, self._conditions(commands, **seen)
-        )
+        closure, given = self.model.closing(self._machine_values, Conditions.at(commands, **seen))
         x = closure.close(given)
         out, shape = closure.outputs(x, given), commands.shape[:-1]
         relief = relief_angles(closure.tree, x)
@@ -269,7 +268,7 @@ class Machine:
             ClosureError: where the posture does not close.
         """
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
-        out = self.model.outputs(self._machine_values, self._conditions(command))
+        out = self.model.outputs(self._machine_values, Conditions.at(command))
         return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
 
     def _repr_svg_(self) -> str:
@@ -283,7 +282,7 @@ class Machine:
         as for :meth:`pose`.
         """
         commands = self.geometry.commands(rho)
-        conditions = self._conditions(commands, **seen)
+        conditions = Conditions.at(commands, **seen)
         found = self.model.deformation(self._machine_values, conditions)
         return found.reshaped(commands.shape[:-1])
 
@@ -301,7 +300,7 @@ class Machine:
         Arguments as for :meth:`pose`.
         """
         commands = self.geometry.commands(rho)
-        conditions = self._conditions(commands, **seen)
+        conditions = Conditions.at(commands, **seen)
         found = self.model.jacobian(self._machine_values, conditions)
         return found.reshape(*commands.shape[:-1], 3, 3)
 
@@ -330,3 +329,11 @@ class Machine:
     def readings(self, campaign: Campaign) -> Array:
         """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
         return self.model.readings(self.values, campaign)
+
+
+def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
+    for name, sigma in sigmas.items():
+        if name not in values:
+            raise InputError(f"a standard deviation is given of {name}, which is not set: set both")
+        if not (np.isfinite(sigma) and sigma >= 0):
+            raise InputError(f"the standard deviation of {name} must be 0 or more, not {sigma}")

@@ -22,6 +22,11 @@ class Unit(NamedTuple):
         """As a sentence has it behind a number: nothing for a ratio."""
         return "" if self.name == "1" else f" {self.name}"
 
+    @property
+    def spoken(self) -> Unit:
+        """The unit in which people say it: milliradians, percent."""
+        return {"rad": Unit("mrad", 1e-3), "1": Unit("%", 1e-2)}.get(self.name, self)
+
 
 NOISE = (1e-9, 1e-3)
 """Standard deviations that readings can have, metres: an atom, and more than any dial scatters."""

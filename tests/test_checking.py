@@ -117,7 +117,7 @@ def test_from_files_and_results_to_words_and_a_page(
     assert "Joint offset of leg x changed from" in page
     assert "<svg" in page
     assert "it must read" in page
-    assert "The report of old, new<" in page
+    assert "The report of new<" in page
     table = list(csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text())))
     by_name = {row["parameter"]: row for row in table}
     assert by_name["joint_offset.x"]["changed"] == "yes"

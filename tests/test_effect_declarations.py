@@ -3,9 +3,11 @@
 import ast
 import copy
 import json
+import math
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.loading import load_effects
+from orthoglide.effects.motions import constant, sideways
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words
 from orthoglide.errors import InputError
 from orthoglide.prediction import Conditions, Model
@@ -170,6 +173,51 @@ def test_mistakes_are_refused() -> None:
         og.Machine.nominal().with_effects([wrong]).with_parameters({"play.x": 1e-3}).forward(
             [0.31, 0.31, 0.31]
         )
+
+
+@pytest.mark.parametrize(
+    ("joint", "basis", "told"),
+    [
+        ("lateral_b", lambda c: math.sin(c.travel / 0.02), "no finite number: .* with sin and"),
+        ("lateral_b", lambda c: 1.0 if c.travel > 0 else 0.0, "on symbols .* without math"),
+        ("lateral_b", lambda c: c.travel / 0.0, "no finite number"),
+        ("lateral_b", lambda c: None, "None"),
+        ("lateral_b", lambda c: c.temperature, "no attribute 'temperature'"),
+        ("lateral_b", lambda c: sin(c.travel / c.pitch), "c.pitch is None"),
+        ("travel", lambda c: c.travel, "use c.command or c.nominal_travel"),
+        ("travel", lambda c: c.u**2, "use c.command or c.nominal_travel"),
+    ],
+)
+def test_bases_that_cannot_be_computed_are_refused(
+    joint: str, basis: Callable[[Any], Any], told: str
+) -> None:
+    wrong = Effect("mine", MM, 1.0, "", "", "", members=once(Motion(joint, basis)))
+    with pytest.raises(InputError, match=rf"^mine\.x: its basis .*{told}"):
+        og.Machine.nominal().with_effects([wrong])
+
+
+def test_a_dial_that_cannot_be_computed_is_refused() -> None:
+    wrong = Effect("mine", MM, 1.0, "", "", "", dial=lambda r, v: math.sin(r.shown) * v)
+    with pytest.raises(InputError, match=r"^mine: its basis gives no finite"):
+        og.Machine.nominal().with_effects([wrong])
+    for other in ({"unit": "mm"}, {"members": ()}):
+        with pytest.raises(InputError, match="mine: unit is one like MM"):
+            Effect(**{"name": "mine", "unit": MM, "tolerance": 1.0, "because": "", "sentence": "",
+                      "look_at": ""} | other)  # fmt: skip
+
+
+def test_machines_with_effects_of_a_module_travel() -> None:
+    travels = [
+        Effect("drive_twice", MM, 1.0, "", "", "", members=once(Motion("travel", _sine))),
+        Effect("shift", MM, 1.0, "", "", "", members=once(Motion("lateral_b", constant(1.0)))),
+        Effect("wave", MM, 1.0, "", "", "",
+               members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _cosine),))),
+    ]  # fmt: skip
+    own = og.Machine.nominal().with_effects(travels).with_parameters({"shift.y": 1e-4})
+    again = pickle.loads(pickle.dumps(own))
+    assert again == own
+    command = [[0.31, 0.3, 0.32]]
+    assert np.array_equal(again.forward(command), own.forward(command))
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))

@@ -200,6 +200,19 @@ def test_towers_that_cannot_be_meant_are_refused() -> None:
         LinearDelta((0.2, -0.2, 0.2))
 
 
+@pytest.mark.parametrize("name", ["le.ft", "m d", "", "a_b", "7"])
+def test_legs_that_cannot_be_called_so_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="cannot be called"):
+        FreeLeg(name, (0.3, 0, 0), (1, 0, 0), (0, 0, 1))
+
+
+def test_legs_that_stand_nowhere_are_refused() -> None:
+    with pytest.raises(InputError, match="finite"):
+        FreeLeg("a", (np.nan, 0, 0), (1, 0, 0), (0, 0, 1))
+    with pytest.raises(InputError, match="finite"):
+        FreeLeg("a", (0.3, 0, 0), (1, np.inf, 0), (0, 0, 1))
+
+
 def freely(geometry: Geometry, names: str = "uvw", turn: np.ndarray | None = None) -> Geometry:
     """The same legs given one by one, the machine turned about the base frame's origin."""
     about, tool = np.eye(3) if turn is None else turn, getattr(geometry.layout, "tool", (0, 0, 0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import ClosureError, FileError, InputError, OrthoglideError
 from orthoglide.geometry import Geometry
+from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
+from orthoglide.machine_file import MachineFile
 from orthoglide.observations import protocol
 from tests.rig import Rig
 
 NOMINAL = Machine.nominal()
+DELTA = Geometry(0.27, 0.05, 0.032, (-0.2, 0.1), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
 ERRORS = {
     "joint_offset.x": 1e-3, "joint_offset.z": -7e-4, "leg_length.y": 1e-4,
     "axis_tilt.y.z": 2e-3, "rail_bow.x.y": 1e-4, "bar_mismatch.x": 3e-4,
@@ -81,6 +85,19 @@ def test_jacobian_by_differences() -> None:
         step = h * np.eye(3)[axis]
         slope = (CROOKED.forward(rho + step) - CROOKED.forward(rho - step)) / (2 * h)
         assert np.allclose(CROOKED.jacobian(rho)[..., axis], slope, rtol=0, atol=2e-9)
+
+
+@pytest.mark.parametrize("machine", [NOMINAL, Machine(MachineFile(geometry=DELTA))])
+def test_jacobian_by_differences_under_a_load(machine: Machine) -> None:
+    """The load's force on a drive depends on the command."""
+    names = machine.geometry.leg_names
+    soft = machine.with_parameters({f"drive_compliance.{leg}": 1e-5 for leg in names[:2]})
+    rho, h = machine.geometry.zero + commands(4) - NOMINAL.geometry.zero, 1e-5
+    for axis in range(3):
+        step = h * np.eye(3)[axis]
+        ends = (soft.forward(rho + side * step, load=100.0) for side in (1, -1))
+        slope = np.subtract(*ends) / (2 * h)
+        assert np.allclose(soft.jacobian(rho, load=100.0)[..., axis], slope, rtol=0, atol=1e-8)
 
 
 def test_nominal_jacobian_is_equation_5() -> None:
@@ -149,6 +166,41 @@ def test_structured_members_set_what_they_stand_for() -> None:
 def test_with_parameters_refuses(values: dict[str, float]) -> None:
     with pytest.raises(InputError):
         NOMINAL.with_parameters(values)
+
+
+@pytest.mark.parametrize(
+    ("values", "sigmas", "told"),
+    [
+        ({"joint_offset.x@april": 1e-3}, {}, "campaign april has for itself"),
+        ({"joint_offset.x": 1e-3}, {"joint_offset.x": -1e-6}, "0 or more, not -1e-06"),
+        ({"joint_offset.x": 1e-3}, {"joint_offset.x": float("nan")}, "0 or more, not nan"),
+        ({"joint_offset.x": 1e-3}, {"joint_offset.y": 1e-6}, "joint_offset.y, which is not set"),
+    ],
+)
+def test_with_parameters_says_what_is_wrong(
+    values: dict[str, float], sigmas: dict[str, float], told: str
+) -> None:
+    for make in (NOMINAL.with_parameters, NOMINAL.with_only):
+        with pytest.raises(InputError, match=told):
+            make(values, sigmas)
+
+
+@pytest.mark.parametrize(
+    ("seen", "told"),
+    [
+        ({"approach": [10, 0, 0]}, r"\+1 or -1"),
+        ({"approach": 0.5}, r"\+1 or -1"),
+        ({"approach": [1, 1]}, r"approach must be numbers of the shape \(2, 3\)"),
+        ({"time": [1, 2, 3]}, r"time must be numbers of the shape \(2,\)"),
+        ({"load": "heavy"}, "load must be numbers"),
+        ({"load": float("nan")}, "load must be finite"),
+        ({"warming": None}, "warming must be finite"),
+    ],
+)
+def test_refuses_what_is_no_condition(seen: dict[str, Any], told: str) -> None:
+    for ask in (NOMINAL.forward, NOMINAL.jacobian, NOMINAL.deformation, NOMINAL.inverse):
+        with pytest.raises(InputError, match=told):
+            ask([[0.31] * 3, [0.32] * 3] if ask != NOMINAL.inverse else np.zeros((2, 3)), **seen)
 
 
 @pytest.mark.parametrize("bad", [1.0, [1.0, 2.0], [[1.0, 2.0]], [0.3, 0.3, float("nan")]])

@@ -20,6 +20,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.control import commands_text
+from orthoglide.layout import LinearDelta
 from orthoglide.mechanism import Mechanism
 from orthoglide.observations import campaign_text
 from tests.test_cli import done
@@ -246,6 +247,16 @@ def test_commands_in_millimetres_are_refused(method: str) -> None:
         getattr(og.Machine.nominal(), method)([320, 310, 300])
     with pytest.raises(og.InputError, match="in metres, not millimetres"):
         Mechanism().forward([320, 310, 300])
+
+
+def test_millimetres_of_a_delta_are_refused() -> None:
+    """Its carriages go up together: ten metres were as good as ten millimetres."""
+    delta = og.Geometry(0.27, 0.05, 0.032, (-0.15, 0.3), LinearDelta((0.14,) * 3))
+    with pytest.raises(og.InputError, match="in metres, not millimetres"):
+        Mechanism(delta).forward([10, 10, 10])
+    for wrong in ({"L": 310.25}, {"d": 80.0}, {"r": 31.0}):
+        with pytest.raises(og.InputError, match="in metres, not millimetres"):
+            og.Geometry(**wrong)
 
 
 def test_points_in_millimetres_are_said_to_be_far() -> None:

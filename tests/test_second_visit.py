@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.checking import check
 from tests.rig import Rig
 from tests.rig_campaigns import protocol_rows, simulate
+from tests.test_checking import delta, probed
 
 SHEET = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
 ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4, "leg_length.z": 5e-5}
@@ -93,3 +95,44 @@ def test_what_changed_is_said_first(tmp_path: Path) -> None:
     assert said is not None, text
     assert float(said[1]) == pytest.approx(0.06, abs=0.01)
     assert "Nothing else is wrong" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("backlash.z", 1.2e-4), ("rail_bow.y.x", -2e-4), ("axis_tilt.x.y", -8e-3)],
+)
+def test_a_fault_put_right_leaves_nothing(tmp_path: Path, name: str, size: float) -> None:
+    """Six tolerances taken back: the old value was held on to, and a place found that undid it."""
+    first = og.close_loop(measured({**ERRORS, name: size}, 5, "first"), SHEET)
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    again = og.close_loop(measured(ERRORS, 6, "second"), known)
+    assert again.word == "adequate"
+    (change,) = again.changed
+    assert name in change.members
+    assert change.before == pytest.approx(size, rel=0.1)
+    assert abs(change.after) < 3 * change.sigma
+
+
+def test_a_tower_that_leans_since_the_calibration_is_told_in_full(tmp_path: Path) -> None:
+    """Four tolerances: it was told by half, and what that left was called the readings' noise."""
+    first = og.close_loop([probed("probe", 1)], delta())
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    again = og.close_loop([probed("probe", 2, **{"axis_tilt.b.radial": 1.2e-2})], known)
+    (change,) = [c for c in again.changed if "axis_tilt.b.radial" in c.members]
+    assert change.after - change.before == pytest.approx(1.2e-2, rel=0.15)
+    assert again.after.scores.chi2 < 1.5 * again.after.scores.dof
+
+
+def test_what_is_left_after_many_changes_at_once_is_told_of_the_new_readings() -> None:
+    """Zeros entered and a drive mended in one visit: closed together, dials of the old one were
+    blamed for what the two states differ in.
+    """
+    zeros = {"joint_offset.x": 6e-4, "joint_offset.y": -1.2e-3}
+    old = measured({**zeros, "backlash.z": 1.5e-4, TILT: 6e-3}, 7, "old")
+    found = check([old], [measured({TILT: 6e-3}, 8, "new")], SHEET)
+    assert {d.parameter for d in found.differences if d.changed} == {*zeros, "backlash.z"}
+    (left,) = found.verdict.effects
+    assert {one.name for one in left.explanations} == {TILT, "rail_tilt.y.z"}
+    assert found.verdict.after.scores.rms < 7e-6

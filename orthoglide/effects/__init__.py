@@ -6,9 +6,9 @@ from orthoglide.effects.catalogue import (
     catalogue_of as catalogue_of,
     relabelled as relabelled,
 )
-from orthoglide.effects.effect import (
+from orthoglide.effects.effect import Effect as Effect
+from orthoglide.effects.motions import (
     DialReading as DialReading,
-    Effect as Effect,
     LegConditions as LegConditions,
     Motion as Motion,
     cos as cos,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from orthoglide.effects.effect import Effect, LegConditions, Motion, constant, once
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.motions import LegConditions, Motion, constant, once
 from orthoglide.effects.words import Words, micrometres, mm, more
 from orthoglide.units import MM, Unit
 

@@ -12,7 +12,9 @@ from functools import cache, cached_property
 from typing import Any
 
 from orthoglide.effects import bars, dials, drives, plates, rails
-from orthoglide.effects.effect import Effect, Motion
+from orthoglide.effects.bases import check_bases
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.motions import Motion
 from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
 from orthoglide.parameters import Parameter, setup_parts
@@ -57,10 +59,14 @@ class Catalogue(Mapping[str, Effect]):
         """The same with a user's own effects behind; those that are in already are not repeated.
 
         Raises:
-            InputError: where two effects share a name.
+            InputError: where two effects share a name, or a basis does not work on symbols.
         """
         own = (e if e.names == self.legs else replace(e, names=self.legs) for e in more)
-        return Catalogue((*self.effects, *(e for e in own if e not in self.effects)), self.legs)
+        new = [e for e in own if e not in self.effects]
+        catalogue = Catalogue((*self.effects, *new), self.legs)
+        for effect in new:
+            check_bases(effect)
+        return catalogue
 
     def of_layout(self, layout: Layout) -> Catalogue:
         """The catalogue of a machine of another layout, a user's own effects included."""

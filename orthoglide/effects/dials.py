@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from orthoglide.effects.effect import DialReading, Effect, cos, sin
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.motions import DialReading, cos, sin
 from orthoglide.effects.words import Words, mm, more, mrad, percent
 from orthoglide.units import ONE, RAD, Unit
 

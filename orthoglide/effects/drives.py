@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.effect import Effect, LegConditions, Motion, constant, cos, once, sin
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.motions import LegConditions, Motion, constant, cos, once, sin
 from orthoglide.effects.words import Words, micrometres, mm, more, percent
 from orthoglide.numerals import compact
 from orthoglide.units import MM, ONE, Unit

@@ -10,20 +10,26 @@ errors included. An effect of a dial changes the reading instead, see :class:`Di
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-import numpy as np
-
+from orthoglide.effects.motions import (
+    SIDES,
+    Condition,
+    DialReading,
+    Members,
+    Motion,
+    TimeRecorder,
+    no_motions,
+)
 from orthoglide.effects.words import Words
 from orthoglide.errors import InputError
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit, to_si
 
-Condition = Literal["approach", "time", "temperature", "load", "pitch"]
 Group = Literal["structure", "drive", "temperature", "load", "dial"]
 Shape = Callable[[Any, Any], Any]
 """Height of a plate at (x, y), both over the largest measured radius, for one unit."""
@@ -32,130 +38,10 @@ Held = Literal["zero", "scale", "backlash", "bar_length", "place"]
 
 
 @dataclass(frozen=True)
-class LegConditions:
-    """The conditions of one leg when a reading was taken.
-
-    Attributes:
-        command: of the leg's own drive, metres; on the Orthoglide rho (2008, eq. 2).
-        length: nominal bar length L, metres.
-        stroke: travel limits from mechanical zero, metres.
-        pitch: of the drive's screw, metres; ``None`` where unknown.
-        approach: direction of the drive's last move, +1 or -1; 0 where unknown.
-        time: seconds since the campaign began.
-        warming: kelvin above the campaign's first row.
-        force: on the carriage along its own axis under the load, newtons.
-        travel: the carriage's true travel from mechanical zero, metres.
-        zero: the command at mechanical zero, metres; ``None``: L, as on the Orthoglide.
-        commands: of all drives, metres.
-        built_up: lost motion that builds up over some lengths after the drive turns round, each
-            half its approach after a long way; none where nobody knows.
-    """
-
-    command: Any
-    length: float
-    stroke: tuple[float, float]
-    pitch: float | None
-    approach: Any
-    time: Any
-    warming: Any
-    force: Any
-    travel: Any = None
-    zero: float | None = None
-    commands: tuple[Any, ...] = ()
-    built_up: tuple[Any, ...] = ()
-
-    @property
-    def nominal_travel(self) -> Any:
-        """Commanded travel from mechanical zero, metres."""
-        return self.command - (self.length if self.zero is None else self.zero)
-
-    @property
-    def u(self) -> Any:
-        """True travel over the stroke: -1 at its lower end, +1 at its upper."""
-        low, high = self.stroke
-        return (self.travel - (low + high) / 2) / ((high - low) / 2)
-
-
-@dataclass(frozen=True)
-class DialReading:
-    """A reading on its way from the touched line to the number shown.
-
-    Attributes:
-        shown: the reading so far, metres.
-        across: the coordinate toward which the dial turns about the leg, with the dial's sign.
-        time: seconds since the campaign began.
-    """
-
-    shown: Any
-    across: Any
-    time: Any
-
-
-Basis = Callable[[LegConditions], Any]
-
-
-def constant(value: float) -> Basis:
-    """A basis that is the same under all conditions."""
-    return lambda _: value
-
-
-_CONDITIONS: Mapping[str, Condition] = {
-    "approach": "approach", "time": "time", "warming": "temperature", "force": "load",
-    "pitch": "pitch",
-}  # fmt: skip
-
-
-class _Recorder(LegConditions):
-    """Numbers in place of conditions, and a note of which were looked at."""
-
-    def __getattribute__(self, name: str) -> Any:
-        if name in _CONDITIONS:
-            object.__getattribute__(self, "__dict__").setdefault("used", set()).add(name)
-        return object.__getattribute__(self, name)
-
-
-def sin(angle: Any) -> Any:
-    """Sine of a number, an array or a CasADi symbol, radians."""
-    return angle.sin() if hasattr(angle, "sin") else np.sin(angle)
-
-
-def cos(angle: Any) -> Any:
-    """Cosine of a number, an array or a CasADi symbol, radians."""
-    return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
-
-
-@dataclass(frozen=True)
-class Motion:
-    """One virtual joint moved by one parameter.
-
-    Attributes:
-        joint: the joint's name within its leg, as in ``mechanism.tree.VIRTUAL_NAMES``.
-        basis: metres or radians of the joint per unit of the parameter.
-    """
-
-    joint: str
-    basis: Basis
-
-    @property
-    def needs(self) -> frozenset[Condition]:
-        """Conditions that the basis looks at, found by evaluating it."""
-        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3)
-        probe.__dict__["used"] = set()
-        self.basis(probe)
-        return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])
-
-
-Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
-
-
-def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
-    """Members of an effect that moves no virtual joint."""
-    return {}
-
-
-@dataclass(frozen=True)
 class Effect:
     """A physical cause with its parameters, one entry of the catalogue.
+
+    It pickles where its functions do: those of a module, not lambdas.
 
     Attributes:
         name: as in the names of its parameters.
@@ -199,6 +85,8 @@ class Effect:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise InputError(f"an effect's name is one word like axis_tilt, not {self.name!r}")
+        if not (isinstance(self.unit, Unit) and callable(self.members)):
+            raise InputError(f"{self.name}: unit is one like MM, and members are once(...)")
         if not self.tolerance > 0:
             raise InputError(f"{self.name}: the tolerance must be above 0, not {self.tolerance}")
 
@@ -210,7 +98,7 @@ class Effect:
     @property
     def sided(self) -> bool:
         """Whether its parameters have a direction across their leg."""
-        return any(key in _SIDES for key in self.members(0))
+        return any(key in SIDES for key in self.members(0))
 
     @property
     def shapes(self) -> dict[str, Shape]:
@@ -230,7 +118,7 @@ class Effect:
     def motions(self) -> dict[Parameter, tuple[int, tuple[Motion, ...]]]:
         """All parameters of the machine: from name to leg (0, 1, 2) and motions."""
         return {
-            Parameter(self.name, name, dict(zip(_SIDES, across, strict=True)).get(key, key)): (
+            Parameter(self.name, name, dict(zip(SIDES, across, strict=True)).get(key, key)): (
                 leg,
                 motions,
             )
@@ -254,7 +142,7 @@ class Effect:
     def needs(self) -> frozenset[Condition]:
         """Conditions that it depends on, read off its bases; a declaration could be wrong."""
         if self.dial is not None:
-            probe = _TimeRecorder(1.0, 1.0, 1.0)
+            probe = TimeRecorder(1.0, 1.0, 1.0)
             self.dial(probe, 1e-3)
             return frozenset({"time"} if probe.__dict__.get("used") else ())
         every = [m.needs for _, motions in self.motions.values() for m in motions]
@@ -264,36 +152,3 @@ class Effect:
     def at_rest(self) -> bool:
         """Whether it moves the TCP of a machine without load, at its first temperature and time."""
         return not self.of_dial and not self.needs & {"time", "temperature", "load"}
-
-
-class _TimeRecorder(DialReading):
-    def __getattribute__(self, name: str) -> Any:
-        if name == "time":
-            object.__getattribute__(self, "__dict__")["used"] = True
-        return object.__getattribute__(self, name)
-
-
-def once(*motions: Motion) -> Members:
-    """Members of an effect that has one parameter a leg.
-
-    Args:
-        motions: of the leg's virtual joints, for one unit of the parameter.
-    """
-    return lambda leg: {"": motions}
-
-
-_SIDES = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b and c
-
-
-def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
-    """Members of an effect that has one parameter for each axis j other than the leg's own.
-
-    Args:
-        make: takes the leg's name for axis j, ``"b"`` or ``"c"``, and the sign of the turn about
-            the other that tips a toward j (a x b = c, a x c = -b).
-    """
-
-    def members(leg: int) -> Mapping[str, tuple[Motion, ...]]:
-        return dict(zip(_SIDES, (make("b", +1), make("c", -1)), strict=True))
-
-    return members

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.effect import sin
+from orthoglide.effects.motions import sin
 from orthoglide.geometry import Array
 
 _ROOM = 1.25

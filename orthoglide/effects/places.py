@@ -14,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 
 from orthoglide.effects.catalogue import Catalogue
-from orthoglide.effects.effect import Effect, LegConditions, Motion
+from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Kernel
+from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames, Orthoglide

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from orthoglide.effects.effect import Effect, LegConditions, Motion, constant, once, sideways
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.motions import LegConditions, Motion, constant, once, sideways
 from orthoglide.effects.words import (
     Words,
     across,

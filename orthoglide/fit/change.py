@@ -52,15 +52,13 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
-        si, unit = self.unit.si, self.unit.behind
-        if self.unit.name == "rad":
-            si, unit = 1e-3, " mrad"
-        decimals = decimals_for(self.sigma / si)
-        before, after = (plain(v / si, decimals) for v in (self.before, self.after))
+        unit = self.unit.spoken
+        decimals = decimals_for(self.sigma / unit.si)
+        before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
         return (
             f"between {_file(self.between[0])} and {_file(self.between[1])} the "
-            f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after}"
-            f"{unit} (± {compact(self.sigma / si, 2)})"
+            f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after} "
+            f"{unit.name} (± {compact(self.sigma / unit.si, 2)})"
         )
 
     @property
@@ -77,14 +75,20 @@ class Change:
         return tuple(f"{name}@{self.since}" for name in self.members)
 
     @property
+    def is_larger_than_sigma(self) -> bool:
+        """Whether there is a difference to tell, once the evidence has decided for one."""
+        return abs(self.after - self.before) > self.sigma
+
+    @property
     def is_cause(self) -> bool:
         """Whether the parameter still has an error after the change that these readings show."""
         return abs(self.after) > SIGNIFICANT * self.sigma_after
 
     def now(self, estimate: Estimate) -> Change:
         """With the value of a later fit."""
-        places = [k for k, name in enumerate(estimate.names) if name in self.members]
-        if len(places) < len(self.members):
+        summed = summed_of(self.members, estimate.problem)
+        places = [k for k, name in enumerate(estimate.names) if name in summed]
+        if len(places) < len(summed):
             return self
         spread = estimate.covariance[np.ix_(places, places)].sum()
         after = float(estimate.x[places].sum())
@@ -112,6 +116,14 @@ class Change:
                 sigma_after=float(np.sqrt(spread[1, 1])),
             )
         return self
+
+
+def summed_of(members: tuple[Parameter, ...], problem: Problem) -> tuple[Parameter, ...]:
+    """What the readings cannot tell apart counts as one, the sum of all that stand for it; a zero
+    is known apart from a length by the tolerances of both.
+    """
+    catalogue = problem.machine.catalogue
+    return members[:1] if catalogue.effect_of(members[0]).name in catalogue.base else members
 
 
 def _file(path: str) -> str:

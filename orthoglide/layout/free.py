@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -10,11 +11,13 @@ import numpy as np
 
 from orthoglide.errors import InputError
 from orthoglide.layout.leg import Array, Leg, LegNames
+from orthoglide.text import brief
 
 Triple = tuple[float, float, float]
 
 _TOUCHING = 1e-12  # of L^2: circles nearer to touching than a third of a micrometre touch
 _SQUARE = 1e-6
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,19}")  # parts of joints' and parameters' names
 _ALONG = 1e-9
 _WAYS = (("back", "backward along the slide"), ("on", "onward along the slide"))
 
@@ -34,6 +37,15 @@ class FreeLeg:
     origin: Triple
     slide: Triple
     link: Triple
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise InputError(
+                f"layout: a leg cannot be called {brief(self.name)!r}: take up to 20 letters and "
+                f"digits"
+            )
+        if not np.isfinite([self.origin, self.slide, self.link]).all():
+            raise InputError(f"leg {self.name}: origin, slide and link must be finite numbers")
 
     @cached_property
     def axes(self) -> Array:

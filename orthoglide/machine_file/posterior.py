@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +49,15 @@ class Posterior:
         names = tuple(sigmas)
         mean = np.array([values.get(n, 0.0) for n in names])
         return cls(names, mean, np.diag(np.square([sigmas[n] for n in names]).reshape(-1)))
+
+    def without(self, names: Collection[str]) -> Posterior:
+        """What is known of the others, these left open."""
+        kept = [k for k, n in enumerate(self.names) if n not in names]
+        return Posterior(
+            tuple(self.names[k] for k in kept),
+            self.mean[kept],
+            self.covariance[np.ix_(kept, kept)],
+        )
 
     @property
     def sigmas(self) -> dict[str, float]:

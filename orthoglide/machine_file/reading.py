@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
@@ -280,14 +279,12 @@ def _free_legs(document: Document) -> tuple[Layout, float | None]:
         )
     legs = []
     for name in names:
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]{0,19}", name):
-            document.fail(
-                f"a leg cannot be called {brief(name)!r}: take up to 20 letters and digits",
-                "layout", "leg", name,
-            )  # fmt: skip
         document.check_keys(_LEG, "layout", "leg", name)
         given = document.section(_LEG, tuple(_LEG), "layout", "leg", name)
-        legs.append(FreeLeg(name, given["origin_mm"], given["slide"], given["link"]))
+        try:
+            legs.append(FreeLeg(name, given["origin_mm"], given["slide"], given["link"]))
+        except InputError as error:
+            document.fail(str(error), "layout", "leg", name)
     try:
         return FreeLegs((legs[0], legs[1], legs[2]), found.get("tool_mm", (0.0, 0.0, 0.0))), (
             found.get("r_mm")

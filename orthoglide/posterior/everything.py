@@ -152,12 +152,13 @@ class FullPosterior:
         return replace(estimate, covariance=self.unknowns.covariance, weak=self.before.weak)
 
     def _curves(self, prior: Array) -> Block | None:
-        """Rows by the places that stand out, as nuisances of the fit."""
-        out = [self.mixture.linear.groups[g] for g, _ in self.mixture.best]
-        at = np.concatenate([np.zeros(0, np.intp), *(g.places for g in out if g.free)])
+        """Rows by the places that stand out and by the plates' own shapes, as nuisances."""
+        linear = self.mixture.linear
+        out = [g.places for g in (linear.groups[k] for k, _ in self.mixture.best) if g.free]
+        at = np.concatenate([*out, np.flatnonzero(linear.unnamed)]).astype(np.intp)
         if not len(at):
             return None
-        sd = np.sqrt(np.diag(prior)[at])
+        sd = np.where(linear.unnamed, 1.0, np.sqrt(np.diag(prior)))[at]
         return Block(self.about.rows[:, at], sd, np.zeros(len(at), dtype=bool))
 
 

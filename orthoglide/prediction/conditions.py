@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
@@ -53,14 +54,32 @@ class Conditions:
         warming: ArrayLike = 0.0,
         load: ArrayLike = 0.0,
     ) -> Conditions:
-        """Conditions for commands ``(n, 3)``; the rest is broadcast."""
-        rho = np.asarray(command, dtype=float).reshape(-1, 3)
-        n = len(rho)
+        """Conditions for commands ``(..., 3)``; the rest is broadcast to ``(...)``.
 
-        def spread(values: ArrayLike, *shape: int) -> Array:
-            return np.broadcast_to(np.asarray(values, dtype=float), (n, *shape)).copy()
-
-        return cls(rho, spread(approach, 3), spread(time), spread(warming), spread(load))
+        Raises:
+            InputError: for what is no finite number, does not fit the commands, or is no approach.
+        """
+        rho = np.asarray(command, dtype=float)
+        given = {"approach": approach, "time": time, "warming": warming, "load": load}
+        found = {}
+        for name, values in given.items():
+            own = rho.shape[-1:] if name == "approach" else ()
+            try:
+                spread = np.broadcast_to(np.asarray(values, float), (*rho.shape[:-1], *own))
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"{name} must be numbers of the shape {(*rho.shape[:-1], *own)}, as there are "
+                    f"commands, or one for all"
+                ) from None
+            if not np.isfinite(spread).all():
+                raise InputError(f"{name} must be finite; leave out what is not known")
+            found[name] = spread.reshape(-1, *own).copy()
+        if not np.isin(found["approach"], (-1, 0, 1)).all():
+            raise InputError(
+                "approach must be +1 or -1, the direction of each drive's last move, or 0 where "
+                "unknown"
+            )
+        return cls(rho.reshape(-1, 3), **found)
 
     @classmethod
     def of(cls, campaign: Campaign) -> Conditions:

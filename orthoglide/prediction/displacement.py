@@ -68,14 +68,14 @@ def displacement_tangent(function: Any) -> Any:
 
 
 def displacement_by_command(function: Any) -> Any:
-    """Derivative ``(30, 3)`` of the displacements by the command: what rails and drives do to it.
-
-    The force on the drives is held.
+    """Derivative ``(30, 6)`` of the displacements by the command: what rails and drives do to it;
+    and by the force on the drives.
     """
     theta = ca.SX.sym("theta", function.size1_in(0))
     seen = ca.SX.sym("conditions", function.size1_in(1))
     by_seen = ca.jacobian(function(theta, seen), seen)
-    return ca.Function("displacement_by_command", [theta, seen], [ca.densify(by_seen[:, :3])])
+    by_seen = ca.horzcat(by_seen[:, :3], by_seen[:, 8:])
+    return ca.Function("displacement_by_command", [theta, seen], [ca.densify(by_seen)])
 
 
 def leg_conditions(

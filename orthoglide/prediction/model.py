@@ -36,6 +36,7 @@ from orthoglide.prediction.displacement import (
     displacement_tangent,
     leg_conditions,
 )
+from orthoglide.prediction.load import force, force_by_command
 
 _POSTURES = 4096
 """Whose derivatives by all parameters are held at once."""
@@ -173,18 +174,6 @@ class Model:
                 )
         return theta
 
-    def force(self, conditions: Conditions) -> Array:
-        """Force on each carriage along its axis under the load ``(n, 3)``, newtons.
-
-        By virtual work on the nominal machine: ``f = (dp/drho)^T (0, 0, -load)``.
-        """
-        if not conditions.load.any():
-            return np.zeros_like(conditions.command)
-        batch = self.mechanism.nominal_batch
-        given = self.mechanism.given(conditions.command)[:, :3]
-        _, by_given = batch.tangent(batch.close(given), given)
-        return np.asarray(-conditions.load[:, None] * by_given[:, 2, :3])
-
     def seen(self, conditions: Conditions) -> Array:
         """Conditions as the displacement function takes them ``(n, 11)``."""
         return np.column_stack(
@@ -193,7 +182,7 @@ class Model:
                 conditions.approach,
                 conditions.time,
                 conditions.warming,
-                self.force(conditions),
+                force(self.mechanism, conditions),
             ]
         )
 
@@ -208,7 +197,10 @@ class Model:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         batch, given = self.closing(values, conditions)
         _, by_given = batch.tangent(batch.close(given), given)
-        (moves,) = self._displacement_by_command(self.vector(values), self.seen(conditions))
+        (by_seen,) = self._displacement_by_command(self.vector(values), self.seen(conditions))
+        moves = by_seen[:, :, :3]
+        if conditions.load.any():
+            moves = moves + by_seen[:, :, 3:] @ force_by_command(self.mechanism, conditions)
         by_virtual = by_given[:, :3, 3 : 3 + moves.shape[1]]
         return np.asarray(by_given[:, :3, :3] + by_virtual @ moves)
 

@@ -108,6 +108,8 @@ def _weighed(result: Result) -> str:
         given = "this in the model"
     else:
         given = f"the {base} set right" + (" and all of it in the model" if result.improved else "")
+    if result.posterior is not None and result.posterior.mixture.linear.unnamed.any():
+        given += " and small shapes of the plate's own"
     text = f"With {given}, {_fall(result)}, which is the noise of {_instrument(result)}."
     return text + _alone(result)
 

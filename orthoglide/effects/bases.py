@@ -1,0 +1,74 @@
+"""Whether the bases of a user's own effect work on CasADi symbols, told before they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from orthoglide.effects.effect import Effect
+from orthoglide.effects.motions import Basis, DialReading, LegConditions
+from orthoglide.errors import InputError
+
+_ARITHMETIC = (
+    "write it with + - * / ** and with sin and cos of orthoglide.effects, without math, or if "
+    "and loops over conditions"
+)
+_NO_TRAVEL = (
+    "a motion of travel cannot look at c.travel or c.u, which follow from it: use c.command or "
+    "c.nominal_travel"
+)
+_NO_PITCH = "c.pitch is None where the machine file has none: return 0.0 then"
+
+# Travel, approach, time, warming and force in the middle and toward both ends.
+_PLACES = ((-0.08, -1, 0, 0, -5), (0, 0, 0, 0, 0), (0.05, 1, 3600, 5, 10))
+_ZERO, _PITCH = 0.3, 0.02
+
+
+def check_bases(effect: Effect) -> None:
+    """Evaluate the functions of an effect as the mechanism will.
+
+    Raises:
+        InputError: naming the parameter and the remedy, where one fails on symbols or gives what
+            is no finite number.
+    """
+    if effect.dial is not None:
+        dial = effect.dial
+        _check(effect.name, lambda v: dial(DialReading(v[0], v[1], v[2]), 1e-3), _ARITHMETIC)
+    for name, (_, motions) in effect.motions.items():
+        for motion in motions:
+            known = motion.joint != "travel"
+            for pitch, travel, remedy in (
+                (_PITCH, True, _ARITHMETIC),
+                (_PITCH, known, _NO_TRAVEL),
+                (None, known, _NO_PITCH),
+            ):
+                _check(name, partial(_moved, motion.basis, pitch, travel), remedy)
+
+
+def _moved(basis: Basis, pitch: float | None, travel: bool, v: Any) -> Any:
+    command = v[0] + _ZERO
+    return basis(
+        LegConditions(
+            command, _ZERO, (-0.1, 0.06), pitch, v[1], v[2], v[3], v[4],
+            v[0] if travel else None, _ZERO, (command,) * 3,
+        )
+    )  # fmt: skip
+
+
+def _check(name: str, basis: Callable[[Any], Any], remedy: str) -> None:
+    import casadi as ca
+
+    symbols = ca.SX.sym("conditions", len(_PLACES[0]))
+    try:
+        value = basis(symbols)
+        wrong = "" if np.isscalar(value) or isinstance(value, ca.SX) else f"gives {value!r}"
+        if not wrong:
+            there = np.array(ca.Function("basis", [symbols], [value])(np.transpose(_PLACES)))
+            wrong = "" if np.isfinite(there).all() else "gives no finite number"
+    except Exception as error:  # whatever a user's function raises
+        wrong = f"fails on symbols ({type(error).__name__}: {error})"
+    if wrong:
+        raise InputError(f"{name}: its basis {wrong.splitlines()[0]}: {remedy}")

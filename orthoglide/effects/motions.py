@@ -1,0 +1,180 @@
+"""How a parameter moves a virtual joint: bases, the conditions they look at, motions of a leg."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+Condition = Literal["approach", "time", "temperature", "load", "pitch"]
+SIDES = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b and c
+
+
+@dataclass(frozen=True)
+class LegConditions:
+    """The conditions of one leg when a reading was taken.
+
+    Attributes:
+        command: of the leg's own drive, metres; on the Orthoglide rho (2008, eq. 2).
+        length: nominal bar length L, metres.
+        stroke: travel limits from mechanical zero, metres.
+        pitch: of the drive's screw, metres; ``None`` where unknown.
+        approach: direction of the drive's last move, +1 or -1; 0 where unknown.
+        time: seconds since the campaign began.
+        warming: kelvin above the campaign's first row.
+        force: on the carriage along its own axis under the load, newtons.
+        travel: the carriage's true travel from mechanical zero, metres.
+        zero: the command at mechanical zero, metres; ``None``: L, as on the Orthoglide.
+        commands: of all drives, metres.
+        built_up: lost motion that builds up over some lengths after the drive turns round, each
+            half its approach after a long way; none where nobody knows.
+    """
+
+    command: Any
+    length: float
+    stroke: tuple[float, float]
+    pitch: float | None
+    approach: Any
+    time: Any
+    warming: Any
+    force: Any
+    travel: Any = None
+    zero: float | None = None
+    commands: tuple[Any, ...] = ()
+    built_up: tuple[Any, ...] = ()
+
+    @property
+    def nominal_travel(self) -> Any:
+        """Commanded travel from mechanical zero, metres."""
+        return self.command - (self.length if self.zero is None else self.zero)
+
+    @property
+    def u(self) -> Any:
+        """True travel over the stroke: -1 at its lower end, +1 at its upper."""
+        low, high = self.stroke
+        return (self.travel - (low + high) / 2) / ((high - low) / 2)
+
+
+@dataclass(frozen=True)
+class DialReading:
+    """A reading on its way from the touched line to the number shown.
+
+    Attributes:
+        shown: the reading so far, metres.
+        across: the coordinate toward which the dial turns about the leg, with the dial's sign.
+        time: seconds since the campaign began.
+    """
+
+    shown: Any
+    across: Any
+    time: Any
+
+
+Basis = Callable[[LegConditions], Any]
+
+
+@dataclass(frozen=True)
+class _Constant:
+    value: float
+
+    def __call__(self, conditions: LegConditions) -> float:
+        return self.value
+
+
+def constant(value: float) -> Basis:
+    """A basis that is the same under all conditions."""
+    return _Constant(value)
+
+
+_CONDITIONS: Mapping[str, Condition] = {
+    "approach": "approach", "time": "time", "warming": "temperature", "force": "load",
+    "pitch": "pitch",
+}  # fmt: skip
+
+
+class _Recorder(LegConditions):
+    """Numbers in place of conditions, and a note of which were looked at."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name in _CONDITIONS:
+            object.__getattribute__(self, "__dict__").setdefault("used", set()).add(name)
+        return object.__getattribute__(self, name)
+
+
+def sin(angle: Any) -> Any:
+    """Sine of a number, an array or a CasADi symbol, radians."""
+    return angle.sin() if hasattr(angle, "sin") else np.sin(angle)
+
+
+def cos(angle: Any) -> Any:
+    """Cosine of a number, an array or a CasADi symbol, radians."""
+    return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One virtual joint moved by one parameter.
+
+    Attributes:
+        joint: the joint's name within its leg, as in ``mechanism.tree.VIRTUAL_NAMES``.
+        basis: metres or radians of the joint per unit of the parameter.
+    """
+
+    joint: str
+    basis: Basis
+
+    @property
+    def needs(self) -> frozenset[Condition]:
+        """Conditions that the basis looks at, found by evaluating it."""
+        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3)
+        probe.__dict__["used"] = set()
+        self.basis(probe)
+        return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])
+
+
+Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
+
+
+def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
+    """Members of an effect that moves no virtual joint."""
+    return {}
+
+
+class TimeRecorder(DialReading):
+    """Numbers in place of a dial's reading, and a note of whether its time was looked at."""
+
+    def __getattribute__(self, name: str) -> Any:
+        if name == "time":
+            object.__getattribute__(self, "__dict__")["used"] = True
+        return object.__getattribute__(self, name)
+
+
+@dataclass(frozen=True)
+class _EveryLeg:
+    """Members that are the same for each leg; they pickle where their bases do."""
+
+    members: tuple[tuple[str, tuple[Motion, ...]], ...]
+
+    def __call__(self, leg: int) -> Mapping[str, tuple[Motion, ...]]:
+        return dict(self.members)
+
+
+def once(*motions: Motion) -> Members:
+    """Members of an effect that has one parameter a leg.
+
+    Args:
+        motions: of the leg's virtual joints, for one unit of the parameter.
+    """
+    return _EveryLeg((("", motions),))
+
+
+def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
+    """Members of an effect that has one parameter for each axis j other than the leg's own.
+
+    Args:
+        make: takes the leg's name for axis j, ``"b"`` or ``"c"``, and the sign of the turn about
+            the other that tips a toward j (a x b = c, a x c = -b).
+    """
+    return _EveryLeg(((SIDES[0], tuple(make("b", +1))), (SIDES[1], tuple(make("c", -1)))))
