@@ -14,6 +14,7 @@ from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.approach import Ints
+from orthoglide.observations.arrays import MAYBE, MAYBE_VECTOR, VECTOR, WHOLE, hold
 from orthoglide.observations.checks import HARDLY, Fail
 from orthoglide.observations.columns import (
     DIRECTION_OF_MOVE,
@@ -31,6 +32,13 @@ from orthoglide.observations.columns import (
 )
 from orthoglide.observations.table import Column, Table, number, read_table, rows_table
 
+_ARRAYS = {
+    "command": VECTOR,
+    "p": MAYBE_VECTOR,
+    "sigma": MAYBE,
+    "approach": VECTOR,
+    "line": WHOLE,
+}
 _COORDINATE = Column(number(MM), NAN)
 
 
@@ -59,6 +67,9 @@ class TcpPoints(Framed):
     sha256: str = ""
     warnings: tuple[str, ...] = ()
     legs: tuple[str, str, str] = LEGS
+
+    def __post_init__(self) -> None:
+        hold(self, self.name, _ARRAYS, "p")
 
     def __len__(self) -> int:
         return len(self.p)
@@ -128,20 +139,21 @@ def _tcp(table: Table, machine_file: MachineFile | None) -> TcpPoints:
         warnings=warnings,
         legs=machine.geometry.leg_names,
     )
-    _check(points, table.fail)
+    check_points(points, table.fail)
     return points
 
 
-def _check(points: TcpPoints, fail: Fail) -> None:
-    """Refuses TCP points that cannot be meant as they stand."""
+def check_points(points: TcpPoints, fail: Fail) -> None:
+    """Refuses TCP points that cannot be meant as they stand; ``fail`` raises."""
     missing = np.isnan(points.p).all(axis=1)
     if missing.any():
         fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
     commanded = np.ptp(points.command, axis=0).max()
     measured = max(np.ptp(p[np.isfinite(p)]) if np.isfinite(p).any() else 0.0 for p in points.p.T)
-    if commanded > HARDLY and 100 * measured < commanded:
+    if commanded > HARDLY and not commanded / 100 <= measured <= 100 * commanded:
+        other = "millimetres, not metres" if measured < commanded else "a thousandth of each"
         fail(
             f"the points lie within {measured * 1e3:.3g} mm while the commands span "
-            f"{commanded * 1e3:.3g} mm: give millimetres, not metres",
+            f"{commanded * 1e3:.3g} mm: give {other}",
             0,
         )
