@@ -44,28 +44,44 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
     )
     from orthoglide.fit import Estimate as Estimate, identify as identify
     from orthoglide.geometry import Geometry as Geometry
+    from orthoglide.layout import (
+        FreeLeg as FreeLeg,
+        FreeLegs as FreeLegs,
+        LinearDelta as LinearDelta,
+    )
     from orthoglide.machine import Machine as Machine, Pose as Pose
+    from orthoglide.machine_file import (
+        Dial as Dial,
+        Instrument as Instrument,
+        MachineFile as MachineFile,
+    )
     from orthoglide.mechanism import Mechanism as Mechanism
     from orthoglide.observations import (
         Campaign as Campaign,
         Setup as Setup,
         TcpPoints as TcpPoints,
+        ToolCampaign as ToolCampaign,
+        ToolSetup as ToolSetup,
         protocol as protocol,
         read_campaign as read_campaign,
+        read_readings as read_readings,
         read_tcp as read_tcp,
         write_campaign as write_campaign,
     )
     from orthoglide.planning import (
         Design as Design,
+        Owned as Owned,
         Suggestion as Suggestion,
         design as design,
         needed_tolerances as needed_tolerances,
         next_measurements as next_measurements,
+        owned_instruments as owned_instruments,
         repeats_needed as repeats_needed,
         smallest_effects as smallest_effects,
     )
     from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
     from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
+    from orthoglide.units import MM as MM, ONE as ONE, RAD as RAD, Unit as Unit
 
 __version__ = "0.1.0"
 
@@ -84,15 +100,21 @@ _WHERE = {
     ),
     "fit": "Estimate identify",
     "geometry": "Geometry",
+    "layout": "FreeLeg FreeLegs LinearDelta",
     "machine": "Machine Pose",
+    "machine_file": "Dial Instrument MachineFile",
     "mechanism": "Mechanism",
-    "observations": "Campaign Setup TcpPoints protocol read_campaign read_tcp write_campaign",
+    "observations": (
+        "Campaign Setup TcpPoints ToolCampaign ToolSetup protocol read_campaign read_readings "
+        "read_tcp write_campaign"
+    ),
     "planning": (
-        "Design Suggestion design needed_tolerances next_measurements repeats_needed "
-        "smallest_effects"
+        "Design Owned Suggestion design needed_tolerances next_measurements owned_instruments "
+        "repeats_needed smallest_effects"
     ),
     "rehearsal": "Rehearsal rehearse",
     "simulation": "simulate simulate_tcp",
+    "units": "MM ONE RAD Unit",
 }
 _MODULE = {name: module for module, names in _WHERE.items() for name in names.split()}
 

@@ -27,7 +27,7 @@ from orthoglide.frames import html_table
 from orthoglide.judging import fitted_already, hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.observations import TcpPoints
+from orthoglide.observations import TcpPoints, check_given
 from orthoglide.posterior import (
     NAMED,
     Cause,
@@ -115,7 +115,7 @@ def close_loop(
     """Identify, ask what is left, trace it to a cause, add it, and judge.
 
     Args:
-        campaigns: one or several, of dial readings (paths are read as by ``read_campaign``) or TCP
+        campaigns: one or several, of dial readings (paths are read as by ``read_readings``) or TCP
             points that are readings like the others.
         machine: dimensions, tolerances, dial; nominal where absent.
         own: effects or parameters that each campaign has for itself; the rest is shared.
@@ -133,6 +133,8 @@ def close_loop(
     """
     machine = (machine or Machine.nominal()).with_effects(effects)
     several, points = sorted_out(campaigns, machine)
+    if tcp is not None:
+        check_given(tcp, machine.spec)
     held = () if holdout is None else readings_of(holdout, machine)
     request = Request(
         "close-loop", several, machine, tuple(own), noise, seed, held, tcp, points=points,

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -110,6 +110,14 @@ def test_simulate_is_the_command(exact: bool, tmp_path: Path) -> None:
     assert campaign_text(og.simulate(machine, "sweep", seed=5, exact=exact)) == campaign_text(
         filled
     )
+
+
+def test_a_sheet_to_rehearse_may_be_named() -> None:
+    assert str in get_args(get_type_hints(og.rehearse)["sheet"])
+
+
+def test_units_for_effects_of_ones_own() -> None:
+    assert (og.Unit("mm", 1e-3), og.Unit("rad", 1.0), og.Unit("1", 1.0)) == (og.MM, og.RAD, og.ONE)
 
 
 def test_simulated_noise_is_as_told() -> None:

@@ -31,7 +31,8 @@ def measured(seed: int = 0, missing: bool = False) -> og.TcpPoints:
     rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))
     p = Rig(errors=TRUTH).pose(rho)[0] + rng.normal(0, 1e-6, (40, 3))
     if missing:
-        p[rng.random((40, 3)) < 0.3] = np.nan
+        left_out = rng.random((40, 3)) < 0.3
+        p[left_out & ~left_out.all(axis=1, keepdims=True)] = np.nan
     n = len(rho)
     return og.TcpPoints(rho, p, np.full(n, 1e-6), np.zeros((n, 3)), np.arange(2, n + 2))
 

@@ -206,3 +206,52 @@ def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
     slipped[7] += 3e-3
     with pytest.raises(InputError, match="line 9: 3"):
         og.identify([replace(campaign, reading=slipped)], machine)
+
+
+KINDS = ("tcp", "plate", "distance", "ballbar", "incline")
+
+
+def test_tool_readings_as_frames_and_files(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(KINDS))
+    assert isinstance(campaign, ToolCampaign)
+    frame = campaign.to_frame(SPEC)
+    assert list(frame["kind"]) == list(campaign.kind)
+    again = ToolCampaign.from_frame(frame, name="tool", machine_file=SPEC)
+    og.write_campaign(campaign, tmp_path / "again.csv", SPEC)
+    (read_back,) = og.read_readings(tmp_path / "again.csv", SPEC)
+    for other in (again, read_back):
+        assert isinstance(other, ToolCampaign)
+        assert (other.kind, other.setups, other.posture) == (
+            campaign.kind, campaign.setups, campaign.posture)  # fmt: skip
+        for name in ("command", "second", "reading", "axis", "sign", "approach"):
+            np.testing.assert_array_equal(getattr(other, name), getattr(campaign, name))
+    page = campaign._repr_html_()
+    assert "200 readings" in page
+    assert "<td>incline-1</td>" in page
+    with pytest.raises(InputError, match=r"Campaign\.from_frame"):
+        ToolCampaign.from_frame(og.simulate(og.Machine.nominal()).to_frame())
+
+
+def test_a_delta_from_python_alone() -> None:
+    """With public names only: the machine, a sheet for a probe, its readings as arrays, a fit."""
+    layout = og.LinearDelta((0.14,) * 3, tool=(0.0, 0.0, -0.04))
+    shape = og.Geometry(L=0.27, d=0.05, r=0.032, stroke=(-0.2, 0.1), layout=layout)
+    machine = og.Machine(
+        og.MachineFile(geometry=shape, instruments={"plate": og.Instrument(repeatability=1e-5)})
+    )
+    with pytest.raises(InputError, match=r"owned_instruments\(machine, .*to_fill_in\(\)"):
+        og.design(machine)
+    found = og.owned_instruments(machine, ["plate", "distance"])
+    assert (
+        repr(found) == "<Owned: a probe on a plate (29), distances between holes or pillars (30)>"
+    )
+    plate, distances = found.to_fill_in()
+    assert np.isnan(plate.reading).all()
+    assert distances.order[0] == len(plate) + 1
+    worn = machine.with_parameters({"joint_offset.a": 3e-4})
+    noise = np.random.default_rng(0).normal(scale=1e-5, size=len(plate))
+    read = replace(plate, reading=worn.forward(plate.command)[:, 2] + noise)
+    estimate = og.identify(read, machine)
+    offsets = [estimate.values[f"joint_offset.{leg}"] for leg in "abc"]
+    assert offsets[0] - (offsets[1] + offsets[2]) / 2 == pytest.approx(3e-4, abs=3e-4)
+    assert estimate.scores.rms < 2e-5 < estimate.nominal.rms

@@ -67,7 +67,7 @@ def _module(module: str) -> str:
 
 def _name(name: str) -> str:
     if not inspect.isclass(public := getattr(og, name)):
-        return _directive("function", f"orthoglide.{name}")
+        return _directive("function" if callable(public) else "data", f"orthoglide.{name}")
     kind = "exception" if issubclass(public, Exception) else "class"
     options = "\n   :members:\n   :inherited-members: object, Exception"
     return _directive(kind, f"orthoglide.{name}", options) + "".join(

@@ -99,7 +99,7 @@ def design(
         for name, c in sheets.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
-        lines = [*index_rows([*compared, (criterion, found.indices)]), *pair_rows(found)]
+        lines = [*index_rows([*compared, ("design", found.indices)]), *pair_rows(found)]
         lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
         for name, detectability in small:
             lines += ["", f"{name}:", *detectable_rows(detectability)]
@@ -122,7 +122,6 @@ def _of_owned(
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
     from orthoglide.observations import csv_text, tool_rows
     from orthoglide.planning import INSTRUMENTS, owned_instruments
-    from orthoglide.planning.owning import to_fill_in
     from orthoglide.planning.wording import detectable_rows
 
     with progress(quiet) as step:
@@ -132,7 +131,7 @@ def _of_owned(
         lines = [f"with {listed}:", *detectable_rows(found.tells), "", "besides:"]
         lines += [f"- {gain}." for gain in found.gains]
         if out is not None:
-            sheets = to_fill_in(found.sheets.values())
+            sheets = found.to_fill_in()
             rows = [row for sheet in sheets for row in tool_rows(sheet, machine.spec)]
             if not rows:
                 raise InputError("dials alone have sheets of their own: orthoglide protocol")

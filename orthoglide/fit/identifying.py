@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Literal, get_args
@@ -26,6 +26,7 @@ from orthoglide.observations import (
     Readings,
     TcpPoints,
     ToolCampaign,
+    check_given,
     read_readings,
 )
 
@@ -53,7 +54,7 @@ def identify(
     """Identify parameters of the general mechanism from dial readings.
 
     Args:
-        campaigns: one or several; paths are read as by ``read_campaign``.
+        campaigns: one or several; paths are read as by ``read_readings``.
         machine: dimensions, tolerances and what is known already; nominal where absent.
         free: effects, parameters or structured members to identify; joint offsets and leg lengths
             where absent.
@@ -153,13 +154,15 @@ def readings_of(given: Source | Sequence[Source], machine: Machine) -> tuple[Rea
 
 
 def _read(given: Source | Sequence[Source], machine: Machine) -> list[Readings | TcpPoints]:
-    alone = isinstance(given, Campaign | TcpPoints | ToolCampaign | str | PathLike)
+    alone = isinstance(given, str) or not isinstance(given, Iterable)
     several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
-    read = [
-        r
-        for g in several
-        for r in (read_readings(g, machine.spec) if isinstance(g, str | PathLike) else (g,))
-    ]
+    read: list[Readings | TcpPoints] = []
+    for one in several:
+        if isinstance(one, str | PathLike):
+            read += read_readings(one, machine.spec)
+        else:
+            check_given(one, machine.spec)
+            read.append(one)
     if not read:
         raise InputError("there is no campaign: give at least one file of readings")
     return read

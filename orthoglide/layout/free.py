@@ -108,7 +108,7 @@ class FreeLegs:
         return bool((slides @ slides[0] > 1 - _ALONG).all())
 
     def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
-        """The three legs, as of any layout."""
+        """The three legs for bars of length ``L`` and a platform of radius ``r``, metres."""
         one, two, three = (self._leg(leg, L, r) for leg in self.free)
         return one, two, three
 
@@ -142,11 +142,15 @@ class FreeLegs:
         return 0.0
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """A carriage stays ahead of the tool; on parallel slides it may be as far as it likes."""
+        """Whether carriages stay ahead of the tool by bars of length ``L`` over all of the
+        ``stroke``, metres; on parallel slides they may be as far as they like.
+        """
         low, high = stroke
         return -L < low < 0 < high and (self.hanging or high < L)
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
-        """A cube about mechanical zero, half as wide as the shorter way of the stroke."""
+        """A cube about mechanical zero, half as wide as the shorter way of the ``stroke``, with
+        ``count`` points along each edge, whatever the bars ``L`` and the platform ``r``.
+        """
         side = np.linspace(-0.5, 0.5, count) * min(-stroke[0], stroke[1])
         return np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -54,7 +54,7 @@ class LinearDelta:
         return np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], axis=1)
 
     def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
-        """The three legs, as of any layout."""
+        """The three legs for bars of length ``L`` and a platform of radius ``r``, metres."""
         up, found = np.array([0.0, 0.0, 1.0]), []
         for name, radius, out in zip(self.names.legs, self.radius, self.outward(), strict=True):
             platform = r * out - np.array(self.tool)
@@ -75,12 +75,20 @@ class LinearDelta:
         return 0.0
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """A carriage stays above the tool; how high its tower is does not matter."""
+        """Whether carriages stay above the tool by bars of length ``L`` at all of the ``stroke``,
+        metres; how high their towers are does not matter.
+        """
         low, high = stroke
         return -L < low < 0 < high
 
     def reach(self, L: float, r: float, lowest: float) -> float:
-        """Radius on the plate within which no carriage goes below a travel, metres."""
+        """Radius on the plate within which no carriage goes below the travel ``lowest``, metres.
+
+        Args:
+            L: length of the arms, metres.
+            r: radius of the platform, metres.
+            lowest: travel from mechanical zero, metres.
+        """
         reach = []
         for leg in self.legs(L, r):
             height = leg.carriage[2] - leg.platform[2]
@@ -89,7 +97,14 @@ class LinearDelta:
         return float(min(reach))
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
-        """Points in a cylinder on the plate, as high as it is wide or as the towers allow."""
+        """Points in a cylinder on the plate, as high as it is wide or as the towers allow.
+
+        Args:
+            L: length of the arms, metres.
+            r: radius of the platform, metres.
+            stroke: travel from mechanical zero, metres.
+            count: of points along each axis, before those outside the cylinder are left out.
+        """
         radius = self.reach(L, r, stroke[0])
         side = np.linspace(-radius, radius, count)
         heights = [leg.carriage[2] - leg.platform[2] for leg in self.legs(L, r)]

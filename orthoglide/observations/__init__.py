@@ -8,6 +8,11 @@ from orthoglide.observations.campaign import (
     Campaign as Campaign,
     Setup as Setup,
 )
+from orthoglide.observations.exchange import (
+    readings_rows as readings_rows,
+    write_campaign as write_campaign,
+)
+from orthoglide.observations.given import check_given as check_given
 from orthoglide.observations.protocols import protocol as protocol
 from orthoglide.observations.reading import (
     Given as Given,
@@ -33,5 +38,4 @@ from orthoglide.observations.writing import (
     campaign_text as campaign_text,
     csv_text as csv_text,
     tcp_rows as tcp_rows,
-    write_campaign as write_campaign,
 )

@@ -11,12 +11,15 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations.approach import Ints, Moves, built_up, derive_approach, planned_moves
+from orthoglide.observations.arrays import MAYBE, NUMBER, VECTOR, WHOLE, check_setups, hold
+
+_THREE = (0, 1, 2)
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,17 @@ class Setup:
     sign: int
     gauge: float
     bar: int = 0
+
+    def __post_init__(self) -> None:
+        if self.leg not in _THREE or self.axis not in _THREE or self.leg == self.axis:
+            raise InputError(
+                f"setup {self.name!r}: legs and axes are 0, 1 or 2, and a dial reads across its leg"
+            )
+        if self.sign not in (1, -1) or self.bar not in _THREE or not np.isfinite(self.gauge):
+            raise InputError(
+                f"setup {self.name!r}: its sign is 1 or -1, its bar 0, 1 or 2, and its gauge a "
+                "length in metres"
+            )
 
     @property
     def direction(self) -> str:
@@ -74,7 +88,7 @@ class Campaign:
     """
 
     from_frame: ClassVar[Callable[..., Campaign]]
-    to_frame: ClassVar[Callable[[Campaign], Any]]
+    to_frame: ClassVar[Callable[..., Any]]
 
     name: str
     setups: tuple[Setup, ...]
@@ -97,20 +111,10 @@ class Campaign:
     moves: Moves = field(default_factory=Moves)
 
     def __post_init__(self) -> None:
-        n = len(np.asarray(self.reading))
-        for name, (kind, shape) in _ARRAYS.items():
-            values: NDArray[Any] = np.array(getattr(self, name), dtype=kind)
-            if values.shape != (n, *shape):
-                raise InputError(
-                    f"campaign: {name} must have shape {(n, *shape)} as there are {n} readings, "
-                    f"not {values.shape}"
-                )
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
-        if len(self.posture) != n:
-            raise InputError(f"campaign: {n} readings need {n} posture labels")
-        if n and (self.setup.min() < 0 or self.setup.max() >= len(self.setups)):
-            raise InputError(f"campaign: setup must index one of the {len(self.setups)} setups")
+        hold(self, "campaign", _ARRAYS, "reading")
+        if len(self.posture) != len(self):
+            raise InputError(f"campaign: {len(self)} readings need {len(self)} posture labels")
+        check_setups("campaign", [s.name for s in self.setups], self.setup)
 
     def __len__(self) -> int:
         return len(self.reading)
@@ -229,18 +233,18 @@ class Campaign:
         return float(recorded[0])
 
 
-_ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
-    "setup": (np.int64, ()),
-    "command": (np.float64, (3,)),
-    "approach": (np.float64, (3,)),
-    "time": (np.float64, ()),
-    "temperature": (np.float64, ()),
-    "load": (np.float64, ()),
-    "repeat": (np.int64, ()),
-    "order": (np.int64, ()),
-    "reading": (np.float64, ()),
-    "sigma": (np.float64, ()),
-    "line": (np.int64, ()),
+_ARRAYS = {
+    "setup": WHOLE,
+    "command": VECTOR,
+    "approach": VECTOR,
+    "time": MAYBE,
+    "temperature": MAYBE,
+    "load": NUMBER,
+    "repeat": WHOLE,
+    "order": WHOLE,
+    "reading": MAYBE,
+    "sigma": MAYBE,
+    "line": WHOLE,
 }
 
 

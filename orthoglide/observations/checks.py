@@ -89,6 +89,15 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     )
 
 
+def check_filled(reading: Array, fail: Fail) -> None:
+    """Refuses readings ``(n,)`` of which some were not taken yet."""
+    empty = np.flatnonzero(np.isnan(reading))
+    if len(empty) == len(reading):
+        fail("has no readings yet: fill in reading_mm", 0)
+    if len(empty):
+        fail("reading_mm is empty: fill it in or remove the row", int(empty[0]))
+
+
 def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail) -> None:
     """Refuses two commands ``(n, 3)``, of readings or moves, at one place in the order ``(n,)``."""
     first: dict[int, int] = {}

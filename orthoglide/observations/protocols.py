@@ -53,7 +53,7 @@ def check_dials(geometry: Geometry) -> None:
             f"dials are set against an Orthoglide's legs, and this machine's layout is "
             f"{geometry.layout.kind}: give readings of its tool (kind plate, distance, incline, "
             f"tcp or ballbar), for which orthoglide design --owns plate --out SHEET.csv writes a "
-            f"sheet"
+            f"sheet, and owned_instruments(machine, ['plate']).to_fill_in() gives it in Python"
         )
 
 

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.geometry import Array
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
 from orthoglide.observations.approach import Ints, Moves
 from orthoglide.observations.campaign import Campaign, Setup
-from orthoglide.observations.checks import check_campaign, check_sequence
+from orthoglide.observations.checks import check_campaign, check_filled, check_sequence
 from orthoglide.observations.columns import (
     APPROACH,
     RHO,
@@ -133,7 +132,7 @@ def campaign_of_table(
         **fields,
     )
     if require_readings:
-        _require_readings(read, campaign.reading)
+        check_filled(campaign.reading, read.fail)
     check_sequence(command, order, table.lines, table.fail)
     noticed = check_campaign(campaign, machine, read.fail)
     unread = _moves_with_readings(table.part(np.flatnonzero(moved).tolist()))
@@ -183,11 +182,3 @@ def _setups(table: Table) -> tuple[tuple[Setup, ...], Ints]:
     )
     places = {name: place for place, name in enumerate(first)}
     return setups, np.array([places[name] for name in cells["setup"]])
-
-
-def _require_readings(table: Table, reading: Array) -> None:
-    empty = np.flatnonzero(np.isnan(reading))
-    if len(empty) == len(reading):
-        table.fail("has no readings yet: fill in reading_mm", 0)
-    if len(empty):
-        table.fail("reading_mm is empty: fill it in or remove the row", int(empty[0]))

@@ -6,14 +6,26 @@ instrument each, as those of dials are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.errors import check_word
+from orthoglide.frames import html_table
 from orthoglide.geometry import Array
 from orthoglide.observations.approach import Ints
+from orthoglide.observations.arrays import (
+    MAYBE,
+    MAYBE_VECTOR,
+    NUMBER,
+    VECTOR,
+    WHOLE,
+    check_setups,
+    hold,
+)
 
 Kind = Literal["tcp", "plate", "distance", "ballbar", "incline"]
 KINDS: tuple[Kind, ...] = ("tcp", "plate", "distance", "ballbar", "incline")
@@ -32,6 +44,9 @@ class ToolSetup:
 
     name: str
     kind: Kind
+
+    def __post_init__(self) -> None:
+        check_word("kind of reading", self.kind, KINDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +74,13 @@ class ToolCampaign:
         file: the file's name as the caller gave it.
         sha256: digest of the file.
         warnings: what was noticed on reading and is no error.
+        from_frame: readings from a data frame with the columns of their file.
+        to_frame: the rows of their file as a data frame; of a machine file's layout, where that is
+            given.
     """
+
+    from_frame: ClassVar[Callable[..., ToolCampaign]]
+    to_frame: ClassVar[Callable[..., Any]]
 
     name: str
     setups: tuple[ToolSetup, ...]
@@ -82,12 +103,25 @@ class ToolCampaign:
     sha256: str = ""
     warnings: tuple[Any, ...] = ()
 
+    def __post_init__(self) -> None:
+        hold(self, self.name, _ARRAYS, "reading")
+        check_setups(self.name, [s.name for s in self.setups], self.setup)
+
     def __len__(self) -> int:
         return len(self.reading)
 
     def __repr__(self) -> str:
         kinds = ", ".join(dict.fromkeys(s.kind for s in self.setups))
         return f"<ToolCampaign {self.name!r}: {len(self)} readings ({kinds})>"
+
+    def _repr_html_(self) -> str:
+        columns = {
+            "kind": self.kind,
+            "setup": [self.setups[k].name for k in self.setup],
+            "posture": self.posture,
+            "reading, mm or mrad": (self.reading * 1e3).tolist(),
+        }
+        return html_table(repr(self)[1:-1], columns)
 
     @property
     def kind(self) -> tuple[Kind, ...]:
@@ -103,3 +137,21 @@ class ToolCampaign:
         """Against the first recorded ``(n,)``, kelvin; 0 where not recorded."""
         known = self.temperature[np.isfinite(self.temperature)]
         return np.nan_to_num(self.temperature - (known[0] if len(known) else 0.0))
+
+
+_ARRAYS = {
+    "setup": WHOLE,
+    "axis": WHOLE,
+    "sign": NUMBER,
+    "command": VECTOR,
+    "second": MAYBE_VECTOR,
+    "approach": VECTOR,
+    "time": MAYBE,
+    "temperature": MAYBE,
+    "load": NUMBER,
+    "repeat": WHOLE,
+    "order": WHOLE,
+    "reading": MAYBE,
+    "sigma": MAYBE,
+    "line": WHOLE,
+}

@@ -54,7 +54,7 @@ def read_readings(
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    return _readings(table, Path(table.file).stem, machine_file)
+    return readings_of_table(table, Path(table.file).stem, machine_file)
 
 
 def readings_from_rows(
@@ -80,10 +80,13 @@ def readings_from_rows(
         FileError: as `read_readings`.
     """
     table = rows_table(rows, file or name, lines, sha256)
-    return tuple(replace(r, file=file) for r in _readings(table, name, machine_file))
+    return tuple(replace(r, file=file) for r in readings_of_table(table, name, machine_file))
 
 
-def _readings(table: Table, name: str, machine_file: MachineFile | None) -> tuple[Readings, ...]:
+def readings_of_table(
+    table: Table, name: str, machine_file: MachineFile | None
+) -> tuple[Readings, ...]:
+    """Readings of any kind from a table of cells; arguments as for `readings_from_rows`."""
     machine = machine_file or nominal_machine_file()
     kinds = table.values("kind", _KIND)
     of_tool = [k for k, kind in enumerate(kinds) if kind in KINDS]
@@ -145,7 +148,7 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
         sha256=table.sha256,
         warnings=warnings,
     )
-    _check(made, table.fail)
+    check_tool(made, table.fail)
     return made
 
 
@@ -196,7 +199,8 @@ def _either(table: Table, kinds: list[Any], mm: str, mrad: str) -> Array:
     return np.where([kind == "incline" for kind in kinds], angles, lengths)
 
 
-def _check(campaign: ToolCampaign, fail: Fail) -> None:
+def check_tool(campaign: ToolCampaign, fail: Fail) -> None:
+    """Refuses readings of the tool that cannot be meant as they stand; ``fail`` raises."""
     empty = np.flatnonzero(np.isnan(campaign.reading))
     if len(empty):
         fail("the reading is empty: fill it in or remove the row", int(empty[0]))

@@ -1,48 +1,30 @@
-"""Campaigns, measuring sheets and TCP points as rows of text and CSV; all of it reads back."""
+"""Campaigns, measuring sheets and TCP points as rows of text."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from orthoglide import files, text, units
-from orthoglide.frames import data_frame
+from orthoglide import text, units
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.columns import (
+    APPROACH,
+    MM,
+    POINT,
+    RHO,
+    TRAVEL,
+    approach_of,
+    names_of,
+)
 from orthoglide.observations.tcp import TcpPoints
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Row = dict[str, str]
 """From column to text."""
-
-
-def write_campaign(
-    campaign: Campaign,
-    path: str | os.PathLike[str],
-    machine_file: MachineFile | None = None,
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Writes a campaign or a measuring sheet; optional columns only where they say something.
-
-    Args:
-        campaign: what to write; readings that are nan are left empty.
-        path: where to.
-        machine_file: as for `campaign_rows`.
-        overwrite: whether an existing file may be replaced.
-
-    Raises:
-        FileError: where a file stands already and may not be replaced, or none can be written.
-    """
-    files.write_whole(path, campaign_text(campaign, machine_file), overwrite=overwrite)
 
 
 def campaign_text(campaign: Campaign, machine_file: MachineFile | None = None) -> str:
@@ -100,32 +82,23 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
     return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
 
 
-def campaign_frame(campaign: Campaign) -> pd.DataFrame:
-    """The rows of a campaign's file as a data frame; `Campaign.from_frame` takes it back.
+def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
+    """The rows of a file of TCP points; optional columns only where they say something.
 
-    Raises:
-        InputError: where pandas is not installed.
+    Args:
+        points: measured.
+        machine_file: of a machine that is no Orthoglide, whose controller's values the commands are
+            then; others give joint coordinates.
     """
-    rows = campaign_rows(campaign)
-    words = ("kind", "setup", "leg", "direction", "posture")
-
-    def value(name: str, cell: str) -> Any:
-        return cell if name in words else float(cell or "nan")
-
-    names = list(rows[0]) if rows else []
-    return data_frame({name: [value(name, row[name]) for row in rows] for name in names})
-
-
-Campaign.to_frame = campaign_frame
-
-
-def tcp_rows(points: TcpPoints) -> list[Row]:
-    """The rows of a file of TCP points; optional columns only where they say something."""
-    columns = _commands(points.command, None) | {
-        name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)
-    }
+    legs: tuple[str, str, str] = LEGS
+    shown = _commands(points.command, None)
+    if machine_file is not None and not machine_file.geometry.dialled:
+        legs = machine_file.geometry.leg_names
+        shown = shown_commands(points.command, machine_file, names_of(legs)[0])
+    columns = shown | {name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)}
     if points.approach.any():
-        columns |= {name: signs(points.approach[:, axis]) for axis, name in enumerate(APPROACH)}
+        named = enumerate(approach_of(legs))
+        columns |= {name: signs(points.approach[:, axis]) for axis, name in named}
     if np.isfinite(points.sigma).any():
         columns["sigma_mm"] = numbers(points.sigma, MM)
     return rows_of(columns)

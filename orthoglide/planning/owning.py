@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +68,20 @@ class Owned:
     sheets: dict[str, Readings]
     tells: Detectability
     gains: tuple[Gain, ...]
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{INSTRUMENTS[k]} ({len(s)})" for k, s in self.sheets.items())
+        return f"<Owned: {listed}>"
+
+    def to_fill_in(self) -> list[ToolCampaign]:
+        """The sheets of the tool's readings without these, in one sequence."""
+        found, first = [], 0
+        for sheet in self.sheets.values():
+            if isinstance(sheet, ToolCampaign):
+                blank = np.full(len(sheet), np.nan)
+                found.append(replace(sheet, reading=blank, order=sheet.order + first))
+                first += len(sheet)
+        return found
 
 
 def owned_instruments(
@@ -164,17 +178,6 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
         sigma=nothing,
         line=count + 1,
     )  # fmt: skip
-
-
-def to_fill_in(sheets: Iterable[Readings]) -> list[ToolCampaign]:
-    """The sheets of the tool's readings without these, in one sequence."""
-    found, first = [], 0
-    for sheet in sheets:
-        if isinstance(sheet, ToolCampaign):
-            blank = np.full(len(sheet), np.nan)
-            found.append(replace(sheet, reading=blank, order=sheet.order + first))
-            first += len(sheet)
-    return found
 
 
 def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:

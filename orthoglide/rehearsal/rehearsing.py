@@ -25,7 +25,7 @@ CAMPAIGNS = 90
 
 def rehearse(
     machine: Machine | None = None,
-    sheet: Campaign | Kind | os.PathLike[str] = "sweep",
+    sheet: Campaign | str | os.PathLike[str] = "sweep",
     campaigns: int = CAMPAIGNS,
     *,
     seed: int = 0,

@@ -17,10 +17,8 @@ from orthoglide.observations import (
     Readings,
     TcpPoints,
     ToolCampaign,
-    campaign_rows,
     csv_text,
-    tcp_rows,
-    tool_rows,
+    readings_rows,
 )
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
@@ -119,11 +117,8 @@ class Request:
             yield self._input(self.tcp, "tcp")
 
     def _input(self, given: Readings | TcpPoints, role: str) -> dict[str, Any]:
-        if isinstance(given, TcpPoints):
-            return _input(given, role, tcp_rows(given))
-        if isinstance(given, ToolCampaign):
-            return _input(given, role, tool_rows(given, self.machine.spec))
-        return _input(given, role, campaign_rows(given))
+        machine = None if isinstance(given, Campaign) else self.machine.spec
+        return _input(given, role, readings_rows(given, machine))
 
     @property
     def command_line(self) -> str:

@@ -1,0 +1,100 @@
+"""Readings of any kind as rows, files and data frames; all of it reads back."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from orthoglide import files
+from orthoglide.errors import InputError
+from orthoglide.frames import data_frame
+from orthoglide.machine_file import MachineFile
+from orthoglide.observations.campaign import Campaign
+from orthoglide.observations.table import frame_table
+from orthoglide.observations.tcp import TcpPoints
+from orthoglide.observations.tool import ToolCampaign
+from orthoglide.observations.tool_reading import Readings, readings_of_table
+from orthoglide.observations.tool_writing import tool_rows
+from orthoglide.observations.writing import Row, campaign_rows, csv_text, tcp_rows
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_WORDS = ("kind", "setup", "leg", "direction", "posture")
+
+
+def readings_rows(
+    given: Readings | TcpPoints, machine_file: MachineFile | None = None
+) -> list[Row]:
+    """The rows of the file of readings of any kind; arguments as for `write_campaign`."""
+    if isinstance(given, TcpPoints):
+        return tcp_rows(given, machine_file)
+    if isinstance(given, ToolCampaign):
+        return tool_rows(given, machine_file)
+    return campaign_rows(given, machine_file)
+
+
+def write_campaign(
+    campaign: Readings,
+    path: str | os.PathLike[str],
+    machine_file: MachineFile | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Writes readings or a measuring sheet; optional columns only where they say something.
+
+    Args:
+        campaign: what to write, of dials or of the tool; readings that are nan are left empty.
+        path: where to.
+        machine_file: whose layout and controller count: where that counts in a way of its own,
+            commands are written as the controller shows them; the nominal one if None.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        FileError: where a file stands already and may not be replaced, or none can be written.
+    """
+    files.write_whole(path, csv_text(readings_rows(campaign, machine_file)), overwrite=overwrite)
+
+
+def readings_frame(campaign: Readings, machine_file: MachineFile | None = None) -> pd.DataFrame:
+    """The rows of the file of readings as a data frame, which ``from_frame`` takes back.
+
+    Args:
+        campaign: the readings.
+        machine_file: as for `write_campaign`.
+
+    Raises:
+        InputError: where pandas is not installed.
+    """
+    rows = readings_rows(campaign, machine_file)
+
+    def value(name: str, cell: str) -> Any:
+        return cell if name in _WORDS else float(cell or "nan")
+
+    names = list(rows[0]) if rows else []
+    return data_frame({name: [value(name, row[name]) for row in rows] for name in names})
+
+
+def tool_from_frame(
+    df: Any, *, name: str = "frame", machine_file: MachineFile | None = None
+) -> ToolCampaign:
+    """Readings of the tool from a data frame with the columns of their file.
+
+    Args:
+        df: a pandas data frame, or a mapping of columns; missing values are empty fields.
+        name: of the readings.
+        machine_file: whose layout, stroke and controller count; the nominal one if None.
+
+    Raises:
+        FileError: as `read_readings`, rows counted as lines of a file with a header.
+        InputError: where there are dials on legs among them.
+    """
+    found = readings_of_table(frame_table(df, name), name, machine_file)
+    if not isinstance(found[0], ToolCampaign):
+        raise InputError(f"{name} holds dials on legs: they have Campaign.from_frame, apart")
+    return replace(found[0], file="")
+
+
+Campaign.to_frame = ToolCampaign.to_frame = readings_frame
+ToolCampaign.from_frame = staticmethod(tool_from_frame)
