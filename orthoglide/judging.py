@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.fit import assemble, solve
+from orthoglide.fit.copies import shared
 from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
-from orthoglide.observations import Readings, TcpPoints, ToolCampaign
+from orthoglide.observations import Readings, TcpPoints
 from orthoglide.prediction import Conditions
 
 
@@ -25,22 +26,7 @@ class HoldOut:
 
 def fitted_already(held: Readings, fitted: Readings) -> bool:
     """Whether most readings held out were fitted: the same value, instrument and command."""
-
-    def rows(campaign: Readings) -> set[tuple[object, ...]]:
-        if isinstance(campaign, ToolCampaign):
-            seen = zip(campaign.kind, campaign.axis.tolist(), strict=True)
-            read = [
-                (*kind, *np.nan_to_num(s)) for kind, s in zip(seen, campaign.second, strict=True)
-            ]
-        else:
-            setups = [(s.leg, s.direction, s.gauge, s.bar) for s in campaign.setups]
-            read = [setups[k] for k in campaign.setup]
-        places = zip(read, campaign.command.tolist(), campaign.repeat.tolist(),
-                     campaign.reading.tolist(), strict=True)  # fmt: skip
-        return {(*of, *command, n, value) for of, command, n, value in places}
-
-    own = rows(held)
-    return len(own & rows(fitted)) > len(own) / 2
+    return shared(held, fitted) > 0.5
 
 
 def hold_out(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from orthoglide.accuracy import workspace
-from orthoglide.errors import InputError
+from orthoglide.errors import ClosureError, InputError
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -15,10 +17,15 @@ from orthoglide.mechanism.seed import commands as commands_of
 from orthoglide.observations import Campaign, TcpPoints, protocol
 from orthoglide.observations.protocols import Kind
 
-__all__ = ["TCP_POINTS", "simulate", "simulate_tcp"]
+__all__ = ["TCP_POINTS", "lacks", "simulate", "simulate_tcp", "unshown"]
 
 TCP_POINTS = 60
 """Points over the workspace that are enough to judge a calibration by."""
+
+_RECORDS = {"time": "time_s", "temperature": "temperature_C", "load": "load_N",
+            "approach": "approach_x, _y and _z"}  # fmt: skip
+
+_ABSURD = 100.0  # tolerances: so large is a value in another unit
 
 Seed = int | np.random.Generator
 
@@ -48,17 +55,20 @@ def simulate(
         exact: no noise, no rounding, dials exactly in place, datums zero.
 
     Raises:
-        InputError: for a noise that is no standard deviation, or a negative seed.
+        InputError: for a noise that is no standard deviation, a negative seed, or an error so large
+            that it must be in another unit.
     """
     if isinstance(sheet, str):
         sheet = protocol(sheet, machine.geometry)
     draw, sd = _draws(seed), _noise(machine, noise)
     if exact:
-        return sheet.with_readings(np.round(machine.readings(sheet), 15))
+        with _closing(machine):
+            return sheet.with_readings(np.round(machine.readings(sheet), 15))
     dial, count = machine.spec.dial, len(sheet.setups)
     off = draw.normal(scale=dial.placement, size=count)
     placed = (replace(s, gauge=s.gauge + o) for s, o in zip(sheet.setups, off, strict=True))
-    shown = machine.readings(replace(sheet, setups=tuple(placed)))
+    with _closing(machine):
+        shown = machine.readings(replace(sheet, setups=tuple(placed)))
     shown = shown + draw.uniform(-_DATUM, _DATUM, count)[sheet.setup]
     shown = shown + draw.normal(scale=sd, size=len(sheet))
     return sheet.with_readings(np.round(_rounded(shown, dial.resolution), 12))
@@ -83,13 +93,58 @@ def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -
         chosen = draw.integers(len(places), size=(count, _BETWEEN))
         rho = commands_of(geometry, np.einsum("nk,nkx->nx", shares, places[chosen]))
     rho = np.round(rho, 9)
+    with _closing(machine):
+        p = machine.forward(rho)
     return TcpPoints(
         command=rho,
-        p=machine.forward(rho),
+        p=p,
         sigma=np.full(count, np.nan),
         approach=np.zeros((count, 3)),
         line=np.arange(2, count + 2),
+        legs=geometry.leg_names,
     )
+
+
+def lacks(needs: Collection[str]) -> str:
+    """What is missing where conditions are not there that an effect needs, as a clause."""
+    if "pitch" in needs:
+        return "the machine file says no screw_pitch_mm"
+    columns = [_RECORDS[n] for n in sorted(needs) if n in _RECORDS]
+    return f"the sheet does not vary {' and '.join(columns)}"
+
+
+def unshown(machine: Machine, sheet: Campaign) -> dict[str, str]:
+    """Parameters of a machine that change no reading of a sheet, each with what is missing."""
+    given = {"approach"}
+    given |= set() if machine.spec.screw_pitch is None else {"pitch"}
+    given |= {"load"} if sheet.load.any() else set()
+    times, warming = sheet.time[np.isfinite(sheet.time)], sheet.temperature_rise
+    given |= {"time"} if times.any() else set()
+    given |= {"temperature"} if np.nan_to_num(warming).any() else set()
+    of, found = machine.catalogue.effect_of, dict[str, str]()
+    for name, value in machine.values.items():
+        missing = of(name).needs - given
+        if value and missing:
+            found[name] = lacks(missing)
+    return found
+
+
+@contextmanager
+def _closing(machine: Machine) -> Iterator[None]:
+    """A machine that does not close for a value in another unit is refused by that value."""
+    try:
+        yield
+    except ClosureError:
+        off = {n: abs(v) / machine.tolerance(n) for n, v in machine.values.items()}
+        worst = max(off, key=lambda n: off[n], default="")
+        if not worst or off[worst] < _ABSURD:
+            raise
+        unit, value = machine.catalogue.effect_of(worst).unit, machine.values[worst]
+        raise InputError(
+            f"{worst} = {value / unit.si:g}{unit.behind} is {off[worst]:.0f} times its tolerance "
+            f"of {machine.tolerance(worst) / unit.si:g}{unit.behind}, and the machine does not "
+            f"close with it: is it meant in another unit?"
+        ) from None
 
 
 def _rounded(shown: Array, resolution: float) -> Array:

@@ -6,10 +6,12 @@ import csv
 import io
 import os
 import re
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+_WIDTH = 100  # of text that goes to a file
 _ECHOED = 40  # characters of a file's text that a message repeats
 
 # Controls, halves of pairs, what is no character, and what turns or breaks lines unseen: no page,
@@ -81,6 +83,13 @@ def cell_text(cell: str) -> str:
     """A cell of a CSV file as it was meant: see :func:`csv_text`."""
     cell = cell.strip()
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def text_width() -> int:
+    """Columns of the terminal, or as ``COLUMNS`` says; 100 where the output goes to a file."""
+    if is_terminal() or os.environ.get("COLUMNS", "").isdigit():
+        return shutil.get_terminal_size((_WIDTH, 24)).columns
+    return _WIDTH
 
 
 def is_terminal(err: bool = False) -> bool:

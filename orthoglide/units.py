@@ -18,6 +18,11 @@ class Unit(NamedTuple):
     si: float
 
     @property
+    def behind(self) -> str:
+        """As a sentence has it behind a number: nothing for a ratio."""
+        return "" if self.name == "1" else f" {self.name}"
+
+    @property
     def spoken(self) -> Unit:
         """The unit in which people say it: milliradians, percent."""
         return {"rad": Unit("mrad", 1e-3), "1": Unit("%", 1e-2)}.get(self.name, self)

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,9 @@ from orthoglide.cli import cli
 from orthoglide.cli.run import stop_cleanly
 from orthoglide.errors import CrossCheckError, SolverError
 from orthoglide.fit import identify
-from orthoglide.machine_file import machine_text, nominal_machine_file
+from orthoglide.machine_file import Controller, machine_text, nominal_machine_file
 from orthoglide.observations import campaign_text, protocol
+from orthoglide.text import csv_text as table_text
 
 EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
 EXPERIMENT_3 = (files("orthoglide") / "data" / "experiment3.csv").read_text()
@@ -619,6 +621,66 @@ def test_errors_of_the_command_line_are_those_of_a_machine_file(here: Path) -> N
     assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
 
 
+def test_errors_that_change_no_reading_are_said(here: Path) -> None:
+    og.Machine.nominal().save("nominal.toml")
+    errors = (
+        "joint_offset.x=0.5,screw_error.x.sin=0.5,drive_compliance.y=1e-4,thermal_growth.z=1e-5"
+    )
+    result = run("simulate", "--machine", "nominal.toml", "--error", errors, "--out", "a.csv")
+    assert result.exit_code == 0
+    lines = result.stderr.splitlines()
+    assert [line.partition(" changes no reading, as ")[::2] for line in lines] == [
+        ("warning: screw_error.x.sin", "the machine file says no screw_pitch_mm"),
+        ("warning: drive_compliance.y", "the sheet does not vary load_N"),
+        ("warning: thermal_growth.z", "the sheet does not vary temperature_C"),
+    ]
+
+
+def test_an_error_in_another_unit_is_refused_by_its_name(here: Path) -> None:
+    og.Machine.nominal().save("nominal.toml")
+    result = run("simulate", "--machine", "nominal.toml", "--error", "axis_tilt.y.z=6",
+                 "--out", "a.csv")  # fmt: skip
+    assert result.exit_code == 2
+    assert re.search(r"axis_tilt\.y\.z = 6 rad is \d+ times its tolerance of [\d.]+ rad",
+                     result.stderr)  # fmt: skip
+    assert not (here / "a.csv").exists()
+
+
+def test_states_of_two_machines_are_not_compared(here: Path) -> None:
+    """Nor are readings taken for two visits that are one file under two names, without a word."""
+    longer = replace(og.Machine.nominal().spec, name="longer", geometry=og.Geometry(L=0.4))
+    og.Machine(longer).save("longer.toml")
+    og.Machine.nominal().save("nominal.toml")
+    for name in ("nominal", "longer"):
+        done("simulate", "--machine", f"{name}.toml", "--out", f"{name}.csv")
+        done("identify", f"{name}.csv", "--machine", f"{name}.toml", "--out", name, "--quiet")
+    result = run("check", "nominal/result.json", "longer/result.json")
+    assert result.exit_code == 2
+    assert "machines of different dimensions" in result.stderr
+    (here / "copy.csv").write_bytes((here / "nominal.csv").read_bytes())
+    for command in (("check",), ("identify", "--out", "twice")):
+        result = run(command[0], "nominal.csv", "copy.csv", *command[1:])
+        assert result.exit_code == 0
+        told = " ".join((result.stdout + result.stderr).split())
+        assert "readings of copy are those of nominal to the last digit" in told
+
+
+def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    og.Machine.nominal().save("nominal.toml")
+    for name, seed in (("a", "1"), ("b", "2")):
+        done("simulate", "--machine", "nominal.toml", "--seed", seed, "--out", f"{name}.csv")
+    for columns in (60, 100):
+        if columns == 60:
+            monkeypatch.setenv("COLUMNS", "60")
+        else:
+            monkeypatch.delenv("COLUMNS")
+        told = [done("check", "a.csv", "b.csv"),
+                done("identify", "a.csv", "--out", f"out{columns}")]  # fmt: skip
+        for text in told:
+            prose = [line for line in text.splitlines() if line.startswith(("-", "The ", " "))]
+            assert columns - 25 < max(map(len, prose)) <= columns
+
+
 def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
     planted_machine(here)
     common = ("simulate", "--machine", "planted.toml", "--kind", "two-gauges")
@@ -691,6 +753,30 @@ def test_forward_and_inverse_on_a_csv(here: Path) -> None:
     (here / "travel.csv").write_text("travel_x_mm,travel_y_mm,travel_z_mm\n0,0,0\n")
     done("forward", "--csv", "travel.csv", "--out", "zero.csv")
     assert (here / "zero.csv").read_text().splitlines()[1] == "0,0,0,0.000000,0.000000,0.000000"
+
+
+def test_forward_reads_what_compensate_wrote(here: Path) -> None:
+    """Commands both ways counted, and how each drive arrives: lost motion is in what it says."""
+    errors = {"joint_offset.x": 1e-3, "backlash.z": 2e-4}
+    counting = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
+    spec = replace(og.Machine.nominal().spec, controller=counting)
+    og.Machine(spec).with_parameters(errors).save("worn.toml")
+    (here / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n1,2,3\n-20,10,5\n0,0,-9\n")
+    machine = ("--machine", "worn.toml")
+    done("compensate", "path.csv", "--out", "commands.csv", *machine)
+    done("forward", "--csv", "commands.csv", "--out", "again.csv", *machine)
+    for row in csv.DictReader((here / "again.csv").open()):
+        for leg in "xyz":
+            assert float(row[f"computed_p_{leg}_mm"]) == pytest.approx(
+                float(row[f"p_{leg}_mm"]), abs=3e-6
+            )
+    bent = (here / "commands.csv").read_text()
+    rows = list(csv.DictReader(bent.splitlines()))
+    rows[1]["travel_x_mm"] = "1.0"
+    (here / "bent.csv").write_text(table_text(tuple(rows[0]), [r.values() for r in rows]))
+    result = run("forward", "--csv", "bent.csv", "--out", "other.csv", *machine)
+    assert result.exit_code == 2
+    assert "both rho_ and travel_" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,8 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     run("compensate", tmp_path / "path.csv", "--machine", calibrated, "--out", tmp_path / "to.csv")
     run("export", "--machine", calibrated, "--out", tmp_path / "exported")
     text = (tmp_path / "exported" / "controller.txt").read_text()
-    assert "too far down" in text or "too far up" in text
+    assert "To paste:\n[printer]\ndelta_radius: " in text
+    assert "zero" not in text.replace("z = 0", "")
     assert "origin" not in text
     assert not list(tmp_path.glob("[sc].csv"))
 

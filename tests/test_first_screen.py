@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from orthoglide.parameters import Parameter
 from orthoglide.posterior import Cause, Explanation
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
-from orthoglide.result.actions import Suspect
+from orthoglide.report.text import _to_do
+from orthoglide.result.actions import Action, Suspect
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
 
@@ -351,3 +353,15 @@ def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_r
     (row,) = budget(verdict)["rows"]
     assert row["gain"].startswith("0.0000 ±")
     assert row["share"] == "0%"
+
+
+def test_a_question_on_where_to_look_ends_its_sentence() -> None:
+    """What is looked at may be a question; the test that follows is a sentence of its own."""
+    suspects = (Suspect("the rail leans", "its seat: does it give?", "set a dial: expect 1 mm"),
+                Suspect("the rail leans", "its seat: does it give?", ""))  # fmt: skip
+    asked = SimpleNamespace(actions=[Action("mend", "Look", options=suspects)])
+    lines = list(_to_do(asked))  # type: ignore[arg-type]
+    assert lines[1:] == [
+        "   - The rail leans: look at its seat: does it give? Set a dial: expect 1 mm.",
+        "   - The rail leans: look at its seat: does it give?",
+    ]

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +16,16 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta, Orthoglide
 from orthoglide.machine import Machine
-from orthoglide.machine_file import MachineFile, Stiffness, machine_text, parse_machine_file
+from orthoglide.machine_file import (
+    Controller,
+    MachineFile,
+    Stiffness,
+    machine_text,
+    parse_machine_file,
+)
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.loops import Loops
+from orthoglide.observations import csv_text, read_tcp, tcp_rows
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
@@ -295,6 +303,7 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
     assert len(drawn) == 60
     assert geometry.in_stroke(drawn.command).all()
     assert np.ptp(drawn.p, axis=0).min() > 0.05
+    assert list(drawn.to_frame())[:3] == [f"travel_{name}_mm" for name in geometry.leg_names]
     noise = np.random.default_rng(0).normal(scale=1e-5, size=drawn.p.shape)
     verdict = close_loop([replace(drawn, p=drawn.p + noise)], sound)
     assert verdict.stands
@@ -303,3 +312,22 @@ def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry)
     space = verdict.workspace
     assert space is not None
     assert np.abs(space.at - sound.forward(workspace(geometry))).max() < 1e-9
+
+
+def test_points_of_a_delta_are_written_and_read_by_its_controller_s_count(tmp_path: Path) -> None:
+    counting = Controller(zero=(0.2, 0.21, 0.22), sign=(-1, -1, -1))
+    spec = MachineFile(geometry=DELTA, controller=counting)
+    drawn = replace(simulate_tcp(Machine(spec), 5), approach=np.ones((5, 3)))
+    rows = tcp_rows(drawn, spec)
+    assert list(rows[0]) == [
+        *(f"travel_{k}_mm" for k in "abc"), *(f"p_{k}_mm" for k in "xyz"),
+        *(f"approach_{k}" for k in "abc"),
+    ]  # fmt: skip
+    assert float(rows[0]["travel_b_mm"]) == pytest.approx(210 - 1e3 * drawn.command[0, 1])
+    file = tmp_path / "points.tcp.csv"
+    file.write_text(csv_text(rows))
+    again = read_tcp(file, spec)
+    for name in ("command", "p", "approach"):
+        assert getattr(again, name) == pytest.approx(getattr(drawn, name), abs=1e-9)
+    with pytest.raises(FileError, match="give its machine file"):
+        read_tcp(file)

@@ -10,10 +10,11 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.rerun import read_result
-from orthoglide.cli.terminal import say
+from orthoglide.cli.terminal import say, wrapped
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
 from orthoglide.progress import Step
+from orthoglide.text import text_width
 
 if TYPE_CHECKING:
     from orthoglide.checking import Check
@@ -52,18 +53,27 @@ def check(
         step(Step("reading"))
         from orthoglide.checking import check as compare
         from orthoglide.cli.changes import changes_page, changes_text
+        from orthoglide.fit.copies import twice
 
-        machine = None if machine_path is None else opt.load_machine(machine_path)
-        machine, before = _readings(old, machine)
-        machine, after = _readings(new, machine)
+        given = None if machine_path is None else opt.load_machine(machine_path)
+        machine, before = _readings(old, given, None)
+        other, after = _readings(new, given, machine)
+        if other.geometry != machine.geometry:
+            raise InputError(
+                f"{old.name} and {new.name} are of machines of different dimensions "
+                f"({machine.spec.title}; {other.spec.title}): check compares two states of one; "
+                f"where the file was corrected since, give it for both with --machine"
+            )
         found = compare(before, after, machine, noise=noise, seed=seed, progress=step)
-        told = changes_text(found)
+        told = wrapped(changes_text(found), text_width())
         if out is not None:
             from orthoglide.report import report_files
 
             files = report_files(found.verdict, step)
             made = {"changes.csv": _table(found), "check.html": changes_page(found)}
             write_results(out, {**files, **made})
+    for warning in twice((*before, *after)):
+        say(f"warning: {warning}", err=True)
     if not quiet:
         say(told, needed=out is None)
         if out is not None:
@@ -73,9 +83,11 @@ def check(
 COMMANDS = (check,)
 
 
-def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Readings, ...]]:
+def _readings(
+    path: Path, given: Machine | None, otherwise: Machine | None
+) -> tuple[Machine, tuple[Readings, ...]]:
     """The campaigns of a file of readings, or of a result; and the machine that they were read by:
-    the one given, else the result's.
+    the one given, else a result's own, of other files that of the other state.
     """
     from orthoglide.fit import readings_of
     from orthoglide.machine import Machine
@@ -83,8 +95,8 @@ def _readings(path: Path, machine: Machine | None) -> tuple[Machine, tuple[Readi
 
     if path.suffix == ".json":
         request = request_of(read_result(path), str(path))
-        return machine or request.machine, request.readings
-    machine = machine or Machine.nominal()
+        return given or request.machine, request.readings
+    machine = given or otherwise or Machine.nominal()
     return machine, readings_of([path], machine)
 
 

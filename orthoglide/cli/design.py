@@ -99,7 +99,7 @@ def design(
         for name, c in sheets.items() if detect else ():
             step(Step("computing", f"smallest effects: {name}"))
             small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
-        lines = [*index_rows([*compared, (criterion, found.indices)]), *pair_rows(found)]
+        lines = [*index_rows([*compared, ("design", found.indices)]), *pair_rows(found)]
         lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
         for name, detectability in small:
             lines += ["", f"{name}:", *detectable_rows(detectability)]

@@ -51,7 +51,8 @@ def _arguments(metavar: str) -> opt.Decorator:
 @click.command(context_settings=_NUMBERS)
 @_arguments("RHO_X RHO_Y RHO_Z")
 def forward(**given: Any) -> None:
-    """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm.
+    """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm, with
+    approach_* where it is known.
 
     Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0.
     """
@@ -73,18 +74,24 @@ COMMANDS = (forward, inverse)
 Fail = Callable[[str, int | None], NoReturn]
 
 
-def _forward(machine: Machine, given: Array, travelled: bool, fail: Fail) -> Array:
+def _forward(
+    machine: Machine, given: Array, travelled: bool, fail: Fail, seen: dict[str, Array]
+) -> Array:
     from orthoglide.observations.checks import check_commands
 
-    return machine.forward(check_commands(given, travelled, machine.spec, fail))
+    return machine.forward(check_commands(given, travelled, machine.spec, fail), **seen)
 
 
-def _inverse(machine: Machine, given: Array, travelled: bool, fail: Fail) -> Array:
-    return _within(machine, machine.inverse(given), fail)
+def _inverse(
+    machine: Machine, given: Array, travelled: bool, fail: Fail, seen: dict[str, Array]
+) -> Array:
+    return _within(machine, machine.inverse(given, **seen), fail)
 
 
-Solve = Callable[["Machine", "Array", bool, Fail], "Array"]
-"""Takes the machine, rows ``(n, 3)`` in metres, and whether they are the controller's values."""
+Solve = Callable[["Machine", "Array", bool, Fail, dict[str, "Array"]], "Array"]
+"""Takes the machine, rows ``(n, 3)`` in metres, whether they are the controller's values, and how
+each drive arrives where that is known.
+"""
 
 
 def _run(
@@ -102,10 +109,18 @@ def _run(
         raise InputError("give either three numbers in mm, or --csv and --out")
     if table is None or out is None:
         machine = opt.load_machine(machine_path, effects_file)
-        found = solve(machine, _vector(numbers), False, _refuse)
+        found = solve(machine, _vector(numbers), False, _refuse, {})
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
-    from orthoglide.observations.columns import POINT, RHO, command_names, names_of
+    from orthoglide.observations.columns import (
+        DIRECTION_OF_MOVE,
+        POINT,
+        RHO,
+        approach_of,
+        columns,
+        command_names,
+        names_of,
+    )
     from orthoglide.observations.table import read_table
 
     rows = read_table(table)
@@ -115,10 +130,15 @@ def _run(
         names, new = command_names(rows, machine.spec), POINT
     else:
         names, new = POINT, RHO if machine.geometry.dialled else names_of(legs)[0]
-    given, travelled = _columns(rows, names, new), names[0].startswith("travel")
-    found = solve(machine, given, travelled, rows.fail)
+    given, travelled = _columns(rows, names), names[0].startswith("travel")
+    arrives = approach_of(legs)
+    known = set(arrives) <= set(rows.names)
+    seen = {"approach": columns(rows, arrives, DIRECTION_OF_MOVE)} if known else {}
+    found = solve(machine, given, travelled, rows.fail, seen)
     if new[0].startswith("travel"):
         found = machine.spec.controller.from_rho(found, machine.geometry)
+    if set(new) & set(rows.names):  # what was wanted stays beside what is found
+        new = tuple(f"computed_{name}" for name in new)
     _write(rows, new, found, out)
 
 
@@ -134,16 +154,13 @@ def _refuse(message: str, row: int | None) -> NoReturn:
     raise InputError(message)
 
 
-def _columns(table: Table, names: tuple[str, ...], new: tuple[str, ...]) -> Array:
-    """Three columns of a table ``(n, 3)``, metres; those to be computed may not be there yet."""
+def _columns(table: Table, names: tuple[str, ...]) -> Array:
+    """Three columns of a table ``(n, 3)``, metres."""
     import numpy as np
 
     from orthoglide.observations.table import Column, number
 
     table.check_names((*names, *(n for n in table.names if n not in names)), names)
-    for name in new:
-        if name in table.names:
-            table.fail(f"has a column {name}, which is to be computed: remove it")
     return np.array([table.values(name, Column(number(1e-3))) for name in names]).T
 
 

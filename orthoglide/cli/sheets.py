@@ -80,8 +80,10 @@ def simulate(
     texts = {out: campaign_text(filled)}
     if tcp is not None:
         points = simulation.simulate_tcp(machine, seed=draw)
-        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9))))
+        texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9)), machine.spec))
     write_texts(texts)
+    for name, lacking in simulation.unshown(machine, filled).items():
+        say(f"warning: {name} changes no reading, as {lacking}", err=True)
     for path, text in texts.items():
         say(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
 

@@ -56,7 +56,7 @@ def _size(row: Row, value: float, machine: str) -> str:
         return machine
     if math.isinf(value):
         return "any"
-    return f"{value / row.unit.si:.2g}" + ("" if row.unit.name == "1" else f" {row.unit.name}")
+    return f"{value / row.unit.si:.2g}" + row.unit.behind
 
 
 def _place(difference: Difference) -> str:

@@ -24,7 +24,7 @@ RESOLUTION = 1e-9
 """Metres: commands are rounded to this, the last digit that files show."""
 
 NOT_COVERED = (
-    "the orientation of the machine as a whole, which leg readings cannot see",
+    "the orientation of the machine as a whole, which the readings cannot see",
     "effects that the machine file has no parameter for",
     "temperature and load other than those given, and drift since the calibration",
     "scatter from run to run: servo lag, play that follows no rule",

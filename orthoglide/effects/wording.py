@@ -81,7 +81,7 @@ def size_words(effect: Effect, value: float) -> str:
         return effect.words.size(value)
     if effect.unit.name in _SIZES:
         return _SIZES[effect.unit.name](value)
-    return f"{compact(abs(value) / effect.unit.si, 2)} {effect.unit.name}"
+    return f"{compact(abs(value) / effect.unit.si, 2)}{effect.unit.behind}"
 
 
 def signed_size(effect: Effect, value: float) -> str:

@@ -177,15 +177,6 @@ def _filled(
     return Noise(sigmas, typical, source)
 
 
-def copied(campaign: Campaign) -> int:
-    """Number of repeats, where each is the same to the last digit as the visit before; else 0."""
-    table = station_table(campaign)
-    order = np.lexsort([campaign.order, *table.T[::-1]])
-    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    alike = np.diff(campaign.reading[order])[same] == 0
-    return len(alike) if len(alike) >= _FEWEST_REPEATS and alike.all() else 0
-
-
 def repeat_variance(campaigns: Sequence[Campaign]) -> tuple[float, int]:
     """Variance of one reading from repeats, and its degrees of freedom.
 

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from orthoglide.effects.wording import parameter_words
+from orthoglide.fit.copies import copied, twice
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.noise import copied
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
+from orthoglide.observations import ToolCampaign
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _HALF = 2.0  # times that noise may be declared too large without a word
@@ -22,6 +23,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     problem, scores = estimate.problem, estimate.scores
     noticed = [c.warnings for c in problem.campaigns] + [f.points.warnings for f in problem.points]
     found = [Note(text, "campaign") for texts in noticed for text in texts]
+    tool = [f.points for f in problem.points if isinstance(f.points, ToolCampaign)]
+    found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
     for campaign in problem.campaigns:
         if count := copied(campaign):
             text = (
@@ -51,7 +54,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
             text = (
                 f"{parameter_words(estimate.problem.machine.catalogue.parameter(unknown.name))} "
                 f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
-                f"{compact(unknown.tolerance / unit.si, 2)} {unit.name}: measure it, or correct "
+                f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
                 f"the tolerance in the machine file"
             )
             found.append(Note(text, "tolerance"))

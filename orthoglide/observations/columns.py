@@ -54,6 +54,7 @@ ROW_COLUMNS: dict[str, Column] = {
 """What each row has of its own, besides its command and approach; of ``kind``: is it a move?"""
 
 _COMMAND = Column(number(MM))
+_ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
 DIRECTION_OF_MOVE = Column(SIGN, 0)
 
 
@@ -91,8 +92,19 @@ def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"
         )
     if set(RHO) & set(table.names) and set(TRAVEL) & set(table.names):
+        if machine is not None and _agree(table, machine):  # as `compensate` writes them
+            return RHO
         table.fail("has both rho_ and travel_ columns: keep the three of one kind")
     return TRAVEL if set(TRAVEL) & set(table.names) else RHO
+
+
+def _agree(table: Table, machine: MachineFile) -> bool:
+    """Whether a table's commands are the same by both ways to count them."""
+    if not {*RHO, *TRAVEL} <= set(table.names):
+        return False
+    rho, shown = (columns(table, names, _COMMAND) for names in (RHO, TRAVEL))
+    apart = machine.controller.to_rho(shown, machine.geometry) - rho
+    return bool(np.abs(apart).max(initial=0.0) <= _ROUNDED)
 
 
 def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:

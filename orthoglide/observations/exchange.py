@@ -29,7 +29,7 @@ def readings_rows(
 ) -> list[Row]:
     """The rows of the file of readings of any kind; arguments as for `write_campaign`."""
     if isinstance(given, TcpPoints):
-        return tcp_rows(given)
+        return tcp_rows(given, machine_file)
     if isinstance(given, ToolCampaign):
         return tool_rows(given, machine_file)
     return campaign_rows(given, machine_file)

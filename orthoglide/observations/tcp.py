@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from orthoglide.frames import Framed
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import MAYBE, MAYBE_VECTOR, VECTOR, WHOLE, hold
 from orthoglide.observations.checks import HARDLY, Fail
 from orthoglide.observations.columns import (
-    APPROACH,
     DIRECTION_OF_MOVE,
     MM,
     NAN,
@@ -25,9 +24,11 @@ from orthoglide.observations.columns import (
     RHO,
     ROW_COLUMNS,
     TRAVEL,
+    approach_of,
     columns,
     command_names,
     commands,
+    names_of,
 )
 from orthoglide.observations.table import Column, Table, number, read_table, rows_table
 
@@ -54,6 +55,7 @@ class TcpPoints(Framed):
         file: the file's name as the caller gave it.
         sha256: digest of the file.
         warnings: what was noticed on reading and is no error.
+        legs: names of the machine's legs, by which its commands are called.
     """
 
     command: Array
@@ -64,6 +66,7 @@ class TcpPoints(Framed):
     file: str = ""
     sha256: str = ""
     warnings: tuple[str, ...] = ()
+    legs: tuple[str, str, str] = LEGS
 
     def __post_init__(self) -> None:
         hold(self, self.name, _ARRAYS, "p")
@@ -80,7 +83,8 @@ class TcpPoints(Framed):
     def columns(self) -> dict[str, list[Any]]:
         """A row a point: the command and what was measured, in millimetres."""
         values = np.hstack([self.command, self.p, self.sigma[:, None]]) * 1e3
-        names = (*RHO, *POINT, "sigma_mm")
+        commanded = RHO if self.legs == LEGS else names_of(self.legs)[0]
+        names = (*commanded, *POINT, "sigma_mm")
         return {name: values[:, k].tolist() for k, name in enumerate(names)}
 
     def __repr__(self) -> str:
@@ -92,7 +96,7 @@ def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = No
 
     Args:
         path: the CSV file, as for `read_campaign`.
-        machine_file: whose stroke and controller count; the nominal one if None.
+        machine_file: whose layout, stroke and controller count; the nominal one if None.
 
     Returns:
         The points; a coordinate left empty is nan.
@@ -120,17 +124,20 @@ def tcp_from_rows(
 
 
 def _tcp(table: Table, machine_file: MachineFile | None) -> TcpPoints:
-    names = command_names(table)
-    warnings = table.check_names((*RHO, *TRAVEL, *APPROACH, *POINT, "sigma_mm"), (*names, *POINT))
+    machine = machine_file or nominal_machine_file()
+    names, approach = command_names(table, machine), approach_of(machine.geometry.leg_names)
+    known = (*names, *RHO, *TRAVEL, *approach, *POINT, "sigma_mm")
+    warnings = table.check_names(known, (*names, *POINT))
     points = TcpPoints(
-        command=commands(table, names, machine_file or nominal_machine_file()),
+        command=commands(table, names, machine),
         p=columns(table, POINT, _COORDINATE),
         sigma=np.array(table.values("sigma_mm", ROW_COLUMNS["sigma_mm"])),
-        approach=columns(table, APPROACH, DIRECTION_OF_MOVE),
+        approach=columns(table, approach, DIRECTION_OF_MOVE),
         line=np.array(table.lines),
         file=table.file,
         sha256=table.sha256,
         warnings=warnings,
+        legs=machine.geometry.leg_names,
     )
     check_points(points, table.fail)
     return points

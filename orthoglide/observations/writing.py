@@ -12,7 +12,15 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller, MachineFile
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import APPROACH, MM, POINT, RHO, TRAVEL
+from orthoglide.observations.columns import (
+    APPROACH,
+    MM,
+    POINT,
+    RHO,
+    TRAVEL,
+    approach_of,
+    names_of,
+)
 from orthoglide.observations.tcp import TcpPoints
 
 Row = dict[str, str]
@@ -74,13 +82,23 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
     return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
 
 
-def tcp_rows(points: TcpPoints) -> list[Row]:
-    """The rows of a file of TCP points; optional columns only where they say something."""
-    columns = _commands(points.command, None) | {
-        name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)
-    }
+def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
+    """The rows of a file of TCP points; optional columns only where they say something.
+
+    Args:
+        points: measured.
+        machine_file: of a machine that is no Orthoglide, whose controller's values the commands are
+            then; others give joint coordinates.
+    """
+    legs: tuple[str, str, str] = LEGS
+    shown = _commands(points.command, None)
+    if machine_file is not None and not machine_file.geometry.dialled:
+        legs = machine_file.geometry.leg_names
+        shown = shown_commands(points.command, machine_file, names_of(legs)[0])
+    columns = shown | {name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)}
     if points.approach.any():
-        columns |= {name: signs(points.approach[:, axis]) for axis, name in enumerate(APPROACH)}
+        named = enumerate(approach_of(legs))
+        columns |= {name: signs(points.approach[:, axis]) for axis, name in named}
     if np.isfinite(points.sigma).any():
         columns["sigma_mm"] = numbers(points.sigma, MM)
     return rows_of(columns)

@@ -275,12 +275,12 @@ def _to_narrow(
     if not rows or after > _WORTH * before:
         reason = (
             f"no {count} readings of a dial on a leg narrow {' and '.join(shares)} noticeably: "
-            f"sigma along {along} stays at {before:.2g} {unit.name}, as the tolerances have it"
+            f"sigma along {along} stays at {before:.2g}{unit.behind}, as the tolerances have it"
         )
         return Suggestion(reason, "none", gain, here.campaign)
     reason = (
         f"{_size(here.campaign, rows)} expected to narrow {' and '.join(shares)}: sigma along "
-        f"{along} from {before:.2g} to {after:.2g} {unit.name}"
+        f"{along} from {before:.2g} to {after:.2g}{unit.behind}"
     )
     return Suggestion(reason, "narrow", gain, here.campaign, rows)
 

@@ -13,6 +13,10 @@ from orthoglide.planning.observability import Observability
 from orthoglide.planning.repeats import TCP, Repeats
 from orthoglide.units import MM
 
+_LEGEND = (
+    "O1 to O5, the larger the better: all unknowns, evenness, worst seen, O2 times O3, mean seen."
+)
+
 
 def index_rows(compared: Sequence[tuple[str, Observability]]) -> list[str]:
     """A table of observability indices: campaigns or protocols by name."""
@@ -24,6 +28,7 @@ def index_rows(compared: Sequence[tuple[str, Observability]]) -> list[str]:
             + "".join(f"{v:>9.2g}" for v in o.indices.values())
             for name, o in compared
         ),
+        _LEGEND,
     ]
 
 
@@ -45,11 +50,11 @@ def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
     wanted, sigma, floor = (v / unit.si for v in (answer.wanted, answer.sigma, answer.floor))
     if answer.repeats is None:
         return (
-            f"{answer.what}: sigma {wanted:.3g} {unit.name} is out of reach of repeats: "
+            f"{answer.what}: sigma {wanted:.3g}{unit.behind} is out of reach of repeats: "
             f"{sigma:.3g} with one visit, {floor:.3g} with any number"
         )
     return (
-        f"{answer.what}: sigma {wanted:.3g} {unit.name} takes {answer.repeats} "
+        f"{answer.what}: sigma {wanted:.3g}{unit.behind} takes {answer.repeats} "
         f"{'visit' if answer.repeats == 1 else 'visits'} to every station (then {sigma:.3g})"
     )
 

@@ -74,7 +74,8 @@ class Conditions:
             if not np.isfinite(spread).all():
                 raise InputError(f"{name} must be finite; leave out what is not known")
             found[name] = spread.reshape(-1, *own).copy()
-        if not np.isin(found["approach"], (-1, 0, 1)).all():
+        side = found["approach"]
+        if (side * side * side != side).any():
             raise InputError(
                 "approach must be +1 or -1, the direction of each drive's last move, or 0 where "
                 "unknown"

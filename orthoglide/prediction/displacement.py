@@ -14,6 +14,7 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 CONDITIONS = 11
 """Length of a vector of conditions: command (3), approach (3), time, warming, force (3), ... in
 the order rho_x, rho_y, rho_z, approach_x ... z, time, warming, force_x, force_y, force_z."""
+COMMAND, FORCE = slice(0, 3), slice(8, 11)
 
 
 def displacement_function(catalogue: Catalogue, geometry: Geometry, pitch: float | None) -> Any:
@@ -67,15 +68,15 @@ def displacement_tangent(function: Any) -> Any:
     )
 
 
-def displacement_by_command(function: Any) -> Any:
-    """Derivative ``(30, 6)`` of the displacements by the command: what rails and drives do to it;
-    and by the force on the drives.
+def displacement_by_condition(function: Any, places: slice) -> Any:
+    """Derivative ``(30, k)`` of the displacements by some conditions: ``COMMAND`` or ``FORCE``.
+
+    What rails and drives do follows the command, and the give of drives the force on them.
     """
     theta = ca.SX.sym("theta", function.size1_in(0))
     seen = ca.SX.sym("conditions", function.size1_in(1))
-    by_seen = ca.jacobian(function(theta, seen), seen)
-    by_seen = ca.horzcat(by_seen[:, :3], by_seen[:, 8:])
-    return ca.Function("displacement_by_command", [theta, seen], [ca.densify(by_seen)])
+    by_seen = ca.jacobian(function(theta, seen), seen)[:, places]
+    return ca.Function("displacement_by_condition", [theta, seen], [ca.densify(by_seen)])
 
 
 def leg_conditions(

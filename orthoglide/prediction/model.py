@@ -31,7 +31,9 @@ from orthoglide.prediction.dial import (
     reading_tangent,
 )
 from orthoglide.prediction.displacement import (
-    displacement_by_command,
+    COMMAND,
+    FORCE,
+    displacement_by_condition,
     displacement_function,
     displacement_tangent,
     leg_conditions,
@@ -143,7 +145,11 @@ class Model:
 
     @cached_property
     def _displacement_by_command(self) -> Mapped:
-        return Mapped(displacement_by_command(self.displacement))
+        return Mapped(displacement_by_condition(self.displacement, COMMAND))
+
+    @cached_property
+    def _displacement_by_force(self) -> Mapped:
+        return Mapped(displacement_by_condition(self.displacement, FORCE))
 
     @cached_property
     def reading(self) -> Any:
@@ -197,10 +203,11 @@ class Model:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         batch, given = self.closing(values, conditions)
         _, by_given = batch.tangent(batch.close(given), given)
-        (by_seen,) = self._displacement_by_command(self.vector(values), self.seen(conditions))
-        moves = by_seen[:, :, :3]
+        theta, seen = self.vector(values), self.seen(conditions)
+        (moves,) = self._displacement_by_command(theta, seen)
         if conditions.load.any():
-            moves = moves + by_seen[:, :, 3:] @ force_by_command(self.mechanism, conditions)
+            (by_force,) = self._displacement_by_force(theta, seen)
+            moves = moves + by_force @ force_by_command(self.mechanism, conditions)
         by_virtual = by_given[:, :3, 3 : 3 + moves.shape[1]]
         return np.asarray(by_given[:, :3, :3] + by_virtual @ moves)
 

@@ -12,15 +12,13 @@ from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.wording import cause_short, size_words
 from orthoglide.planning import SmallestEffect, smallest_effects
 from orthoglide.rehearsal.drawing import Scope
+from orthoglide.simulation import lacks
 
 HARDLY = 3.0
 """Tolerances: an effect that must be larger to be seen is hardly seen."""
 
 _SAME_TOOL = 0.99
 """Cosine between what two effects do to the tool from which they are one cause with two names."""
-
-_RECORDS = {"time": "time_s", "temperature": "temperature_C", "load": "load_N",
-            "approach": "approach_x, _y and _z"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -66,12 +64,8 @@ def _not_recorded(catalogue: Catalogue, judged: Collection[str]) -> Iterator[Wea
     for effect in catalogue.values():
         if effect.name in (*catalogue.base, *judged) or effect.instead_of or effect.plate:
             continue
-        if "pitch" in effect.needs:
-            remedy = "the machine file says no screw_pitch_mm"
-        else:
-            columns = [_RECORDS[n] for n in sorted(effect.needs) if n in _RECORDS]
-            remedy = f"the sheet does not vary {' and '.join(columns)}"
-        yield WeakSpot((effect.name,), f"not shown, as {remedy}: {_many(effect)}")
+        lacking = lacks(effect.needs)
+        yield WeakSpot((effect.name,), f"not shown, as {lacking}: {_many(effect)}")
 
 
 def _invisible(catalogue: Catalogue, names: Sequence[str]) -> Iterator[WeakSpot]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline
 from orthoglide.result.firmware import UNSEEN, Unseen
-from orthoglide.text import is_terminal
+from orthoglide.text import is_terminal, text_width
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 
     from orthoglide.klipper import Corrections
     from orthoglide.result import Result
-
-_WIDTH = 100  # where the output goes to a file
 
 
 def summary(result: Result, ranked: bool = False) -> str:
@@ -74,16 +71,15 @@ def _to_do(result: Result) -> Iterator[str]:
         gain = f" (gains {compact(action.gain * 1e3, 2)} mm at the tool)" if action.gain > 0 else ""
         yield f"{k}. {sentence(action.words)[:-1]}{gain}."
         for one in action.options:
-            test = f"; {one.confirm}" if one.confirm else ""
-            yield f"   - {sentence(one.words)[:-1]}: look at {one.look_at}{test}."
+            told = (f"{one.words}: look at {one.look_at}", one.confirm)
+            yield f"   - {' '.join(sentence(text) for text in told if text)}"
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
     """Parts one below the other, as wide as the terminal."""
     from rich.console import Console
 
-    terminal = is_terminal()
-    width = min(shutil.get_terminal_size((_WIDTH, 24)).columns, 120) if terminal else _WIDTH
+    terminal, width = is_terminal(), min(text_width(), 120)
     stream = io.StringIO()
     console = Console(
         file=stream, width=width, force_terminal=terminal, highlight=False, legacy_windows=False,

@@ -314,8 +314,8 @@ def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]
             phrases.append(f"{what} nominal to {compact(noise * 1e3, 1)} mm{where}")
             continue
         values = ", ".join(f"{n.member or n.leg} {_value(fit, n, False)}" for n in names)
-        unit = fit.problem.machine.catalogue[effect].unit.name
-        phrases.append(f"{what} {values} {unit}{where}")
+        unit = fit.problem.machine.catalogue[effect].unit
+        phrases.append(f"{what} {values}{unit.behind}{where}")
     return phrases
 
 
@@ -324,4 +324,4 @@ def _value(fit: Estimate, name: Parameter, with_unit: bool = True) -> str:
     # Along a weak direction sigmas are millimetres: what the readings do fix would be rounded off.
     places = 2 if unit.name == "mm" else decimals_for(fit.sigmas[name] / unit.si, 9)
     text = signed(fit.values[name] / unit.si, places)
-    return f"{text} {unit.name}" if with_unit else text
+    return f"{text}{unit.behind}" if with_unit else text

@@ -117,7 +117,7 @@ class Request:
             yield self._input(self.tcp, "tcp")
 
     def _input(self, given: Readings | TcpPoints, role: str) -> dict[str, Any]:
-        machine = self.machine.spec if isinstance(given, ToolCampaign) else None
+        machine = None if isinstance(given, Campaign) else self.machine.spec
         return _input(given, role, readings_rows(given, machine))
 
     @property

@@ -1,0 +1,54 @@
+"""Readings that are there twice: repeats that were copied, files given under two names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from orthoglide.fit.noise import station_table
+from orthoglide.observations import Campaign, Readings, ToolCampaign
+
+_FEWEST = 6  # repeats that are too few to say they are copies
+
+
+def copied(campaign: Campaign) -> int:
+    """Number of repeats, where each is the same to the last digit as the visit before; else 0."""
+    table = station_table(campaign)
+    order = np.lexsort([campaign.order, *table.T[::-1]])
+    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
+    alike = np.diff(campaign.reading[order])[same] == 0
+    return len(alike) if len(alike) >= _FEWEST and alike.all() else 0
+
+
+def shared(one: Readings, other: Readings) -> float:
+    """Share of readings that another file has too: the same value, instrument and command."""
+
+    def rows(campaign: Readings) -> set[tuple[object, ...]]:
+        if isinstance(campaign, ToolCampaign):
+            seen = zip(campaign.kind, campaign.axis.tolist(), strict=True)
+            read = [
+                (*kind, *np.nan_to_num(s)) for kind, s in zip(seen, campaign.second, strict=True)
+            ]
+        else:
+            setups = [(s.leg, s.direction, s.gauge, s.bar) for s in campaign.setups]
+            read = [setups[k] for k in campaign.setup]
+        places = zip(read, campaign.command.tolist(), campaign.repeat.tolist(),
+                     campaign.reading.tolist(), strict=True)  # fmt: skip
+        return {(*of, *command, n, value) for of, command, n, value in places}
+
+    own = rows(one)
+    return len(own & rows(other)) / max(len(own), 1)
+
+
+def twice(several: Sequence[Readings]) -> Iterator[str]:
+    """A sentence for each file whose readings are all those of an earlier one."""
+    for k, one in enumerate(several):
+        for other in several[:k]:
+            alike = isinstance(one, ToolCampaign) == isinstance(other, ToolCampaign)
+            if alike and len(one) == len(other) and shared(one, other) == 1.0:
+                yield (
+                    f"the readings of {one.name} are those of {other.name} to the last digit: a "
+                    f"copy tells nothing that the other does not, so leave one of them out"
+                )
+                break
