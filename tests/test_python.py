@@ -329,7 +329,7 @@ def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(
 ) -> None:
     space = verdict.workspace
     assert space is not None
-    assert space.now.shape == space.left.shape == (len(space.travel), 3)
+    assert space.now.shape == space.left.shape == (len(space.at), 3)
     np.testing.assert_allclose(space.now.mean(axis=0), 0.0, atol=1e-12)
     assert verdict.map is not None
     np.testing.assert_allclose(space.nominal, verdict.map.error)
