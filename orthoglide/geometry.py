@@ -159,8 +159,10 @@ class Geometry:
                 that they must be millimetres.
         """
         rho = vectors(values, name)
-        beyond = np.abs(rho - self.layout.zero(self.L)) - max(np.abs(self.stroke))
-        if beyond.max(initial=0.0) > _FAR * self.L:
+        beyond = np.abs(rho - self.layout.zero(self.L)).max(initial=0.0) - max(
+            map(abs, self.stroke)
+        )
+        if beyond > _FAR * self.L:
             raise InputError(
                 f"{name}: {np.abs(rho).max():g} m is far from any reach of a machine whose bars "
                 f"are {self.L:g} m long: give commands in metres, not millimetres"

@@ -187,11 +187,12 @@ class BatchClosure:
         done = right()
         # What is interpreted chooses its pivots as it goes.
         for functions in (self._functions, self._interpreted):
+            if done.all():
+                break
             again = np.flatnonzero(~done)
-            if again.size:
-                near = self._seed(np.broadcast_to(start, x.shape)[again], known[again], mode)
-                x[again], residual[again], side[again] = functions["close"](near, known[again])[:3]
-                done = right()
+            near = self._seed(np.broadcast_to(start, x.shape)[again], known[again], mode)
+            x[again], residual[again], side[again] = functions["close"](near, known[again])[:3]
+            done = right()
         return x, residual, done
 
     def _seed(self, start: Array, known: Array, mode: seed.Mode) -> Array:
@@ -217,8 +218,8 @@ class BatchClosure:
         """
         known, start = self._known(given), np.zeros(self._size) if guess is None else guess
         x, residual, done = self._solved(start, known, mode)
-        bad = np.flatnonzero(~done)
-        if bad.size:
+        if not done.all():
+            bad = np.flatnonzero(~done)
             raise self._failure(int(bad[0]), residual[bad[0]], len(bad), known)
         return x
 

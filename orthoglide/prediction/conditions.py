@@ -64,6 +64,9 @@ class Conditions:
         found = {}
         for name, values in given.items():
             own = rho.shape[-1:] if name == "approach" else ()
+            if isinstance(values, float) and values == 0.0:  # as mostly
+                found[name] = np.zeros((rho.size // 3, *own))
+                continue
             try:
                 spread = np.broadcast_to(np.asarray(values, float), (*rho.shape[:-1], *own))
             except (TypeError, ValueError):
