@@ -29,7 +29,6 @@ from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import TcpPoints, check_given
 from orthoglide.posterior import (
-    NAMED,
     Cause,
     Outstanding,
     full_posterior,
@@ -45,6 +44,10 @@ if TYPE_CHECKING:
     from orthoglide.figures.style import Drawing
 
 __all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
+
+EVEN = 0.5
+"""Probability of a machine beyond all tolerances, or of errors without structure, from which
+nothing is said to be explained: what is likelier than not."""
 
 SIGNIFICANT = 0.003
 """Probability of calling what is left significant where nothing is: one false alarm in 300."""
@@ -285,7 +288,7 @@ def _missing(left: Left) -> bool:
     background beyond all tolerances, or errors without structure, which explain what they like and
     so nothing, leave nothing.
     """
-    return left.p_value < SIGNIFICANT or left.rare > NAMED
+    return left.p_value < SIGNIFICANT or left.rare > EVEN
 
 
 def _word(found: Outstanding, left: Left) -> Word:

@@ -101,9 +101,8 @@ def test_from_files_and_results_to_words_and_a_page(
     assert plain.exit_code == 0, plain.output
     assert "- Joint offset of leg x changed from" in plain.stdout
     assert "What is left now:" in plain.stdout
-    told = re.search(
-        r"The tool is (\S+) mm off .*; (\S+) mm once the zeros are right", plain.stdout
-    )
+    whole = " ".join(plain.stdout.split())
+    told = re.search(r"The tool is (\S+) mm off .*; (\S+) mm once the zeros are right", whole)
     assert told
     assert float(told[1]) > float(told[2]) > 0
     assert "prove their signs" in plain.stdout

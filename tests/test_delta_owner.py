@@ -311,7 +311,7 @@ def test_a_hinge_turns_the_way_that_a_mechanic_sees() -> None:
 
 
 def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("orthoglide.report.text._WIDTH", 80)
+    monkeypatch.setattr("orthoglide.text._WIDTH", 80)
     machine = Machine.load(v400 / "machine.toml")
     lines = str(close_loop(v400 / "mesh-default_25Probe.csv", machine)).splitlines()
     first = next(k for k, line in enumerate(lines) if line.split() == ["probability", "cause"])

@@ -47,6 +47,12 @@ def test_a_set_is_the_smallest_that_holds_the_truth_in_95_of_100(
     assert claimed(odds, [False] * 3) == ("cause", chosen)
 
 
+@pytest.mark.parametrize(("count", "claims"), [(21, True), (22, False)])
+def test_one_of_more_than_twenty_is_no_claim(count: int, claims: bool) -> None:
+    found = claimed([*[0.95 / count] * count, 0.05], [False] * count)  # 0.95 of these are a set
+    assert found == (("cause", list(range(20))) if claims else None)
+
+
 @pytest.mark.parametrize(("nothing", "claims"), [(0.05, True), (0.099, True), (0.101, False)])
 def test_a_claim_is_nine_in_ten_sure(nothing: float, claims: bool) -> None:
     found = claimed([1 - nothing, 0.0, nothing], [False] * 2)

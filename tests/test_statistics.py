@@ -181,7 +181,7 @@ def test_deviations_are_from_the_first_posture_in_order() -> None:
     """The rows of the file may stand in any sequence."""
     made = machine()
     whole = simulate(made, "standard", noise=NOISE, seed=0)
-    turned = replace(whole, order=whole.order[::-1].copy())
+    turned = replace(whole, order=whole.order[::-1].copy(), time=whole.time[::-1].copy())
     problem = og.identify(turned, made).problem
     residual = np.random.default_rng(0).standard_normal(len(whole))
     apart = []

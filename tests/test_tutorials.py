@@ -69,6 +69,7 @@ def commands(block: str, folder: Path) -> None:
 def test_the_tutorial_at_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("PYTHONIOENCODING", "utf-8")
+    monkeypatch.setenv("COLUMNS", "100")
     ran = 0
     for language, name, text in blocks("tutorial-machine.md"):
         if language == "toml":
