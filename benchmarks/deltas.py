@@ -60,7 +60,7 @@ Up to the fourth degree a plate has more shapes than the bowl and three lobes th
 standard deviations of {sizes} mm are expected of those of the second, third and fourth
 degree. No cause in the machine is named for what they may draw, however well distances fix the
 towers. Where they are needed to explain what is left, the verdict is *partial* or *unexplained*,
-and says that the plate may be behind it.
+and says that the plate may be behind it. The rms *with what was found* is past such shapes.
 
 ## Real machines
 
