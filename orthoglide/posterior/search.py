@@ -171,13 +171,20 @@ class Search:
         groups = self.linear.groups
         table = np.full((len(self.scales), len(groups), len(self.linear.slabs)), -np.inf)
         for k, scale in enumerate(self.scales):
-            columns, along = self._given(scale, state)
-            for members in self._by_size.values():
+            columns, residual = self._given(scale, state)
+            for size, members in self._by_size.items():
                 span = np.array([self._span[g] for g in members])
                 blocks = columns[:, span].transpose(1, 0, 2)
-                gram = blocks.transpose(0, 2, 1) @ blocks
-                values, vectors = np.linalg.eigh(gram)
-                square = (vectors.transpose(0, 2, 1) @ along[span][:, :, None])[:, :, 0] ** 2
+                across = blocks.transpose(0, 2, 1)
+                # Of both sides of a block the shorter one has its singular values as well.
+                if size <= len(residual):
+                    values, vectors = np.linalg.eigh(across @ blocks)
+                    square = (vectors.transpose(0, 2, 1) @ (across @ residual)[:, :, None])[
+                        ..., 0
+                    ] ** 2
+                else:
+                    values, vectors = np.linalg.eigh(blocks @ across)
+                    square = values * (vectors.transpose(0, 2, 1) @ residual) ** 2
                 values = np.maximum(values, 0.0)
                 for t, tau in enumerate(self.linear.slabs):
                     grown = 1 + tau**2 * values
@@ -200,13 +207,13 @@ class Search:
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
     def _given(self, scale: Scale, state: State) -> tuple[Array, Array]:
-        """All groups' columns with what is out whitened, and the residual along them."""
+        """All groups' columns and the residual, with what is out whitened."""
         columns, residual = scale.by_group, scale.residual
         if state:
             left, shrink = self._out(scale, state)
             columns = whitened(columns, left, shrink)
             residual = whitened(residual, left, shrink)
-        return columns, np.asarray(columns.T @ residual)
+        return columns, residual
 
     def _log_z(self, scale: Scale, state: State) -> float:
         left, shrink = self._out(scale, state)
