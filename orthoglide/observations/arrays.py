@@ -29,6 +29,21 @@ class Kind(NamedTuple):
 WHOLE, NUMBER, MAYBE = Kind(np.int64), Kind(), Kind(empty=True)
 VECTOR, MAYBE_VECTOR = Kind(shape=(3,)), Kind(shape=(3,), empty=True)
 
+OF_READINGS: Mapping[str, Kind] = {
+    "setup": WHOLE,
+    "command": VECTOR,
+    "approach": VECTOR,
+    "time": MAYBE,
+    "temperature": MAYBE,
+    "load": NUMBER,
+    "repeat": WHOLE,
+    "order": WHOLE,
+    "reading": MAYBE,
+    "sigma": MAYBE,
+    "line": WHOLE,
+}
+"""What readings of every kind hold."""
+
 
 def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None:
     """Put arrays of their kind in place of what a frozen value was made with.

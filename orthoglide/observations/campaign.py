@@ -17,7 +17,7 @@ from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations.approach import Ints, Moves, built_up, derive_approach, planned_moves
-from orthoglide.observations.arrays import MAYBE, NUMBER, VECTOR, WHOLE, check_setups, hold
+from orthoglide.observations.arrays import OF_READINGS, check_setups, hold
 
 _THREE = (0, 1, 2)
 
@@ -111,7 +111,7 @@ class Campaign:
     moves: Moves = field(default_factory=Moves)
 
     def __post_init__(self) -> None:
-        hold(self, "campaign", _ARRAYS, "reading")
+        hold(self, "campaign", OF_READINGS, "reading")
         if len(self.posture) != len(self):
             raise InputError(f"campaign: {len(self)} readings need {len(self)} posture labels")
         check_setups("campaign", [s.name for s in self.setups], self.setup)
@@ -173,7 +173,7 @@ class Campaign:
         """
         chosen = np.arange(len(self))[np.asarray(rows, dtype=_index_type(rows))]
         used, setup = np.unique(self.setup[chosen], return_inverse=True)
-        arrays = {name: getattr(self, name)[chosen] for name in _ARRAYS}
+        arrays = {name: getattr(self, name)[chosen] for name in OF_READINGS}
         return replace(
             self,
             **(arrays | {"setup": setup.reshape(-1)}),
@@ -221,7 +221,7 @@ class Campaign:
             and self.moves.same_as(other.moves)
             and all(
                 np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
-                for name in _ARRAYS
+                for name in OF_READINGS
                 if name != "line"
             )
         )
@@ -231,21 +231,6 @@ class Campaign:
         if np.isfinite(self.reference_temperature) or not len(recorded):
             return self.reference_temperature
         return float(recorded[0])
-
-
-_ARRAYS = {
-    "setup": WHOLE,
-    "command": VECTOR,
-    "approach": VECTOR,
-    "time": MAYBE,
-    "temperature": MAYBE,
-    "load": NUMBER,
-    "repeat": WHOLE,
-    "order": WHOLE,
-    "reading": MAYBE,
-    "sigma": MAYBE,
-    "line": WHOLE,
-}
 
 
 def _index_type(rows: ArrayLike) -> type:

@@ -18,10 +18,9 @@ from orthoglide.frames import html_table
 from orthoglide.geometry import Array
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import (
-    MAYBE,
     MAYBE_VECTOR,
     NUMBER,
-    VECTOR,
+    OF_READINGS,
     WHOLE,
     check_setups,
     hold,
@@ -139,19 +138,4 @@ class ToolCampaign:
         return np.nan_to_num(self.temperature - (known[0] if len(known) else 0.0))
 
 
-_ARRAYS = {
-    "setup": WHOLE,
-    "axis": WHOLE,
-    "sign": NUMBER,
-    "command": VECTOR,
-    "second": MAYBE_VECTOR,
-    "approach": VECTOR,
-    "time": MAYBE,
-    "temperature": MAYBE,
-    "load": NUMBER,
-    "repeat": WHOLE,
-    "order": WHOLE,
-    "reading": MAYBE,
-    "sigma": MAYBE,
-    "line": WHOLE,
-}
+_ARRAYS = {**OF_READINGS, "axis": WHOLE, "sign": NUMBER, "second": MAYBE_VECTOR}
