@@ -154,7 +154,7 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
         settings: parameters that the commands allow for, SI; the machine's own are compensation,
             none are a controller that knows of no error.
     """
-    posterior, wanted = machine.posterior, _wanted(machine)
+    posterior, wanted = machine.posterior, wanted_points(machine)
     commands = machine.with_only(settings).inverse(wanted)
     mean = machine.forward(commands) - wanted
     slopes = tcp_slopes(machine, posterior.names, Conditions.at(commands))
@@ -167,7 +167,8 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
     return ExpectedError(*map(float, found))
 
 
-def _wanted(machine: Machine) -> Array:
+def wanted_points(machine: Machine) -> Array:
+    """Where a machine without errors puts the tool over its workspace ``(g, 3)``, metres."""
     return machine.with_only({}).forward(workspace(machine.geometry))
 
 
@@ -196,7 +197,7 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     zeros = [p for e in machine.catalogue.values() if e.controller == "zero" for p in e.motions]
     identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
-    wanted, goal, weight = _wanted(machine), np.zeros(3), _PLACE
+    wanted, goal, weight = wanted_points(machine), np.zeros(3), _PLACE
     if machine.geometry.layout.hanging:
         goal, weight = (machine.forward(workspace(machine.geometry)) - wanted).mean(axis=0), 1.0
     for _ in range(_STEPS):

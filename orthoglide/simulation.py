@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
 from orthoglide.geometry import Array
@@ -88,7 +88,7 @@ def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -
     if geometry.dialled:
         rho = geometry.zero + draw.uniform(*geometry.stroke, (count, 3))
     else:
-        places = machine.with_only({}).forward(workspace(geometry))
+        places = wanted_points(machine)
         shares = draw.dirichlet(np.full(_BETWEEN, 0.5), count)
         chosen = draw.integers(len(places), size=(count, _BETWEEN))
         rho = commands_of(geometry, np.einsum("nk,nkx->nx", shares, places[chosen]))
