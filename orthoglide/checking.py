@@ -11,7 +11,15 @@ import numpy as np
 from orthoglide.closing import Verdict, run
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError
-from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
+from orthoglide.fit import (
+    Change,
+    Estimate,
+    Problem,
+    account_for_changes,
+    assemble,
+    readings_of,
+    solve,
+)
 from orthoglide.fit.problem import Unknown
 from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
@@ -143,7 +151,7 @@ def check(
     if not old or not new:
         raise InputError("there is nothing to compare: give readings of both states")
     machine, progress = machine or Machine.nominal(), progress or silent
-    before, after = _told_apart(old, new)
+    before, after = _told_apart(readings_of(old, machine), readings_of(new, machine))
     dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
     tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
     # A fit has the dials first and takes the tool's readings for those of the last state.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -36,6 +36,9 @@ Weighting = Literal["readings", "deviations"]
 
 Source = Given | TcpPoints | ToolCampaign
 """A campaign of dial readings, readings of the tool, the path of either, or TCP points."""
+
+Read = Readings | TcpPoints
+"""Readings of any kind."""
 
 
 def identify(
@@ -84,8 +87,9 @@ def identify(
     machine = machine or Machine.nominal()
     chosen = machine.catalogue.base if free is None else free
     problem = assemble(
-        campaigns, machine, chosen, own=own, priors=priors, noise=noise, bounds=bounds, frame=frame
-    )
+        _read(campaigns, machine), machine, chosen,
+        own=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
+    )  # fmt: skip
     for name in problem.own:
         plain = name.partition("@")[0]
         if not any(n.plain == plain or n.startswith(f"{plain}.") for n in problem.names):
@@ -98,7 +102,7 @@ def identify(
 
 
 def assemble(
-    given: Source | Sequence[Source],
+    given: Read | Sequence[Read],
     machine: Machine,
     free: Sequence[str],
     *,
@@ -108,11 +112,13 @@ def assemble(
     bounds: Mapping[str, float] | None = None,
     frame: Frame = "rigid",
 ) -> Problem:
-    """The problem of readings of all kinds together; arguments as of :func:`identify`."""
+    """The problem of readings of all kinds together; arguments as of :func:`identify`, but readings
+    that were read and checked.
+    """
     check_word("frame", frame, get_args(Frame))
     check_list("free", free)
     check_list("own", own)
-    campaigns, points = sorted_out(given, machine)
+    campaigns, points = _apart(_listed(given))
     check_units(campaigns, machine.spec.dial)
     level = noise_of(campaigns, machine.spec.dial, noise)
     readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
@@ -135,7 +141,12 @@ def sorted_out(
     Raises:
         InputError: where there is neither, or a file cannot be read.
     """
-    read = _read(given, machine)
+    return _apart(_read(given, machine))
+
+
+def _apart(
+    read: Sequence[Read],
+) -> tuple[tuple[Campaign, ...], tuple[TcpPoints | ToolCampaign, ...]]:
     campaigns = tuple(r for r in read if isinstance(r, Campaign))
     return campaigns, tuple(r for r in read if not isinstance(r, Campaign))
 
@@ -153,11 +164,9 @@ def readings_of(given: Source | Sequence[Source], machine: Machine) -> tuple[Rea
     return found
 
 
-def _read(given: Source | Sequence[Source], machine: Machine) -> list[Readings | TcpPoints]:
-    alone = isinstance(given, str) or not isinstance(given, Iterable)
-    several: list[Source] = [given] if alone else list(given)  # type: ignore[list-item, arg-type]
-    read: list[Readings | TcpPoints] = []
-    for one in several:
+def _read(given: Source | Sequence[Source], machine: Machine) -> list[Read]:
+    read: list[Read] = []
+    for one in _listed(given):
         if isinstance(one, str | PathLike):
             read += read_readings(one, machine.spec)
         else:
@@ -166,6 +175,11 @@ def _read(given: Source | Sequence[Source], machine: Machine) -> list[Readings |
     if not read:
         raise InputError("there is no campaign: give at least one file of readings")
     return read
+
+
+def _listed(given: Any) -> list[Any]:
+    """One or several as a list; a path is one."""
+    return [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
 
 
 def _beside(
