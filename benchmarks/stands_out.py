@@ -3,7 +3,8 @@
     python -m benchmarks.stands_out --machines 60 --jobs 2 --cache stands-out.jsonl
 
 Every effect that moves the tool is off by ``f`` of its tolerance, and one of them by five or ten
-times that. A run goes on where it stopped, from the cache.
+that. *Oracle*: what is named by who is told all but which cause it is; *as they state*: the
+mean probability that the sets give themselves. A run goes on where it stopped, from the cache.
 """
 
 from __future__ import annotations
@@ -17,9 +18,11 @@ from benchmarks import attribution_cases as ac
 from benchmarks.attribution_cases import Cause
 from benchmarks.attribution_run import campaign, machine
 from benchmarks.whole_machines import FAMILIES, SHARES, Record, arguments, records, rig_of
-from orthoglide.closing import Verdict, close_loop
+from orthoglide.closing import close_loop
 from orthoglide.errors import OrthoglideError
+from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.linear import Basis, Scale
+from orthoglide.posterior.outstanding import CREDIBLE, MOST, NAMED
 from orthoglide.rehearsal.scoring import is_cause
 from tests import rig_campaigns as rc
 
@@ -45,39 +48,66 @@ def run(case: tuple[float, str, int, int], seed: int) -> Record:
         verdict = close_loop([campaign(rc.simulate(rig, rows, rng))], machine())
     except OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
-    sets = [
-        [bool(is_cause(e.name, e.parameters, cause.name, family, [])) for e in found.explanations]
-        for found in verdict.effects
-    ]
+
+    def right(name: str, parameters: Sequence[str]) -> bool:
+        return bool(is_cause(name, parameters, cause.name, family, []))
+
+    posterior = verdict.posterior
+    assert posterior is not None
+    candidates = [right(c.name, c.parameters) for c in posterior.about.candidates]
+    scale = Scale(Basis(posterior.mixture.linear, 1e-3, 0.0), share)
     return record | {
         "word": verdict.word,
-        "seen": seen(verdict, cause, share, size),
-        "sets": sets,
+        "seen": seen(posterior, scale, cause, size),
+        "sets": [[right(e.name, e.parameters) for e in f.explanations] for f in verdict.effects],
+        "stated": [sum(e.probability for e in f.explanations) for f in verdict.effects],
+        "oracle": oracle(scale, size, candidates),
         "located": [f.name for f in verdict.located],
     }
 
 
-def seen(verdict: Verdict, cause: Cause, share: float, size: float) -> float:
+def seen(posterior: FullPosterior, scale: Scale, cause: Cause, size: float) -> float:
     """What a cause shows past noise and the background of all others, sigmas."""
-    assert verdict.posterior is not None
-    linear, about = verdict.posterior.mixture.linear, verdict.posterior.about
-    index = {name: k for k, name in enumerate(about.problem.names)}
-    scale = Scale(Basis(linear, 1e-3, 0.0), share)
+    index = {name: k for k, name in enumerate(posterior.about.problem.names)}
     shown = np.zeros(len(scale.residual))
     for name, value in cause.errors.items():
         if name in index:
             shown += scale.columns[:, index[name]] * value / machine().tolerance(name)
     square = float(shown @ shown)
-    return float(size * np.sqrt(square / max(1 - share**2 * square, 1e-9)))
+    return float(size * np.sqrt(square / max(1 - scale.share**2 * square, 1e-9)))
+
+
+def oracle(scale: Scale, size: float, right: Sequence[bool]) -> bool:
+    """Whether the cause would be in a set of at most twenty, by who is told everything but which:
+    how large the background is, and that one cause of this size stands out of it, or none, at
+    even odds.
+    """
+    groups = scale.basis.linear.groups[: len(right)]
+    logs = [0.0]
+    for group in groups:
+        columns = size * scale.columns[:, group.places] @ group.weights
+        inner = np.eye(group.size) + columns.T @ columns
+        along = columns.T @ scale.residual
+        logs.append(
+            0.5 * float(along @ np.linalg.solve(inner, along))
+            - 0.5 * float(np.linalg.slogdet(inner)[1])
+            - float(np.log(len(groups)))
+        )
+    weights = np.exp(np.array(logs) - max(logs))
+    nothing, *each = weights / weights.sum()
+    order = np.argsort(each)[::-1]
+    count = int(np.searchsorted(np.cumsum(np.array(each)[order]), CREDIBLE * (1 - nothing))) + 1
+    said = 1 - nothing >= NAMED and count <= MOST
+    return bool(said and any(right[k] for k in order[:count]))
 
 
 def table(found: Sequence[Record]) -> Iterator[str]:
     """The table, in Markdown."""
     yield (
-        "| f, and the cause | n | it is clear | named, alone or in a set | first and alone "
-        "| sets that hold it | size of its set | places said |"
+        "| f, and the cause | n | it is clear | named, alone or in a set | oracle "
+        "| first and alone | sets that hold it | as they state | size of its set | places said |"
     )
-    yield "|---" * 8 + "|"
+    yield "|---" * 10 + "|"
     told = [r for r in found if "sets" in r]
     for times in TIMES:
         for share in SHARES[1:]:
@@ -91,14 +121,17 @@ def _row(rows: Sequence[Record]) -> str:
     named = [r for r in clear if any(map(any, r["sets"]))]
     alone = [r for r in clear if r["sets"] and r["sets"][0] == [True]]
     sets = [s for r in rows for s in r["sets"]]
+    stated = [p for r in rows for p in r["stated"]]
     sizes = [len(s) for s in sets if any(s)]
     return " | ".join(
         (
             str(len(rows)),
             str(len(clear)),
             _of(len(named), len(clear)),
+            _of(sum(r["oracle"] for r in clear), len(clear)),
             _of(len(alone), len(clear)),
             _of(sum(map(any, sets)), len(sets)),
+            f"{100 * np.mean(stated):.1f} %" if stated else "-",
             f"{np.mean(sizes):.2f}" if sizes else "-",
             str(sum(len(r["located"]) for r in rows)),
         )

@@ -36,7 +36,8 @@ _OFF = 0.1  # tolerances: a background that is worth a word
 CREDIBLE = 0.95
 """Probability that a credible set holds the truth."""
 
-_MOST = 20  # members of a set that says something: of more it could be anything
+MOST = 20
+"""Members of a set that says something: of more it could be anything."""
 
 NAMED = 0.9
 """Least probability of what is claimed: that something stands out, and of its kind."""
@@ -83,7 +84,7 @@ class _Reader:
         odds = odds[:-1]
         order = np.argsort(-odds, kind="stable")
         count = int(np.searchsorted(np.cumsum(odds[order]), CREDIBLE * there)) + 1
-        if count > _MOST and not known:
+        if count > MOST and not known:
             return None
         chosen = [int(k) for k in order[:count]]
         free = sum(float(odds[k]) for k in chosen if self.groups[k].free)
