@@ -19,14 +19,17 @@ from orthoglide.machine import Machine
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
 _RULE = (
-    "new zero = old zero - sign x {name}: what the controller shows, counted as now, when "
+    "{sum} what the controller shows, counted as now, when "
     "the carriage is at mechanical zero; for it stands at the commanded joint coordinate plus its "
     "{words}. Enter the new zero once, or add new zero - old zero to every command; never "
     "both."
 ).format
-RULE = _RULE(name="joint_offset", words="joint offset")
+RULE = _RULE(sum="new zero = old zero - sign x joint_offset:", words="joint offset")
 """The sign of a zero, wherever one is given."""
-_RULE_ALONE = _RULE(name="offset", words="offset, here the one that zeros alone make up for best")
+_RULE_ALONE = _RULE(
+    sum="new zero = old zero - sign x offset:",
+    words="offset, here the one that zeros alone make up for best",
+)
 
 
 @dataclass(frozen=True)
