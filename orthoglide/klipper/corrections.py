@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from orthoglide.klipper.firmware import TOWERS, Firmware, firmware_of
 from orthoglide.machine import Machine
+from orthoglide.numerals import signed
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,21 @@ class Corrections:
                 one, other = getattr(self.old, attribute)[k], getattr(self.new, attribute)[k]
                 found.append((f"[stepper_{name}] {key}", one, other, unit))
         return [(name, f"{a * unit:.6f}", f"{b * unit:.6f}") for name, a, b, unit in found]
+
+    @property
+    def words(self) -> str:
+        """What they change most, and what that does to heights, as a clause."""
+        lengths = {"delta_radius": (self.old.delta_radius, self.new.delta_radius)} | {
+            f"position_endstop of tower {name}": pair
+            for name, pair in zip(TOWERS, zip(self.old.endstop, self.new.endstop), strict=True)
+        }
+        most = max(lengths, key=lambda name: abs(lengths[name][1] - lengths[name][0]))
+        one, other = lengths[most]
+        before, after = (f"{v * 1e3:.3f}" for v in self.height)
+        return (
+            f"most of all {most} by {signed((other - one) * 1e3, 3)} mm; height over the plate goes "
+            f"from {before} to {after} mm rms"
+        )
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
