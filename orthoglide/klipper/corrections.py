@@ -40,16 +40,16 @@ class Corrections:
     @property
     def words(self) -> str:
         """What they change most, and what that does to heights, as a clause."""
-        lengths = {"delta_radius": (self.old.delta_radius, self.new.delta_radius)} | {
-            f"position_endstop of tower {name}": pair
-            for name, pair in zip(TOWERS, zip(self.old.endstop, self.new.endstop), strict=True)
-        }
-        most = max(lengths, key=lambda name: abs(lengths[name][1] - lengths[name][0]))
-        one, other = lengths[most]
+        old, new = self.old, self.new
+        changed = {"delta_radius": new.delta_radius - old.delta_radius}
+        for name, one, other in zip(TOWERS, old.endstop, new.endstop, strict=True):
+            changed[f"position_endstop of tower {name}"] = other - one
+        most = max(changed, key=lambda name: abs(changed[name]))
+        by = signed(changed[most] * 1e3, 3)
         before, after = (f"{v * 1e3:.3f}" for v in self.height)
         return (
-            f"most of all {most} by {signed((other - one) * 1e3, 3)} mm; height over the plate goes "
-            f"from {before} to {after} mm rms"
+            f"most of all {most} by {by} mm; height over the plate goes from {before} to {after} "
+            f"mm rms"
         )
 
     def as_dict(self) -> dict[str, object]:

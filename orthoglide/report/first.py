@@ -157,8 +157,8 @@ def tiles(result: Result) -> list[Tile]:
     if result.firmware is not None and (found := result.firmware.corrections) is not None:
         sizes = zip(_NUMBERS, found.height, found.sideways, strict=True)
         told = [
-            Tile(what, f"{high * 1e3:.3f}", ("of height, rms", f"along the plate {along * 1e3:.2f}"))
-            for what, high, along in sizes
+            Tile(what, f"{up * 1e3:.3f}", ("of height, rms", f"along the plate {along * 1e3:.2f}"))
+            for what, up, along in sizes
         ]
         return told if result.stands and not withheld(result.machine) else told[:1]
     expected = result.numbers.expected
