@@ -117,6 +117,14 @@ class Check:
         rest = [f"{what} changed beyond its uncertainty: {', '.join(said)}"] if said else []
         return (*self.plates, *map(str, changed), *rest)
 
+    @property
+    def line(self) -> str:
+        """What changed by name, and the verdict of the new readings, in one line."""
+        names = [parameter_words(d.parameter) for d in self.differences if d.changed]
+        names += ["the plate"] * bool(self.plates)
+        what = f"Changed: {', '.join(names)}" if names else "Nothing changed"
+        return f"{what}. Verdict {self.verdict.word}."
+
     def __str__(self) -> str:
         return "\n".join(self.sentences)
 

@@ -273,13 +273,15 @@ def judge(verdict: Verdict) -> Verdict:
     scored = errors = None
     if request.holdout:
         scored = hold_out(before, after, machine, request.holdout, request.own)
-        if any(fitted_already(one, c) for one in request.holdout for c in request.readings):
-            text = "the readings held out are readings that were fitted: they judge nothing"
-            warnings = (*verdict.after.warnings, Note(text, "holdout"))
-            verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))
     if request.tcp is not None:
         stated = tcp_map(verdict.machine, request.tcp.command).sigma
         errors = tcp_errors(machine, request.tcp, before, after, stated)
+    held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
+    fitted = (*request.campaigns, *request.points)
+    if any(fitted_already(one, other) for one in held for other in fitted):
+        text = "the readings held out are readings that were fitted: they judge nothing"
+        warnings = (*verdict.after.warnings, Note(text, "holdout"))
+        verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))
     return replace(verdict, hold_out=scored, tcp=errors)
 
 

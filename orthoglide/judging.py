@@ -24,7 +24,7 @@ class HoldOut:
     after_rms: float
 
 
-def fitted_already(held: Readings, fitted: Readings) -> bool:
+def fitted_already(held: Readings | TcpPoints, fitted: Readings | TcpPoints) -> bool:
     """Whether most readings held out were fitted: the same value, instrument and command."""
     return shared(held, fitted) > 0.5
 

@@ -106,9 +106,13 @@ def test_from_files_and_results_to_words_and_a_page(
     assert told
     assert float(told[1]) > float(told[2]) > 0
     assert "prove their signs" in plain.stdout
+    short = run("check", "old.csv", "new.csv", *options, "--quiet")
+    assert re.fullmatch(r"Changed: joint offset of leg x\. Verdict \w+\.\n", short.stdout)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["new.csv", "old.csv"]
 
     assert run("identify", "old.csv", *options, "--out", "before", "--quiet").exit_code == 0
+    silent = run("check", "old.csv", "new.csv", *options, "--quiet", "--out", "silent")
+    assert (silent.exit_code, silent.stdout) == (0, "")
     kept = run("check", "before/result.json", "new.csv", "--out", "out")
     assert kept.exit_code == 0, kept.output
     assert kept.stdout.splitlines()[:3] == plain.stdout.splitlines()[:3]

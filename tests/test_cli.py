@@ -719,6 +719,25 @@ def test_a_design_is_no_larger_than_what_it_chooses_from(here: Path) -> None:
     assert "readings to choose from: give --count" in result.stderr
 
 
+@pytest.mark.parametrize("options", [("--detect", "--count", "6"), ("--owns", "leg")])
+def test_what_a_design_sees_fits_the_terminal(
+    options: tuple[str, ...], here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    whole = done("design", *options).splitlines()
+    assert 55 < max(map(len, whole)) <= 80
+    assert any(" nearest: " in line for line in whole)
+    monkeypatch.setenv("COLUMNS", "140")
+    assert any(line.endswith("unit  nearest") for line in done("design", *options).splitlines())
+
+
+def test_a_quiet_design_is_one_line_where_nothing_is_written(here: Path) -> None:
+    few = ("design", "--count", "6", "--quiet")
+    assert done(*few) == "6 readings show 4 of 6 unknowns.\n"
+    assert done(*few, "--out", "sheet.csv") == ""
+    assert (here / "sheet.csv").exists()
+
+
 @pytest.mark.parametrize("bogus", ["--bogus", "-x"])
 def test_an_option_that_is_none_is_called_so(bogus: str, here: Path) -> None:
     result = run("forward", "320", "310", "300", bogus)

@@ -22,6 +22,7 @@ from orthoglide.cli.progress import progress, share
 from orthoglide.cli.rerun import compare
 from orthoglide.errors import SolverError
 from orthoglide.progress import Step
+from orthoglide.report.wording import MEANINGS
 from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, process, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"
@@ -132,7 +133,8 @@ def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     result = json.loads(done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--json"))
     assert tree(rig) == before
     assert result["command"] == "diagnose"
-    assert done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--quiet") == ""
+    (line,) = done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--quiet").splitlines()
+    assert line == f"Verdict {result['verdict']}: {MEANINGS[result['verdict']]}."
 
 
 def test_several_campaigns_with_offsets_of_their_own(here: Path) -> None:

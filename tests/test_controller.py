@@ -385,6 +385,10 @@ def test_zeros_alone_are_fitted_to_the_whole_machine() -> None:
         for by in (-2e-5, 2e-5):
             assert shape(best + by * np.eye(3)[axis]) > shape(best)
     assert numbers.zeros_only == pytest.approx(-best)
+    # They are what is entered, and no drive's joint offset.
+    first = " ".join(numbers.text().partition("Scale factor")[0].split())
+    assert f"zero correction x = {-best[0] * 1e3:+.4f} mm" in first
+    assert "joint" not in first.replace("joint coordinate", "")
     assert [d.scale for d in numbers.drives] == [0, 0, 0]
     assert set(numbers.left_over) == {"axis_offset.z.x", "encoder_scale.y"}
     both = controller_numbers(whole)

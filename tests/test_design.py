@@ -413,7 +413,13 @@ def test_effects_with_one_signature_are_never_named(machine):
     assert np.isinf(same.nameable)
     bow = told["rail_bow.x.y"]
     assert bow.detectable <= bow.nameable < np.inf
-    lines = detectable_rows(smallest_effects(machine, protocol("standard")))
+    seen = smallest_effects(machine, protocol("standard"))
+    lines = detectable_rows(seen, 120)
+    *narrow, last = detectable_rows(seen, 80)
+    assert max(map(len, narrow)) <= 80 < max(map(len, lines[:-1]))
+    assert last == lines[-1]
+    whole, split = (" ".join("  ".join(rows).split()) for rows in (lines[1:-1], narrow[1:]))
+    assert split.replace("nearest: ", "") == whole
     assert any("never" in line for line in lines)
     assert "mount_tilt (x.a, y.a, z.a)" in lines[-1]
 

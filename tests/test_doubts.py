@@ -11,6 +11,7 @@ import pytest
 import orthoglide as og
 from orthoglide.errors import InputError
 from orthoglide.fit.noise import station_table
+from orthoglide.notes import Note
 from orthoglide.simulation import simulate, simulate_tcp
 
 RIG = Path(__file__).parent / "data" / "rig"
@@ -117,3 +118,30 @@ def test_the_training_file_as_holdout_is_said() -> None:
     assert [w for w in same.after.warnings if "they judge nothing" in w]
     other = og.close_loop(rig(), MACHINE, holdout=rig(1))
     assert not [w for w in other.after.warnings if w.kind == "holdout"]
+    points = [og.read_tcp(RIG / f"rig-{k}.tcp.csv", MACHINE.spec) for k in (1, 2)]
+    for tcp, said in zip(points, (1, 0), strict=True):
+        judged = og.close_loop([rig(1), points[0]], MACHINE, tcp=tcp)
+        assert len([w for w in judged.after.warnings if w.kind == "holdout"]) == said
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_points_of_the_tool_that_are_there_twice_are_said(missing: bool) -> None:
+    points = tcp_points(0.0)
+    if missing:
+        p = points.p.copy()
+        p[3:12, 1] = np.nan
+        points = replace(points, p=p)
+    renamed = replace(points, file="other.csv")
+
+    def copies(*given: og.TcpPoints) -> list[Note]:
+        return [w for w in og.identify(list(given), MACHINE).warnings if w.kind == "copies"]
+
+    assert not copies(points)
+    (whole,) = copies(points, renamed)
+    assert "the readings of other are those of points to the last digit" in whole
+    n = len(points)
+    rows = np.r_[0:n, 3, 8]
+    some = {k: getattr(points, k)[rows] for k in ("command", "p", "sigma", "approach")}
+    (again,) = copies(replace(points, **some, line=np.arange(2, n + 4)))
+    assert again.lines == (n + 2, n + 3)
+    assert f"points.csv, lines {n + 2}, {n + 3}: the same point as before" in again

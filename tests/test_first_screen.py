@@ -192,13 +192,13 @@ def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
 def test_tiles_are_the_tool_at_every_stage() -> None:
     verdict = verdict_of("explained")
     tiles = {t.what: t for t in finding(verdict)["tiles"]}
-    shapes = [float(t.shape) for t in tiles.values()]
+    shapes = [float(t.size) for t in tiles.values()]
     assert len(tiles) == 4
     assert shapes[0] > shapes[1] > shapes[3]
     kept = json.loads(result_text(verdict))["tool"]
     for tile, stage in zip(tiles.values(), kept.values(), strict=True):
-        assert float(tile.shape) == pytest.approx(stage["shape_mm"], rel=0.05)
-        assert tile.place.startswith(f"{stage['place_mm']:.1f} ±")
+        assert float(tile.size) == pytest.approx(stage["shape_mm"], rel=0.05)
+        assert tile.lines[1].startswith(f"of place, {stage['place_mm']:.1f} ±")
 
 
 def test_what_to_do_goes_by_what_it_gains() -> None:

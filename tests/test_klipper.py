@@ -2,6 +2,8 @@
 
 import json
 import random
+import re
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +118,25 @@ def test_the_sign_of_a_lean_comes_through_the_firmware_s_file(lean: float, tmp_p
     assert told == pytest.approx(lean, rel=0.25)
     side = "counter-clockwise" if lean > 0 else "the clockwise"
     assert side in every["rail_tilt.tangential.common"].words
+
+
+def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path: Path) -> None:
+    """The plate is the firmware's z = 0: what an endstop tilts is an error of height."""
+    file, out = tmp_path / "printer.cfg", tmp_path / "out"
+    file.write_text(simulated_cfg(DeltaRig(errors={"joint_offset.b": 8e-4})))
+    found = import_printer(file)
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    words = " ".join(str(verdict).split())
+    told = re.search(r"most of all position_endstop of tower b by \+(0\.8\d\d) mm", words)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(0.8, abs=0.04)
+    (action,) = (a for a in verdict.actions if a.kind == "zeros")
+    assert action.gain == pytest.approx(0.34e-3, abs=0.02e-3)
+    verdict.report(out)
+    tiles = (out / "report.html").read_text().partition("tiles tool")[2].partition("</dl>")[0]
+    assert "With the firmware's numbers" in unescape(tiles)
+    assert "0.34" in tiles
+    assert "shape" not in tiles
 
 
 def test_a_machine_with_nothing_wrong_is_left_alone(tmp_path: Path) -> None:

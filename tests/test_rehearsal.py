@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -270,6 +271,9 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
     assert "Weak spots" in result.stdout
     assert (tmp_path / "out" / "rehearsal.txt").read_text() == result.stdout
     assert CliRunner().invoke(cli, line).stdout == result.stdout  # nothing is left to do
+    assert CliRunner().invoke(cli, [*line, "--quiet"]).stdout == ""
+    (short,) = CliRunner().invoke(cli, [*line[:-2], "--quiet"]).stdout.splitlines()
+    assert re.fullmatch(r"campaigns 1(, (named|located|missed|false|failed) [01]){5}", short)
 
 
 def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:

@@ -225,6 +225,7 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     shown = controller.from_rho(geometry.zero, geometry)
     line = f"shown {shown[0] * 1e3:.4f}, carriage x stands 0.7000 mm too far out"
     assert line in data["worked"]
+    assert not re.search("joint.offset", data["rule"] + data["worked"])
     # A controller to whose commands `add` was added means what it shows.
     wanted = np.array([0.3, 0.31, 0.32])
     display = controller.from_rho(wanted, geometry)

@@ -10,7 +10,7 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.rerun import read_result
-from orthoglide.cli.terminal import say, wrapped
+from orthoglide.cli.terminal import say, tell, wrapped
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
 from orthoglide.progress import Step
@@ -74,10 +74,8 @@ def check(
             write_results(out, {**files, **made})
     for warning in twice((*before, *after)):
         say(f"warning: {warning}", err=True)
-    if not quiet:
-        say(told, needed=out is None)
-        if out is not None:
-            say(f"\nReport: {click.format_filename(out / 'check.html')}")
+    report = "" if out is None else f"\n\nReport: {click.format_filename(out / 'check.html')}"
+    tell(f"{told}{report}", found.line, quiet, out is not None)
 
 
 COMMANDS = (check,)

@@ -9,10 +9,11 @@ import click
 
 import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
-from orthoglide.cli.terminal import say
+from orthoglide.cli.terminal import tell, wrapped
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
 from orthoglide.progress import Progress, Step
+from orthoglide.text import text_width
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
@@ -102,10 +103,11 @@ def design(
         lines = [*index_rows([*compared, ("design", found.indices)]), *pair_rows(found)]
         lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
         for name, detectability in small:
-            lines += ["", f"{name}:", *detectable_rows(detectability)]
+            lines += ["", f"{name}:", *detectable_rows(detectability, text_width())]
         lines += [] if out is None else [write_sheet(out, found.campaign, machine)]
-    if not quiet:
-        say("\n".join(lines), needed=out is None)
+    seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
+    line = f"{len(found.campaign)} readings show {seen}."
+    tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)
 
 
 COMMANDS = (design,)
@@ -128,7 +130,8 @@ def _of_owned(
         step(Step("computing", "what each instrument would tell"))
         found = owned_instruments(machine, kinds, count=count, seed=seed)
         listed = ", ".join(f"{INSTRUMENTS[k]} ({len(s)})" for k, s in found.sheets.items())
-        lines = [f"with {listed}:", *detectable_rows(found.tells), "", "besides:"]
+        lines = [f"with {listed}:", *detectable_rows(found.tells, text_width())]
+        lines += ["", "besides:"]
         lines += [f"- {gain}." for gain in found.gains]
         if out is not None:
             sheets = found.to_fill_in()
@@ -140,8 +143,9 @@ def _of_owned(
             write_texts({out: csv_text(filled)})
             lines += ["", f"{click.format_filename(out)}: {len(rows)} readings of the tool, to be "
                           f"filled in"]  # fmt: skip
-    if not quiet:
-        say("\n".join(lines), needed=out is None)
+    hidden = len(found.tells.invisible)
+    line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
+    tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)
 
 
 def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:

@@ -57,7 +57,11 @@ effects = click.option(
 seed = click.option(
     "--seed", type=int, default=0, show_default=True, help="Seed of all random draws."
 )
-quiet = click.option("--quiet", is_flag=True, help="No progress and no tables.")
+quiet = click.option(
+    "--quiet",
+    is_flag=True,
+    help="No progress and no tables: one line where no file is written.",
+)
 
 
 def out(required: bool = True, help: str = "") -> Decorator:

@@ -11,7 +11,7 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
 from orthoglide.cli.run import keep_on_interrupt
-from orthoglide.cli.terminal import say
+from orthoglide.cli.terminal import tell
 from orthoglide.errors import InputError
 
 
@@ -27,7 +27,7 @@ from orthoglide.errors import InputError
               help="Scheduler of a Dask cluster that does the work instead.")  # fmt: skip
 @opt.out(required=False, help="Folder for finished campaigns and the table; a run that was "
                                  "stopped goes on from there.")  # fmt: skip
-@click.option("--quiet", is_flag=True, help="No progress and no table.")
+@opt.quiet
 def rehearse(
     machine_path: Path | None,
     sheet: Path | None,
@@ -57,8 +57,7 @@ def rehearse(
             machine, sheet or "sweep", campaigns, seed=seed, out=out, progress=step,
             jobs=-1 if jobs is None and dask is None else jobs,
         )  # fmt: skip
-    if not quiet:
-        say(str(found), needed=out is None)
+    tell(str(found), found.line, quiet, out is not None)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import click
 
 import orthoglide.cli.options as opt
 from orthoglide.cli.progress import progress
-from orthoglide.cli.terminal import say
+from orthoglide.cli.terminal import say, tell
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import InputError
 from orthoglide.progress import Step
@@ -87,7 +87,7 @@ def execute(
     Args:
         read: gives the request.
         out: folder for the results; nothing is written where absent.
-        quiet: no progress and no tables.
+        quiet: no progress and no tables, one line where there is no folder.
         as_json: print ``result.json`` and nothing else.
         ranked: print all causes that were tried.
     """
@@ -98,8 +98,10 @@ def execute(
     with progress(quiet or as_json) as step:
         result, files = performed(read, step, draw=out is not None)
         from orthoglide.report import result_text, summary
+        from orthoglide.report.wording import MEANINGS
 
         told = "" if quiet or as_json else summary(result, ranked)
+        line = f"Verdict {result.word}: {MEANINGS[result.word]}."
         if as_json and out is None:
             step(Step("suggesting"))
         text = (files.get("result.json") or result_text(result)) if as_json else ""
@@ -107,7 +109,6 @@ def execute(
             write_results(out, files)
     if as_json:
         say(text if isinstance(text, bytes) else text.encode(), needed=out is None)
-    elif not quiet:
-        say(told, needed=out is None)
-        if out is not None:
-            say(f"\nReport: {click.format_filename(out / 'report.html')}")
+        return
+    report = "" if out is None else f"\n\nReport: {click.format_filename(out / 'report.html')}"
+    tell(f"{told}{report}", line, quiet, out is not None)

@@ -53,6 +53,22 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
             ) from None
 
 
+def tell(text: str, line: str, quiet: bool, kept: bool) -> None:
+    """Print what was found, or with ``--quiet`` one line of it where no file keeps it.
+
+    Args:
+        text: all that was found.
+        line: the same in one line.
+        quiet: whether that is enough.
+        kept: whether files have it.
+
+    Raises:
+        FileError: as `say`.
+    """
+    if not quiet or not kept:
+        say(line if quiet else text, needed=not kept)
+
+
 def wrapped(text: str, width: int) -> str:
     """Lines too long for a terminal broken between words; what follows stands below the words."""
     return "\n".join(_broken(line, width) for line in text.split("\n"))

@@ -18,13 +18,18 @@ from orthoglide.layout import LegNames
 from orthoglide.machine import Machine
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
-RULE = (
-    "new zero = old zero - sign x joint_offset: what the controller shows, counted as now, when "
+_RULE = (
+    "{sum} what the controller shows, counted as now, when "
     "the carriage is at mechanical zero; for it stands at the commanded joint coordinate plus its "
-    "joint offset. Enter the new zero once, or add new zero - old zero to every command; never "
+    "{words}. Enter the new zero once, or add new zero - old zero to every command; never "
     "both."
-)
+).format
+RULE = _RULE(sum="new zero = old zero - sign x joint_offset:", words="joint offset")
 """The sign of a zero, wherever one is given."""
+_RULE_ALONE = _RULE(
+    sum="new zero = old zero - sign x offset:",
+    words="offset, here the one that zeros alone make up for best",
+)
 
 
 @dataclass(frozen=True)
@@ -38,10 +43,11 @@ class DriveNumbers:
         leg: its name.
         sign: +1 where the controller counts away from the origin, else -1.
         zero: what it showed at mechanical zero as the machine file says, metres.
-        offset: joint offset, metres.
+        offset: joint offset, or of zeros alone what they make up for best, metres.
         scale: relative scale error.
         backlash: lost motion, metres.
         bar_length: mean length of the leg's bars, metres.
+        alone: whether the controller takes zeros and nothing else.
     """
 
     leg: str
@@ -51,6 +57,7 @@ class DriveNumbers:
     scale: float
     backlash: float
     bar_length: float
+    alone: bool = False
 
     @property
     def new_zero(self) -> float:
@@ -86,7 +93,7 @@ class DriveNumbers:
         """For JSON; lengths in millimetres."""
         return {
             "sign": self.sign,
-            "joint_offset_mm": _mm(self.offset),
+            "offset_mm" if self.alone else "joint_offset_mm": _mm(self.offset),
             "old_zero_mm": _mm(self.zero),
             "new_zero_mm": _mm(self.new_zero),
             "add_to_command_mm": _mm(self.correction),
@@ -99,8 +106,15 @@ class DriveNumbers:
     def worked(self, names: LegNames) -> str:
         """The sign rule for this drive, number by number, in a layout's words."""
         way, side = names.ways[self.sign > 0][1], names.ways[self.offset >= 0][0]
+        if self.alone:
+            what = (
+                f"zero correction {self.leg} = {_mm(self.correction):+.4f} mm: with zeros alone "
+                f"the tool is off least as if,"
+            )
+        else:
+            what = f"joint offset {self.leg} = {_mm(self.offset):+.4f} mm:"
         return (
-            f"joint offset {self.leg} = {_mm(self.offset):+.4f} mm: sent to mechanical zero, shown "
+            f"{what} sent to mechanical zero, shown "
             f"{_mm(self.zero):.4f}, carriage {self.leg} stands {abs(_mm(self.offset)):.4f} mm too "
             f"far {side}. The controller counts {way} (sign {self.sign:+d}), so the "
             f"carriage is at mechanical zero where it shows {_mm(self.zero):.4f} - "
@@ -143,6 +157,11 @@ class ControllerNumbers(Framed):
         return self.text()
 
     @property
+    def rule(self) -> str:
+        """The sign of a zero."""
+        return _RULE_ALONE if self.drives[0].alone else RULE
+
+    @property
     def title(self) -> str:
         """What they are, with the machine's name where it has one."""
         taker = "firmware" if self.firmware else "controller"
@@ -173,7 +192,7 @@ class ControllerNumbers(Framed):
             return {"machine": self.name, "firmware": self.firmware.as_dict()}
         return {
             "machine": self.name,
-            "rule": RULE,
+            "rule": self.rule,
             "drives": {d.leg: d.as_dict() for d in self.drives},
             "zeros_only_mm": {
                 d.leg: _mm(v) for d, v in zip(self.drives, self.zeros_only, strict=True)
@@ -193,7 +212,7 @@ class ControllerNumbers(Framed):
         alone = [f"{d.leg} {_mm(v):.4f}" for d, v in named]
         return _TEXT.format(
             title=self.title,
-            rule=_fill(RULE),
+            rule=_fill(self.rule),
             worked=_fill(f"Worked: {self.drives[0].worked(self.names)}"),
             table="\n".join(map(_line, self.drives)),
             checks=_CHECKS.format(
@@ -237,6 +256,7 @@ def controller_numbers(
             float(held.get("scale", none)[k]),
             float(held.get("backlash", none)[k]),
             length + float(held.get("bar_length", none)[k]),
+            zeros_only,
         )
         for k, leg in enumerate(machine.geometry.leg_names)
     ]

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from orthoglide.fit.noise import station_table
-from orthoglide.observations import Campaign, Readings, ToolCampaign
+from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign
 
 _FEWEST = 6  # repeats that are too few to say they are copies
 
@@ -21,10 +21,19 @@ def copied(campaign: Campaign) -> int:
     return len(alike) if len(alike) >= _FEWEST and alike.all() else 0
 
 
-def shared(one: Readings, other: Readings) -> float:
+def repeated_points(points: TcpPoints) -> tuple[int, ...]:
+    """Lines whose point an earlier line has too, to the last digit of command and coordinates."""
+    rows = np.nan_to_num(np.hstack([points.command, points.approach, points.p]))
+    first = np.unique(rows, axis=0, return_index=True)[1]
+    return tuple(np.delete(points.line, first).tolist())
+
+
+def shared(one: Readings | TcpPoints, other: Readings | TcpPoints) -> float:
     """Share of readings that another file has too: the same value, instrument and command."""
 
-    def rows(campaign: Readings) -> set[tuple[object, ...]]:
+    def rows(campaign: Readings | TcpPoints) -> set[tuple[object, ...]]:
+        if isinstance(campaign, TcpPoints):
+            return set(map(tuple, np.nan_to_num(np.hstack([campaign.command, campaign.p]))))
         if isinstance(campaign, ToolCampaign):
             seen = zip(campaign.kind, campaign.axis.tolist(), strict=True)
             read = [
@@ -41,12 +50,11 @@ def shared(one: Readings, other: Readings) -> float:
     return len(own & rows(other)) / max(len(own), 1)
 
 
-def twice(several: Sequence[Readings]) -> Iterator[str]:
+def twice(several: Sequence[Readings | TcpPoints]) -> Iterator[str]:
     """A sentence for each file whose readings are all those of an earlier one."""
     for k, one in enumerate(several):
         for other in several[:k]:
-            alike = isinstance(one, ToolCampaign) == isinstance(other, ToolCampaign)
-            if alike and len(one) == len(other) and shared(one, other) == 1.0:
+            if type(one) is type(other) and len(one) == len(other) and shared(one, other) == 1.0:
                 yield (
                     f"the readings of {one.name} are those of {other.name} to the last digit: a "
                     f"copy tells nothing that the other does not, so leave one of them out"

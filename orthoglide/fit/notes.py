@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from orthoglide.effects.wording import parameter_words
-from orthoglide.fit.copies import copied, twice
+from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
-from orthoglide.observations import ToolCampaign
+from orthoglide.observations import TcpPoints
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _HALF = 2.0  # times that noise may be declared too large without a word
@@ -23,7 +23,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     problem, scores = estimate.problem, estimate.scores
     noticed = [c.warnings for c in problem.campaigns] + [f.points.warnings for f in problem.points]
     found = [Note(text, "campaign") for texts in noticed for text in texts]
-    tool = [f.points for f in problem.points if isinstance(f.points, ToolCampaign)]
+    tool = [f.points for f in problem.points]
     found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
     for campaign in problem.campaigns:
         if count := copied(campaign):
@@ -33,6 +33,13 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
                 f"out and declare it with --noise"
             )
             found.append(Note(text, "copies"))
+    for points in tool:
+        if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
+            text = (
+                f"{_lines(points.file, points.name, lines)}: the same point as before to the last "
+                f"digit: a copy tells nothing that the other does not, so leave it out"
+            )
+            found.append(Note(text, "copies", lines))
     if estimate.sigma_scale > 1:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
@@ -104,10 +111,15 @@ def slips(estimate: Estimate) -> Iterator[Note]:
         if len(off):
             worst = int(np.argmax(times))
             lines = tuple(int(line) for line in campaign.line[off])
-            told = ", ".join(map(str, lines[:_SAID])) + (" and more" if len(off) > _SAID else "")
             text = (
-                f"{campaign.file.rpartition('/')[2] or campaign.name}, "
-                f"line{'s' * (len(off) > 1)} {told}: up to {times[worst]:.1f} times the noise of a "
-                f"reading from what all others say: read {'them' if len(off) > 1 else 'it'} again"
+                f"{_lines(campaign.file, campaign.name, lines)}: up to {times[worst]:.1f} times "
+                f"the noise of a reading from what all others say: read "
+                f"{'them' if len(off) > 1 else 'it'} again"
             )
             yield Note(text, "slip", lines)
+
+
+def _lines(file: str, name: str, lines: tuple[int, ...]) -> str:
+    """Lines of a file, the first of many."""
+    told = ", ".join(map(str, lines[:_SAID])) + (" and more" if len(lines) > _SAID else "")
+    return f"{file.rpartition('/')[2] or name}, line{'s' * (len(lines) > 1)} {told}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from orthoglide.klipper.firmware import TOWERS, Firmware, firmware_of
 from orthoglide.machine import Machine
+from orthoglide.numerals import signed
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,21 @@ class Corrections:
                 one, other = getattr(self.old, attribute)[k], getattr(self.new, attribute)[k]
                 found.append((f"[stepper_{name}] {key}", one, other, unit))
         return [(name, f"{a * unit:.6f}", f"{b * unit:.6f}") for name, a, b, unit in found]
+
+    @property
+    def words(self) -> str:
+        """What they change most, and what that does to heights, as a clause."""
+        old, new = self.old, self.new
+        changed = {"delta_radius": new.delta_radius - old.delta_radius}
+        for name, one, other in zip(TOWERS, old.endstop, new.endstop, strict=True):
+            changed[f"position_endstop of tower {name}"] = other - one
+        most = max(changed, key=lambda name: abs(changed[name]))
+        by = signed(changed[most] * 1e3, 3)
+        before, after = (f"{v * 1e3:.3f}" for v in self.height)
+        return (
+            f"most of all {most} by {by} mm; height over the plate goes from {before} to {after} "
+            f"mm rms"
+        )
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""

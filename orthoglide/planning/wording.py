@@ -59,10 +59,22 @@ def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
     )
 
 
-def detectable_rows(found: Detectability) -> list[str]:
-    """A row an effect: the parameter that takes the largest size to be found, and to be named."""
-    lines = [f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit  nearest"]
-    lines += map(_effect_row, *found.columns.values())
+def detectable_rows(found: Detectability, width: int) -> list[str]:
+    """A row an effect: the parameter that takes the largest size to be found, and to be named.
+
+    Args:
+        found: of a sheet.
+        width: in characters; what is nearest stands below its row where that is too narrow.
+    """
+    head = f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit"
+    rows = [_effect_row(*row) for row in zip(*found.columns.values(), strict=True)]
+    if max((len(size) + len(near) + 2 for size, near in rows), default=0) <= width:
+        lines = [f"{head}  nearest", *(f"{size}  {near}" for size, near in rows)]
+    else:
+        lines = [
+            head,
+            *(text for size, near in rows for text in (size.rstrip(), f"    nearest: {near}")),
+        ]
     if found.invisible:
         lines.append(f"not visible, which is not absent: {', '.join(_by_effect(found.invisible))}")
     return lines
@@ -79,7 +91,8 @@ def _by_effect(names: Sequence[str]) -> list[str]:
 
 def _effect_row(
     effect: str, unit: str, tolerance: float, found: float, named: float, hardest: str, nearest: str
-) -> str:
+) -> tuple[str, str]:
+    """Its sizes, and what its hardest parameter is taken for."""
     size = f"{named:.2g}" if np.isfinite(named) else "never"
     sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
-    return f"{sizes}  {unit:<4}  {nearest} for {hardest}"
+    return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}"

@@ -72,6 +72,12 @@ class Rehearsal:
         rows = [asdict(t) for t in self.campaigns]
         return data_frame({name: [r[name] for r in rows] for name in rows[0]}, index="number")
 
+    @property
+    def line(self) -> str:
+        """How often what was said, in one line."""
+        counts = [f"{n} {sum(bool(getattr(t, n)) for t in self.campaigns)}" for n in _SAID]
+        return ", ".join([f"campaigns {len(self.campaigns)}", *counts])
+
     def __repr__(self) -> str:
         return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
 from orthoglide.report.phrases import sentence
@@ -33,6 +34,7 @@ _STAGES = {
     "zeros_and_lengths": "And bar lengths entered",
     "compensated": "With commands compensated",
 }
+_NUMBERS = ("With the firmware's numbers", "With the new ones")
 
 
 @dataclass(frozen=True)
@@ -67,12 +69,11 @@ class Claim:
 
 @dataclass(frozen=True)
 class Tile:
-    """Mean error of the tool at one stage of correction; millimetres as text."""
+    """Error of the tool at one stage of correction, millimetres as text, and lines below it."""
 
     what: str
-    shape: str
-    sigma: str
-    place: str
+    size: str
+    lines: tuple[str, str]
 
 
 def finding(result: Result) -> Data:
@@ -92,6 +93,7 @@ def finding(result: Result) -> Data:
         "more": BESIDES if result.word == "partial" else "",
         "evidence": evidence(result) if searches else "",
         "tiles": tiles(result),
+        "printer": result.firmware is not None and result.firmware.corrections is not None,
         "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",
         "legs": bool(after.problem.campaigns),
         "loses": any(map(loses, result.effects)) or any(map(loses, result.located)),
@@ -149,15 +151,25 @@ def sure_words(p: float) -> str:
 
 
 def tiles(result: Result) -> list[Tile]:
-    """The tool's mean error over the workspace, now and as more is put right."""
+    """The tool's mean error over the workspace, now and as more is put right; of a printer its
+    height over the plate, which is all that its numbers are for.
+    """
+    if result.firmware is not None and (found := result.firmware.corrections) is not None:
+        sizes = zip(_NUMBERS, found.height, found.sideways, strict=True)
+        told = [
+            Tile(what, f"{up * 1e3:.3f}", ("of height, rms", f"along the plate {along * 1e3:.2f}"))
+            for what, up, along in sizes
+        ]
+        return told if result.stands and not withheld(result.machine) else told[:1]
     expected = result.numbers.expected
     stages = ("now", "zeros") if not result.stands and result.request.searches else _STAGES
-    return [Tile(_STAGES[name], *_lengths(expected[name])) for name in stages]
+    return [_tile(_STAGES[name], expected[name]) for name in stages]
 
 
-def _lengths(error: ExpectedError) -> tuple[str, str, str]:
+def _tile(what: str, error: ExpectedError) -> Tile:
     shape, sigma = (compact(v * 1e3, 2) for v in (error.shape, error.shape_sigma))
-    return shape, sigma, f"{error.place * 1e3:.1f} ± {error.place_sigma * 1e3:.1f}"
+    place = f"of place, {error.place * 1e3:.1f} ± {error.place_sigma * 1e3:.1f}"
+    return Tile(what, shape, (f"of shape, ± {sigma}", place))
 
 
 def _action(action: Action) -> Data:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.control import RULE, withheld
+from orthoglide.control import withheld
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, plain, signed
@@ -50,7 +50,7 @@ def controller(result: Result) -> Data:
     return {
         "rows": rows if zeros else [],
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
-        "rule": RULE,
+        "rule": numbers.rule,
         "worked": numbers.drives[0].worked(numbers.names),
         "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),

@@ -43,8 +43,9 @@ class Action:
         kind: ``zeros`` to enter, a cause to ``confirm`` or to ``mend``, commands to ``compensate``,
             or readings to ``measure``.
         words: what to do, a sentence without its full stop.
-        gain: by how much the tool's mean error over the workspace falls, best shift removed,
-            metres; nan of what changes nothing on the machine.
+        gain: by how much the tool's mean error over the workspace falls, best shift removed, of
+            numbers for a firmware its rms height over the plate, metres; nan of what changes
+            nothing on the machine.
         gain_sigma: standard deviation of that; nan where it is not known.
         options: causes to look for, most probable first.
     """
@@ -72,12 +73,13 @@ def actions(result: Result) -> tuple[Action, ...]:
 def _zeros(result: Result) -> Iterator[Action]:
     numbers, expected = result.numbers, result.numbers.expected
     if result.firmware is not None:
-        if result.firmware.corrections is None:
+        found = result.firmware.corrections
+        if found is None:
             touch = "Touch the plate too, for numbers for the firmware: its z = 0 is the plate"
             yield Action("measure", touch)
             return
-        gain = expected["now"].shape - expected["zeros_and_lengths"].shape
-        yield Action("zeros", "Enter the numbers for the firmware that stand below", gain)
+        words = f"Enter the numbers for the firmware that stand below, {found.words}"
+        yield Action("zeros", words, found.height[0] - found.height[1])
         return
     of = result.catalogue.effect_of
     known = any(of(name).controller == "zero" for name in result.machine.spec.parameters)
