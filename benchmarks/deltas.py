@@ -45,7 +45,9 @@ that turn the platform depend on it. Correct them in `machine.toml`.
 The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
 holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms
 that it has fitted differ from the rods by more than half a millimetre, the report begins with
-that.
+that. Arms are taken as alike to 0.05 mm; of rods that were measured, give the sigma of the
+measurement beside `leg_length` in `machine.toml`. Meshes that cannot be of one plate and one set of
+numbers with the heights, or with one another, are named when they are imported.
 
 A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches. Many

@@ -3,6 +3,7 @@
 import json
 import random
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -62,6 +63,52 @@ def test_the_machine_without_errors_is_what_the_firmware_believes() -> None:
 def test_rods_that_cannot_be_true_are_told_first() -> None:
     assert "Measure the rods" in import_printer(V400).notes[0]
     assert not any("rods" in n for n in import_printer(DATA / "flight505.cfg").notes)
+
+
+def test_arms_that_were_measured_are_kept_and_not_doubted(tmp_path: Path) -> None:
+    """The firmware has the true arms: only the owner can say that they are."""
+    file = tmp_path / "printer.cfg"
+    text = simulated_cfg(DeltaRig(errors={"leg_length.c": 1e-3}), noise=0.0)
+    head, c, tail = text.partition("[stepper_c]")
+    file.write_text(head + c + tail.replace("arm_length: 345", "arm_length: 346"))
+    found = import_printer(file)
+    assert "give the sigma of your measurement under [parameters]" in found.notes[0]
+    lengths = {name: replace(entry, sigma=2e-5) for name, entry in found.machine.parameters.items()}
+    measured = replace(found.machine, parameters=lengths)
+    doubted, kept = (
+        close_loop(list(found.campaigns), Machine(m)) for m in (found.machine, measured)
+    )
+    for verdict, certain in ((doubted, False), (kept, True)):
+        assert verdict.firmware is not None
+        assert verdict.firmware.corrections is not None
+        arms = np.array(verdict.firmware.corrections.new.arm)
+        assert bool(np.abs(arms - [0.345, 0.345, 0.346]).max() < 1e-4) == certain
+        assert ("Measure the rods" in str(verdict)) != certain
+
+
+def test_arms_that_differ_little_are_noted(tmp_path: Path) -> None:
+    file, text = tmp_path / "printer.cfg", simulated_cfg(DeltaRig())
+    for arm, told in (("345.2", True), ("345.03", False)):
+        file.write_text(text.replace("arm_length: 345.000000", f"arm_length: {arm}", 1))
+        notes = [n for n in import_printer(file).notes if "taken as alike to 0.05 mm" in n]
+        assert bool(notes) == told
+
+
+def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> None:
+    """Its file has a radius that is half a millimetre too large for it."""
+    errors = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"}
+    file, now = tmp_path / "printer.cfg", simulated_cfg(DeltaRig())
+    for wrong, told in (({}, False), (errors, True)):
+        other = simulated_cfg(DeltaRig(errors=wrong), seed=1).partition("#*# [bed_mesh default]")[2]
+        file.write_text(f"{now}#*# [bed_mesh 2023]{other}")
+        found = import_printer(file)
+        assert len(found.campaigns) == 2
+        notes = [note for note in found.notes if "one plate and one set of numbers" in note]
+        assert bool(notes) == told
+    assert notes[0].startswith("mesh-2023.csv and mesh-default.csv are not of")
+    size = re.search(r"differ by \+(0\.\d+) mm, 0\.\d+ mm at the rim", notes[0])
+    assert size is not None
+    assert float(size[1]) == pytest.approx(0.5, abs=0.1)
 
 
 def test_the_firmware_s_equations_invert() -> None:
@@ -314,9 +361,14 @@ def test_files_of_elsewhere_are_not_read(tmp_path: Path) -> None:
     for name in ("../secret.cfg", str(tmp_path / "secret.cfg"), "printer.cfg"):
         file.write_text(f"[include {name}]\n" + V400.read_text())
         assert len(import_printer(file).campaigns) == 3
-    file.write_text("[include towers.cfg]\n[printer]\ndelta_radius: 160\n")
-    with pytest.raises(FileError, match=r"stepper_a.*towers\.cfg"):
-        import_printer(file)
+    for own, lacks in (("delta_radius: 160", "stepper_a"), ("kinematics: delta", "delta_radius")):
+        file.write_text(f"[include towers.cfg]\n[printer]\n{own}\n")
+        with pytest.raises(FileError, match=rf"{lacks}.*towers\.cfg"):
+            import_printer(file)
+    own = V400.read_text().replace("[probe]", "[prober]")
+    for text, told in ((own, False), ("[include probe.cfg]\n" + own, True)):
+        file.write_text(text)
+        assert told == any("'probe.cfg' is not beside" in n for n in import_printer(file).notes)
 
 
 def test_profiles_of_one_plain_name_keep_their_own_files(tmp_path: Path) -> None:

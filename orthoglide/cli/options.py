@@ -140,13 +140,11 @@ fit_options = together(
 def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine:
     """The machine of ``--machine``, with the effects of ``--effects-file``."""
     from orthoglide.effects.loading import load_effects
-    from orthoglide.klipper.firmware import firmware_of, rods_words
+    from orthoglide.klipper import doubted_rods
     from orthoglide.machine import Machine
 
     effects = () if effects_file is None else load_effects(effects_file)
     machine = Machine.nominal() if path is None else Machine.load(path, effects)
-    firmware = firmware_of(machine)
-    doubts = [] if firmware is None else [rods_words(firmware)]
-    for warning in filter(None, (*doubts, *machine.warnings)):
+    for warning in filter(None, (doubted_rods(machine), *machine.warnings)):
         say(f"warning: {warning}", err=True)
     return machine.with_effects(effects)

@@ -11,9 +11,9 @@ from orthoglide.klipper.corrections import (
 from orthoglide.klipper.firmware import (
     Firmware as Firmware,
     firmware_of as firmware_of,
-    rods_words as rods_words,
 )
 from orthoglide.klipper.importing import (
     Imported as Imported,
     import_printer as import_printer,
 )
+from orthoglide.klipper.rods import doubted_rods as doubted_rods

@@ -41,11 +41,13 @@ class Section:
         name: between the brackets.
         header: where it stands.
         entries: values by key, lower case.
+        elsewhere: where else a key may stand: a file that is not here; empty where there is none.
     """
 
     name: str
     header: Entry
     entries: dict[str, Entry] = field(default_factory=dict)
+    elsewhere: str = ""
 
     def __contains__(self, key: str) -> bool:
         return key in self.entries
@@ -55,13 +57,19 @@ class Section:
         at = self.entries.get(key, self.header)
         raise FileError(f"[{self.name}] {key} {message}", file=at.file, line=at.line)
 
+    def lack(self, key: str) -> NoReturn:
+        """Refuse the absence of a key."""
+        self.fail(
+            key, f"is missing: add it, or take the file that the firmware saved{self.elsewhere}"
+        )
+
     def number(
         self, key: str, default: float | None = None, low: float = -_MOST, high: float = _MOST
     ) -> float:
         """A number between two limits, the limits themselves excluded."""
         if key not in self.entries:
             if default is None:
-                self.fail(key, "is missing: add it, or take the file that the firmware saved")
+                self.lack(key)
             return default
         return self._number(key, self.entries[key].text, low, high)
 
@@ -75,7 +83,7 @@ class Section:
     def numbers(self, key: str, count: int | None = None) -> list[float]:
         """Numbers parted by commas."""
         if key not in self.entries:
-            self.fail(key, "is missing: add it, or take the file that the firmware saved")
+            self.lack(key)
         cells = [c.strip() for c in self.entries[key].text.split(",")]
         if cells and not cells[-1]:
             cells.pop()
@@ -126,8 +134,7 @@ class Config:
             FileError: where it is not.
         """
         if name not in self.sections:
-            absent = "".join(self.missing[:1])
-            more = f" (it may stand in {absent!r}: put that file beside this one)" if absent else ""
+            more = _elsewhere(self.missing)
             raise FileError(f"has no section [{name}]: add it{more}", file=self.file)
         return self.sections[name]
 
@@ -151,9 +158,14 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     content = files.read_bytes(path, files.TEXT)
     reader = _Reader()
     reader.read(content, Path(path), ())
-    return Config(
-        shown(path), files.sha256(content), reader.sections, tuple(dict.fromkeys(reader.missing))
-    )
+    missing = tuple(dict.fromkeys(reader.missing))
+    for section in reader.sections.values():
+        section.elsewhere = _elsewhere(missing)
+    return Config(shown(path), files.sha256(content), reader.sections, missing)
+
+
+def _elsewhere(missing: tuple[str, ...]) -> str:
+    return f" (it may stand in {missing[0]!r}: put that file beside this one)" if missing else ""
 
 
 class _Reader:

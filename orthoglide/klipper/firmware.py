@@ -124,23 +124,6 @@ def firmware_of(machine: Machine) -> Firmware | None:
         return None
 
 
-ROD_SPREAD = 5e-4
-"""Rods of one set that differ by more were fitted to something else, metres."""
-
-
-def rods_words(firmware: Firmware) -> str:
-    """A sentence where the arms cannot be those of one set of rods; empty where they can."""
-    spread = max(firmware.arm) - min(firmware.arm)
-    if spread <= ROD_SPREAD:
-        return ""
-    shown = ", ".join(f"{v * 1e3:.3f}" for v in firmware.arm)
-    return (
-        f"The arms that the firmware stores ({shown} mm) differ by {spread * 1e3:.2f} mm, more "
-        f"than rods of one set do: the fit that gave them has put other errors there. Measure the "
-        f"rods side by side before you trust any of its numbers."
-    )
-
-
 def _three(values: tuple[float, ...]) -> Triple:
     a, b, c = values
     return a, b, c

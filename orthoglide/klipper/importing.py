@@ -13,9 +13,11 @@ from orthoglide.effects import catalogue_of
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
+from orthoglide.klipper.agreeing import disagreements
 from orthoglide.klipper.config import Config, read_config
-from orthoglide.klipper.firmware import TOWERS, Firmware, rods_words
-from orthoglide.klipper.stored import CALLIPER, PROBE, Stored
+from orthoglide.klipper.firmware import TOWERS, Firmware
+from orthoglide.klipper.rods import rods_words
+from orthoglide.klipper.stored import CALLIPER, PROBE, Stored, probe_section
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
@@ -73,7 +75,12 @@ def import_printer(path: str | os.PathLike[str]) -> Imported:
             file=shown(path),
         )
     machine = _machine(config, firmware, arm, stored)
-    return Imported(machine, tuple(stored), (*_notes(firmware, stored), *read.notes))
+    notes = (
+        *_notes(config, firmware, stored),
+        *disagreements(firmware, read.zero, stored),
+        *read.notes,
+    )
+    return Imported(machine, tuple(stored), notes)
 
 
 def _firmware(config: Config) -> Firmware:
@@ -153,7 +160,7 @@ def _around(config: Config, firmware: Firmware) -> Array:
         return firmware.heights(np.zeros((1, 3)))
 
 
-def _notes(firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
+def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
     if told := rods_words(firmware):
         yield Note(told, "rods")
     most = max(int(c.of_kind("plate").sum()) for c in stored)
@@ -163,7 +170,14 @@ def _notes(firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
             f"mesh of 9 by 9 or more over a round bed's full radius",
             "mesh",
         )
-    if any(c.name.startswith("mesh") for c in stored):
+    meshes = any(c.name.startswith("mesh") for c in stored)
+    if meshes and config.missing and probe_section(config) is None:
+        yield Note(
+            f"{config.missing[0]!r} is not beside the file that includes it: if the probe is "
+            f"described there, put it there; here the probe is taken to touch where the nozzle is",
+            "probe",
+        )
+    if meshes:
         yield Note(
             "a mesh is taken as probed with the numbers that are stored now; if they were changed "
             "since, probe it again",

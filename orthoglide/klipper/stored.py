@@ -201,13 +201,18 @@ def _thinned(count: int, stride: int) -> NDArray[np.bool_]:
     return np.asarray((np.arange(count) - count // 2) % stride == 0)
 
 
+def probe_section(config: Config) -> Section | None:
+    """The section of the probe; ``None`` where there is none."""
+    found = (s for s in config.named(*_PROBES) if s.name == "probe" or "z_offset" in s)
+    return next(found, None)
+
+
 def _probe(config: Config) -> tuple[float, Array]:
     """The probe's offset above the nozzle and beside it, metres."""
-    for section in config.named(*_PROBES):
-        if section.name == "probe" or "z_offset" in section:
-            beside = [section.number(f"{axis}_offset", 0.0, -200, 200) for axis in "xy"]
-            return section.number("z_offset", 0.0, -100, 100) * 1e-3, np.array(beside) * 1e-3
-    return 0.0, np.zeros(2)
+    if (section := probe_section(config)) is None:
+        return 0.0, np.zeros(2)
+    beside = [section.number(f"{axis}_offset", 0.0, -200, 200) for axis in "xy"]
+    return section.number("z_offset", 0.0, -100, 100) * 1e-3, np.array(beside) * 1e-3
 
 
 def _step(config: Config, tower: str) -> float:

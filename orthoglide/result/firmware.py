@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import Corrections, firmware_of, rods_words
+from orthoglide.klipper import Corrections, doubted_rods, firmware_of
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.posterior import Cause, Explanation
@@ -108,7 +108,7 @@ def firmware_advice(
         return None
     every = [one for cause in causes for one in cause.explanations]
     return FirmwareAdvice(
-        rods_words(old),
+        doubted_rods(machine),
         found,
         tuple(_beyond(one) for one in every),
         tuple(u for one in every if (u := _unseen(machine, fit, one)) is not None),

@@ -1,0 +1,103 @@
+"""Whether stored heights and meshes are of one plate and one set of the firmware's numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.klipper.firmware import FITTED, Firmware, shifted
+from orthoglide.klipper.stored import PROBE
+from orthoglide.notes import Note
+from orthoglide.numerals import signed
+from orthoglide.observations import ToolCampaign
+
+_BEYOND = 16.3  # chi2 of three numbers that chance exceeds once in a thousand
+_WIDTH = 1e-6
+_MANY = 2 * FITTED  # touches whose scatter says how noisy they are
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """What touches alone say of the radius and two angles, past a plane of their own.
+
+    Attributes:
+        name: of the campaign.
+        change: of the firmware's radius (metres) and angles (radians) ``(3,)``.
+        spread: their covariance over the variance of a touch ``(3, 3)``.
+        sigma: of a touch, metres.
+        rim: most that a radius one metre larger bends the surface, metres.
+    """
+
+    name: str
+    change: Array
+    spread: Array
+    sigma: float
+    rim: float
+
+
+def disagreements(
+    firmware: Firmware, zero: float, campaigns: Sequence[ToolCampaign]
+) -> Iterator[Note]:
+    """A note for every mesh by which the firmware's radius and angles would be others.
+
+    A cause in the machine bends all surfaces alike; between two of them the plate was bent, or
+    the firmware's numbers were changed.
+
+    Args:
+        firmware: its present numbers.
+        zero: height of the carriages at mechanical zero, metres.
+        campaigns: as imported, heights first.
+    """
+    alike = list[_Surface]()
+    for campaign in campaigns:
+        if (own := _surface(firmware, zero, campaign)) is None:
+            continue
+        other = next((one for one in alike if _apart(one, own) > _BEYOND), None)
+        if other is None:
+            alike.append(own)
+            continue
+        larger = own.change[0] - other.change[0]
+        yield Note(
+            f"{own.name}.csv and {other.name}.csv are not of one plate and one set of numbers: by "
+            f"{own.name}.csv delta_radius would differ by {signed(larger * 1e3, 2)} mm, "
+            f"{abs(larger) * own.rim * 1e3:.2f} mm at the rim. The plate has bent between them, or "
+            f"the numbers were changed: leave the older of the two out, or probe it again",
+            "mesh",
+        )
+
+
+def _apart(one: _Surface, other: _Surface) -> float:
+    difference = other.change - one.change
+    sigma = max(one.sigma, other.sigma)
+    return float(difference @ np.linalg.solve(sigma**2 * (one.spread + other.spread), difference))
+
+
+def _surface(firmware: Firmware, zero: float, campaign: ToolCampaign) -> _Surface | None:
+    """``None`` where its touches do not tell the six numbers apart."""
+    rows = campaign.of_kind("plate")
+    below = campaign.command[rows] + zero - firmware.at_endstop
+
+    def height(numbers: Firmware) -> Array:
+        return numbers.points(below + numbers.at_endstop)[:, 2]
+
+    p = firmware.points(below + firmware.at_endstop)
+    plane = np.column_stack([np.ones(len(p)), p[:, :2]])
+    bends = np.stack(
+        [(height(shifted(firmware, _WIDTH * e)) - height(shifted(firmware, -_WIDTH * e)))
+         / (2 * _WIDTH) for e in np.eye(FITTED)[3:]], axis=1,
+    )  # fmt: skip
+    bends -= plane @ np.linalg.lstsq(plane, bends, rcond=None)[0]
+    if len(p) <= FITTED or np.linalg.matrix_rank(bends, tol=1e-3) < bends.shape[1]:
+        return None
+    rest = campaign.reading[rows] - p[:, 2]
+    rest = rest - plane @ np.linalg.lstsq(plane, rest, rcond=None)[0]
+    change = np.linalg.lstsq(bends, rest, rcond=None)[0]
+    left = rest - bends @ change
+    scatter = np.sqrt(left @ left / (len(p) - FITTED)) if len(p) >= _MANY else 0.0
+    spread = np.asarray(np.linalg.inv(bends.T @ bends), dtype=float)
+    return _Surface(
+        campaign.name, change, spread, max(PROBE, float(scatter)), float(np.abs(bends[:, 0]).max())
+    )
