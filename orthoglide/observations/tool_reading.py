@@ -124,7 +124,8 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
     check_sequence(command, order, table.lines, table.fail)
     setups, setup = _setups(table, kinds)
     direction = _directions(table, kinds)
-    row: dict[str, Any] = {key: table.values(key, c) for key, c in ROW_COLUMNS.items()
+    row: dict[str, Any] = {key.partition("_")[0]: table.values(key, c)
+                           for key, c in ROW_COLUMNS.items()
                            if key not in ("kind", "order", "reading_mm", "sigma_mm")}  # fmt: skip
     made = ToolCampaign(
         name=name,
@@ -135,18 +136,14 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
         command=command,
         second=_second(table, second, kinds, machine),
         approach=approaches(table, approach, command, order),
-        time=np.array(row["time_s"]),
-        temperature=np.array(row["temperature_C"]),
-        load=np.array(row["load_N"]),
-        repeat=np.array(row["repeat"]),
         order=order,
-        posture=tuple(row["posture"]),
         reading=_either(table, kinds, "reading_mm", "reading_mrad"),
         sigma=_either(table, kinds, "sigma_mm", "sigma_mrad"),
         line=np.array(table.lines),
         file=table.file,
         sha256=table.sha256,
         warnings=warnings,
+        **(row | {"posture": tuple(row["posture"])}),
     )
     check_tool(made, table.fail)
     return made
