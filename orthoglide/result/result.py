@@ -214,8 +214,9 @@ class Result(Framed):
         """What is wrong by what mending it gains, largest first; none of ``identify``."""
         if self.posterior is None:
             return ()
-        still = {c.parameter: c.members for c in self.moved if c.is_cause}
-        return budget(self.posterior, {c.name: c.every for c in self.effects} | still)
+        causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
+        causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
+        return budget(self.posterior, causes)
 
     @cached_property
     def moved(self) -> tuple[Change, ...]:
