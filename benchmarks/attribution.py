@@ -46,6 +46,7 @@ from benchmarks.attribution_asked import (
     wrongly_explained,
 )  # fmt: skip
 from benchmarks.attribution_cases import BACKGROUND, SHARES, Case, cases
+from benchmarks.attribution_former import former
 from benchmarks.attribution_run import Record, run
 from benchmarks.attribution_table import tables
 
@@ -170,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         before = known(options.cache, options.seed, options.background)
         wanted = [c for c in wanted if c.key in before]
     found = collect(wanted, options)
-    for table in tables(found):
+    for table in (*tables(found), *former(found)):
         print(table.markdown() if options.markdown else table.text())
     if options.failures:
         print("\nFailures\n\n" + "\n".join(failures(found)))

@@ -3,8 +3,8 @@
     python -m benchmarks.stands_out --machines 60 --jobs 2 --cache stands-out.jsonl
 
 Every effect that moves the tool is off by ``f`` of its tolerance, and one of them by five or ten
-that. *Oracle*: what is named by who is told all but which cause it is; *as they state*: the
-mean probability that the sets give themselves. A run goes on where it stopped, from the cache.
+times that. *Oracle*: what is named by who is told all but which cause it is; *as they state*:
+the mean probability that the sets give themselves. A run goes on where it stopped, from the cache.
 """
 
 from __future__ import annotations

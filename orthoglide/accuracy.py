@@ -37,9 +37,7 @@ def workspace(geometry: Geometry, count: int = GRID) -> Array:
 def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
     """TCP by parameter ``(g, 3, P)``, SI, in the conditions given or over the workspace."""
     where = Conditions.at(workspace(machine.geometry)) if at is None else at
-    motions = machine.catalogue.motions
-    values = {n: v for n, v in machine.values.items() if n in motions}
-    _, slopes = machine.model.sensitivities(values, where, tuple(names))
+    _, slopes = machine.model.sensitivities(machine.values, where, tuple(names))
     return slopes[:, :3]
 
 

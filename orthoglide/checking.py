@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -98,14 +98,24 @@ class Check:
         new: of the new one.
         verdict: of the machine as it is now, from the new readings alone.
         differences: of the base parameters, of the causes found and of what changed.
-        plates: what changed of probed plates, a sentence each.
+        changes: what changed, plates that were probed among it.
     """
 
     old: tuple[str, ...]
     new: tuple[str, ...]
     verdict: Verdict
     differences: tuple[Difference, ...]
-    plates: tuple[str, ...] = ()
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def plates(self) -> tuple[str, ...]:
+        """What changed of probed plates, a sentence each."""
+        return tuple(c.message for c in self.changes if c.parameter.setup)
+
+    @cached_property
+    def told(self) -> Verdict:
+        """The verdict with what changed since the old readings, to draw and to act upon."""
+        return replace(self.verdict, changed=self.changes)
 
     @cached_property
     def sentences(self) -> tuple[str, ...]:
@@ -178,13 +188,14 @@ def check(
     kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
     both = assemble([*kept, *past], machine, names, own=names, noise=noise if dials else None)
     apart = account_for_changes(solve(_two_states(both, later)))
-    return Check(
-        tuple(c.name for c in before),
-        tuple(c.name for c in after),
-        verdict,
-        tuple(_differences(apart, names, together.changed)),
-        tuple(change.message for change in together.changed if change.parameter.setup),
-    )
+    old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
+    differences = tuple(_differences(apart, names, together.changed))
+    none = Change(
+        differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
+        float("nan"), machine.catalogue,
+    )  # fmt: skip
+    changes = tuple(_changes(differences, together.changed, none))
+    return Check(old_names, new_names, verdict, differences, changes)
 
 
 def _told_apart(
@@ -231,6 +242,21 @@ def _compared(verdict: Verdict) -> list[str]:
              if n.partition(".")[0] in catalogue]  # fmt: skip
     named = (n.plain for n in found if not catalogue.effect_of(n).of_dial)
     return list(dict.fromkeys(map(str, (*base, *named))))
+
+
+def _changes(
+    differences: Iterable[Difference], together: Sequence[Change], none: Change
+) -> Iterator[Change]:
+    """What changed with the values of both states; as found in all readings, or like ``none``."""
+    found = {c.parameter: c for c in together}
+    for d in differences:
+        if d.changed:
+            alone = replace(none, parameter=d.parameter, members=(d.parameter,))
+            yield replace(
+                found.get(d.parameter, alone),
+                before=d.before, after=d.after, sigma=d.sigma, sigma_after=d.sigma,
+            )  # fmt: skip
+    yield from (c for c in together if c.parameter.setup)
 
 
 def _differences(

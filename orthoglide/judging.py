@@ -108,7 +108,7 @@ def tcp_errors(
     conditions = Conditions.at(points.command, approach=points.approach)
     found = {}
     predicted = {
-        name: machine.model.outputs(machine.catalogue.of_machine(values), conditions).p
+        name: machine.model.outputs(values, conditions).p
         for name, values in (("nominal", {}), ("before", before), ("after", after))
     }
     for fit in ("none", "translation", "rigid"):

@@ -251,7 +251,7 @@ class Machine:
                 or commands so large that they must be millimetres.
         """
         commands = self.geometry.commands(rho)
-        closure, given = self.model.closing(self._machine_values, Conditions.at(commands, **seen))
+        closure, given = self.model.closing(self.values, Conditions.at(commands, **seen))
         x = closure.close(given)
         out, shape = closure.outputs(x, given), commands.shape[:-1]
         relief = relief_angles(closure.tree, x)
@@ -268,7 +268,7 @@ class Machine:
             ClosureError: where the posture does not close.
         """
         command = self.geometry.zero if rho is None else self.geometry.commands(rho)
-        out = self.model.outputs(self._machine_values, Conditions.at(command))
+        out = self.model.outputs(self.values, Conditions.at(command))
         return Posed(self.geometry, out.lines[0], out.p[0], command - self.geometry.zero)
 
     def _repr_svg_(self) -> str:
@@ -283,12 +283,8 @@ class Machine:
         """
         commands = self.geometry.commands(rho)
         conditions = Conditions.at(commands, **seen)
-        found = self.model.deformation(self._machine_values, conditions)
+        found = self.model.deformation(self.values, conditions)
         return found.reshaped(commands.shape[:-1])
-
-    @property
-    def _machine_values(self) -> dict[str, float]:
-        return self.catalogue.of_machine(self.values)
 
     def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""
@@ -301,7 +297,7 @@ class Machine:
         """
         commands = self.geometry.commands(rho)
         conditions = Conditions.at(commands, **seen)
-        found = self.model.jacobian(self._machine_values, conditions)
+        found = self.model.jacobian(self.values, conditions)
         return found.reshape(*commands.shape[:-1], 3, 3)
 
     def inverse(self, p: ArrayLike, **seen: ArrayLike) -> Array:

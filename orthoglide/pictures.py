@@ -18,6 +18,7 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
+from orthoglide.prediction.dial import SHARES
 from orthoglide.scene import Dial, Mark, Option, Posed, View, Way
 from orthoglide.scene.parts import Part
 from orthoglide.scene.view import MOST_WAYS
@@ -29,7 +30,6 @@ _TINY = 0.01  # tolerances: less is nothing that anybody looks at
 _STATIONS = 33  # along the stroke
 _CLEAR = 0.3  # of the largest: what a path does at its outer end shows which way it goes
 _HOUR, _WARMER, _LOAD = 3600.0, 10.0, 10.0  # s, K, N: at which what depends on them is shown
-_SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
 _PARTS: Mapping[str, tuple[Part, int]] = {
     "travel": ("drive", 0), "lateral_b": ("rail", 1), "lateral_c": ("rail", 2),
     "turn_a": ("carriage", 0), "turn_b": ("carriage", 1), "turn_c": ("carriage", 2),
@@ -42,7 +42,7 @@ def dials(posture: Posed, campaigns: Iterable[Campaign]) -> tuple[Dial, ...]:
     """Where the dials of campaigns stand on a machine, each name once."""
     found: dict[str, Dial] = {}
     for setup in (s for campaign in campaigns for s in campaign.setups):
-        ends = np.einsum("b,bex->ex", np.array(_SHARES[setup.bar]), posture.lines[setup.leg])
+        ends = np.einsum("b,bex->ex", np.array(SHARES[setup.bar]), posture.lines[setup.leg])
         place = setup.gauge + posture.geometry.r
         share = (place - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
         way = np.eye(3)[setup.axis] * setup.sign

@@ -119,6 +119,9 @@ def test_from_files_and_results_to_words_and_a_page(
     page = (tmp_path / "out" / "check.html").read_text()
     assert "Joint offset of leg x changed from" in page
     assert "<svg" in page
+    assert re.search(r"changed by 1\.\d+ mm inward", page)
+    assert "Confirm what was put right" in page
+    assert "Before: the zero of drive x is 1." in " ".join(plain.stdout.split())
     assert "it must read" in page
     assert "The report of new<" in page
     table = list(csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text())))

@@ -16,13 +16,14 @@ import pytest
 import orthoglide as og
 from orthoglide.closing import Verdict
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
+from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.pages import rendered
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import Cause, Explanation
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
-from orthoglide.report.text import _to_do
+from orthoglide.report.text import to_do
 from orthoglide.result.actions import Action, Suspect
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
@@ -47,9 +48,9 @@ def base() -> Verdict:
     return result
 
 
-def made_up(word: str, *causes: Cause) -> Verdict:
+def made_up(word: str, *causes: Cause, changed: tuple[Change, ...] = ()) -> Verdict:
     request = replace(base().request, command="close-loop")
-    verdict = replace(base(), request=request, word=word, effects=causes)
+    verdict = replace(base(), request=request, word=word, effects=causes, changed=changed)
     drawn = replace(base().picture, options=())
     kept: dict[str, Any] = {
         "next_measurements": (), "numbers": base().numbers, "budget": (), "picture": drawn,
@@ -164,6 +165,50 @@ def test_a_reader_finds_part_direction_and_size(
         assert size == pytest.approx(abs(expected), rel=0.06)
 
 
+@pytest.mark.parametrize("name", CATALOGUE.parameters)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_reader_finds_what_changed_in_words_on_the_drawing_and_in_what_to_do(
+    name: Parameter, sign: int
+) -> None:
+    """Of what is new, and of what was put right; a cause found tells of its own change."""
+    effect, value = CATALOGUE.effect_of(name), 2.5 * sign * CATALOGUE.effect_of(name).tolerance_si
+    new = Change(
+        name, (name,), "", ("calibrated.toml", "second"), 9.0, CATALOGUE, 0.0, value,
+        abs(value) / 20, abs(value) / 20,
+    )  # fmt: skip
+    for change, state in ((new, "Now"), (replace(new, before=value, after=0.0), "Before")):
+        verdict = made_up("adequate", changed=(change,))
+        del verdict.__dict__["picture"]
+        text = screen(verdict)
+        said = re.search(
+            r"Between calibrated.toml and second the .* changed from (\S+) to (\S+)", text
+        )
+        assert said
+        was, now = (float(v.replace("−", "-")) * effect.unit.spoken.si for v in said.groups())
+        assert now - was == pytest.approx(change.after - change.before, rel=0.1)
+        assert "more than 99 % sure" in text
+        assert "Nothing else is wrong" in text
+        (option,) = verdict.picture.options
+        assert verdict.picture.first == (0,)
+        assert all(mark.leg == "xyz".index(name.leg) for mark in option.marks)
+        size = re.match(rf"changed by {SIZE}", option.marks[0].label)
+        assert size or name.effect in ("drive_compliance", "thermal_drift", "thermal_growth")
+        assert f"changed by {size[1]}" in verdict.picture.svg() if size else option.marks
+        _, _, do = text.partition("What to do")
+        assert ("put back, or correct for it" if state == "Now" else "what was put right") in do
+        assert "made before second hold no longer" in do
+        _, _, option_text = do.partition(f"{state}: ")
+        part, way, told = read(option_text, name.effect)
+        assert part == name.leg
+        assert points(way, name, value)
+        assert told == pytest.approx(abs(value), rel=0.06)
+        assert ("if it is there still" in option_text) == (state == "Before")
+    cause = Cause(explained(name, value, CATALOGUE, 1.0), (), ())
+    twice = made_up("explained", cause, changed=(new,))
+    assert not twice.moved
+    assert screen(twice).count("changed from") == 1
+
+
 def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
     one = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
     twin = explained("rail_tilt.y.z", 2.4e-3, CATALOGUE, 0.49)
@@ -201,7 +246,7 @@ def test_tiles_are_the_tool_at_every_stage() -> None:
         assert tile.lines[1].startswith(f"of place, {stage['place_mm']:.1f} ±")
 
 
-def test_what_to_do_goes_by_what_it_gains() -> None:
+def test_whatto_do_goes_by_what_it_gains() -> None:
     verdict = verdict_of("explained")
     kinds = [a.kind for a in verdict.actions]
     assert kinds == ["zeros", "mend", "compensate", "measure"]
@@ -360,7 +405,7 @@ def test_a_question_on_where_to_look_ends_its_sentence() -> None:
     suspects = (Suspect("the rail leans", "its seat: does it give?", "set a dial: expect 1 mm"),
                 Suspect("the rail leans", "its seat: does it give?", ""))  # fmt: skip
     asked = SimpleNamespace(actions=[Action("mend", "Look", options=suspects)])
-    lines = list(_to_do(asked))  # type: ignore[arg-type]
+    lines = list(to_do(asked))  # type: ignore[arg-type]
     assert lines[1:] == [
         "   - The rail leans: look at its seat: does it give? Set a dial: expect 1 mm.",
         "   - The rail leans: look at its seat: does it give?",

@@ -10,8 +10,10 @@ from orthoglide.checking import COLUMNS
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
 from orthoglide.pages import rendered
+from orthoglide.report.first import MOST, action_data
 from orthoglide.report.page import Section
 from orthoglide.report.phrases import sentence
+from orthoglide.report.text import to_do
 from orthoglide.report.wording import headline
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ def changes_text(found: Check) -> str:
     parts = [f"- {text}" for text in data["said"]]
     parts += ["", "What is left now:", data["left"], data["tool"]]
     parts += [f"Caution: {text}" for text in data["cautions"]]
+    parts += ["", "What to do:", *to_do(found.told)]
     if data["checks"]:
         parts += ["", f"{data['zeros']}:", *(f"- {text}" for text in data["checks"])]
     return "\n".join(parts)
@@ -33,7 +36,10 @@ def changes_page(found: Check) -> str:
     """The same as HTML, with a drawing and both states in a table."""
     drawn = {
         "judged": ", ".join(c.name for c in found.verdict.request.readings),
-        "drawing": found.verdict.picture.svg(),
+        "drawing": found.told.picture.svg(),
+        "actions": [action_data(action) for action in found.told.actions],
+        "most": MOST,
+        "sheet": False,
         "columns": COLUMNS,
         "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],
     }
@@ -51,7 +57,7 @@ def changes_page(found: Check) -> str:
 
 def _data(found: Check) -> dict[str, Any]:
     verdict = replace(found.verdict, changed=())  # said parameter by parameter
-    numbers = found.verdict.numbers
+    numbers = found.told.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
     return {
@@ -59,7 +65,7 @@ def _data(found: Check) -> dict[str, Any]:
         "left": headline(verdict),
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
         f"out; {zeros} once the zeros are right.",
-        "cautions": found.verdict.cautions,
+        "cautions": found.told.cautions,
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their signs",
         "checks": [sentence(str(check)[:-1]) for check in numbers.checks],
     }

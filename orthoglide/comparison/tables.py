@@ -11,7 +11,7 @@ from orthoglide.comparison.comparing import Slice
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
-from orthoglide.text import csv_text
+from orthoglide.observations import csv_text
 
 _UM = 1e6
 
@@ -97,8 +97,7 @@ def markdown_table(rows: Sequence[Row]) -> str:
 
 def csv_table(rows: Sequence[Row]) -> str:
     """All numbers of the rows as CSV, names with their unit."""
-    records = [_record(row) for row in rows]
-    return csv_text(list(records[0]) if records else [], (r.values() for r in records))
+    return csv_text([_record(row) for row in rows])
 
 
 def _record(row: Row) -> dict[str, str]:

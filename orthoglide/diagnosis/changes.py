@@ -18,7 +18,6 @@ from itertools import product
 import numpy as np
 
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.effects.wording import signed_size
 from orthoglide.fit import Change, Problem, with_free
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
@@ -99,17 +98,16 @@ def likeliest_change(means: StationMeans) -> Change | None:
         for k in np.flatnonzero(left <= left[best] + _CLASS_WIDTH * scale)
         if tried[k].parameter.campaign == since
     ]
-    sizes = {name: ""}
+    sizes = {name: float("nan")}
     for k in near:
         plain = tried[k].parameter.plain
-        size = tried[k].size * _scale(problem) * problem.machine.tolerance(plain)
-        sizes[plain] = signed_size(problem.machine.catalogue.effect_of(plain), size)
+        sizes[plain] = tried[k].size * _scale(problem) * problem.machine.tolerance(plain)
     members = tuple(sizes)
     first = [stem for stem, _, _ in several].index(since)
     before, after = (file for _, file, _ in several[first - 1 : first + 1])
-    unit = problem.machine.catalogue.effect_of(name).unit
     return Change(
-        name, members, since, (before, after), float(evidence[near].max()), unit,
+        name, members, since, (before, after), float(evidence[near].max()),
+        problem.machine.catalogue,
         sizes=tuple(sizes.values()),
     )  # fmt: skip
 

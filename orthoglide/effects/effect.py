@@ -19,9 +19,9 @@ from orthoglide.effects.motions import (
     SIDES,
     Condition,
     DialReading,
+    DialRecorder,
     Members,
     Motion,
-    TimeRecorder,
     no_motions,
 )
 from orthoglide.effects.words import Words
@@ -141,10 +141,8 @@ class Effect:
     @cached_property
     def needs(self) -> frozenset[Condition]:
         """Conditions that it depends on, read off its bases; a declaration could be wrong."""
-        if self.dial is not None:
-            probe = TimeRecorder(1.0, 1.0, 1.0)
-            self.dial(probe, 1e-3)
-            return frozenset({"time"} if probe.__dict__.get("used") else ())
+        if (dial := self.dial) is not None:
+            return DialRecorder(1.0, 1.0, 1.0).needs(lambda reading: dial(reading, 1e-3))
         every = [m.needs for _, motions in self.motions.values() for m in motions]
         return frozenset().union(*every)
 

@@ -94,13 +94,27 @@ _CONDITIONS: Mapping[str, Condition] = {
 }  # fmt: skip
 
 
-class _Recorder(LegConditions):
-    """Numbers in place of conditions, and a note of which were looked at."""
+class _Recorder:
+    """Numbers in place of what a basis sees, and a note of which were looked at."""
 
     def __getattribute__(self, name: str) -> Any:
         if name in _CONDITIONS:
             object.__getattribute__(self, "__dict__").setdefault("used", set()).add(name)
         return object.__getattribute__(self, name)
+
+    def needs(self, look: Callable[[Any], Any]) -> frozenset[Condition]:
+        """Conditions that a function looks at, found by evaluating it."""
+        self.__dict__["used"] = set()
+        look(self)
+        return frozenset(_CONDITIONS[name] for name in self.__dict__["used"])
+
+
+class _LegRecorder(_Recorder, LegConditions):
+    pass
+
+
+class DialRecorder(_Recorder, DialReading):
+    """Numbers in place of a dial's reading, and a note of whether its time was looked at."""
 
 
 def sin(angle: Any) -> Any:
@@ -128,10 +142,8 @@ class Motion:
     @property
     def needs(self) -> frozenset[Condition]:
         """Conditions that the basis looks at, found by evaluating it."""
-        probe = _Recorder(0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3)
-        probe.__dict__["used"] = set()
-        self.basis(probe)
-        return frozenset(_CONDITIONS[name] for name in probe.__dict__["used"])
+        some = 0.3, 0.3, (-0.1, 0.06), 0.02, 1.0, 1.0, 1.0, 1.0, 0.01, 0.3, (0.3,) * 3
+        return _LegRecorder(*some).needs(self.basis)
 
 
 Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
@@ -140,15 +152,6 @@ Members = Callable[[int], Mapping[str, tuple[Motion, ...]]]
 def no_motions(leg: int) -> Mapping[str, tuple[Motion, ...]]:
     """Members of an effect that moves no virtual joint."""
     return {}
-
-
-class TimeRecorder(DialReading):
-    """Numbers in place of a dial's reading, and a note of whether its time was looked at."""
-
-    def __getattribute__(self, name: str) -> Any:
-        if name == "time":
-            object.__getattribute__(self, "__dict__")["used"] = True
-        return object.__getattribute__(self, name)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from orthoglide.effects.wording import parameter_words
+from orthoglide.effects import Catalogue
+from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
 from orthoglide.numerals import compact, decimals_for, plain
@@ -28,13 +30,12 @@ class Change:
         since: name of the first campaign after the change; empty since an earlier calibration.
         between: files, or names, of the last one before and the first after the change.
         evidence: log Bayes factor in its favour, the number of its like discounted.
-        unit: of the parameter in files.
+        catalogue: that the parameters belong to.
         before: value before the change, SI.
         after: value after the change, SI.
         sigma: standard deviation of the difference, SI.
         sigma_after: standard deviation of the value after the change, SI.
-        sizes: by how much each of ``members`` would have changed, in words; none since a
-            calibration.
+        sizes: by how much each of ``members`` would have changed, SI; none since a calibration.
     """
 
     parameter: Parameter
@@ -42,32 +43,57 @@ class Change:
     since: str
     between: tuple[str, str]
     evidence: float
-    unit: Unit
+    catalogue: Catalogue
     before: float = float("nan")
     after: float = float("nan")
     sigma: float = float("nan")
     sigma_after: float = float("nan")
-    sizes: tuple[str, ...] = ()
+    sizes: tuple[float, ...] = ()
+
+    @property
+    def unit(self) -> Unit:
+        """Of the parameter in files."""
+        return self.catalogue.effect_of(self.parameter).unit
+
+    @property
+    def moved(self) -> dict[Parameter, float]:
+        """By how much each member would have changed, SI; nan where that is not known."""
+        by, of = self.after - self.before, self.catalogue.effect_of
+        alike = [by if of(name).unit == self.unit else float("nan") for name in self.members]
+        return dict(zip(self.members, (by, *(self.sizes or alike)[1:]), strict=True))
 
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
+        return self._told(self.others)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Each member by itself: the first as in the message, the others by their own sizes."""
+        return (self._told(""), *self._rivals)
+
+    def _told(self, others: str) -> str:
         unit = self.unit.spoken
-        decimals = decimals_for(self.sigma / unit.si)
+        decimals = decimals_for(self.sigma / unit.si, most=9)
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
         return (
             f"between {_file(self.between[0])} and {_file(self.between[1])} the "
-            f"{parameter_words(self.parameter)}{self.others} changed from {before} to {after} "
+            f"{parameter_words(self.parameter)}{others} changed from {before} to {after} "
             f"{unit.name} (± {compact(self.sigma / unit.si, 2)})"
         )
 
     @property
     def others(self) -> str:
         """What else may have changed instead, each by its own size; in brackets, or empty."""
-        more = [f"the {parameter_words(name)}" for name in self.members[1:]]
-        for k, size in enumerate(self.sizes[1:]):
-            more[k] += f" by {size}"
-        return f" (or {', or '.join(more)})" if more else ""
+        return f" (or {', or '.join(self._rivals)})" if self._rivals else ""
+
+    @property
+    def _rivals(self) -> tuple[str, ...]:
+        named = []
+        for name, by in list(self.moved.items())[1:]:
+            size = signed_size(self.catalogue.effect_of(name), by) if math.isfinite(by) else ""
+            named.append(f"the {parameter_words(name)}{size and f' by {size}'}")
+        return tuple(named)
 
     @property
     def own(self) -> tuple[str, ...]:
@@ -109,7 +135,6 @@ class Change:
                 parameter=name,
                 members=tuple(self.members[k] for k in order),
                 sizes=tuple(self.sizes[k] for k in order if self.sizes),
-                unit=estimate.problem.machine.catalogue.effect_of(name).unit,
                 before=float(before),
                 after=float(after),
                 sigma=float(sigma),
@@ -119,11 +144,13 @@ class Change:
 
 
 def summed_of(members: tuple[Parameter, ...], problem: Problem) -> tuple[Parameter, ...]:
-    """What the readings cannot tell apart counts as one, the sum of all that stand for it; a zero
-    is known apart from a length by the tolerances of both.
+    """What the readings cannot tell apart counts as one, the sum of all of one unit that stand for
+    it; a zero is known apart from a length by the tolerances of both.
     """
-    catalogue = problem.machine.catalogue
-    return members[:1] if catalogue.effect_of(members[0]).name in catalogue.base else members
+    catalogue, of = problem.machine.catalogue, problem.machine.catalogue.effect_of
+    first = of(members[0])
+    alike = tuple(name for name in members if of(name).unit == first.unit)
+    return members[:1] if first.name in catalogue.base else alike
 
 
 def _file(path: str) -> str:

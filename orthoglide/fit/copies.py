@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from orthoglide.fit.noise import station_table
+from orthoglide.fit.noise import repeat_steps
 from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign
 
 _FEWEST = 6  # repeats that are too few to say they are copies
@@ -14,10 +14,7 @@ _FEWEST = 6  # repeats that are too few to say they are copies
 
 def copied(campaign: Campaign) -> int:
     """Number of repeats, where each is the same to the last digit as the visit before; else 0."""
-    table = station_table(campaign)
-    order = np.lexsort([campaign.order, *table.T[::-1]])
-    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-    alike = np.diff(campaign.reading[order])[same] == 0
+    alike = repeat_steps(campaign) == 0
     return len(alike) if len(alike) >= _FEWEST and alike.all() else 0
 
 

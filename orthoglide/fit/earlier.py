@@ -74,7 +74,7 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
                 "",
                 (old, last.name),
                 evidence,
-                now.unit(members[0]),
+                now.problem.machine.catalogue,
                 before,
                 float(now.x[places].sum()),
                 apart,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -26,9 +25,8 @@ def excited_effects(problem: Problem) -> tuple[Effect, ...]:
 
 def _varies(what: str) -> Callable[[Problem], bool]:
     def vary(problem: Problem) -> bool:
-        files: tuple[Any, ...] = (*problem.campaigns, *(f.points for f in problem.points))
-        for file in files:
-            values = getattr(file, what, None)
+        for factor in problem.factors:
+            values = getattr(factor.points, what, None)
             if values is None:
                 continue
             known = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]

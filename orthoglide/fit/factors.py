@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
+from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
-from orthoglide.observations import Campaign, TcpPoints
+from orthoglide.observations import Campaign, Recorded, TcpPoints
 from orthoglide.prediction import Conditions, LinearRows, Model
 
 Frame = Literal["none", "translation", "rigid"]
@@ -51,74 +52,83 @@ class Block:
 
 
 @dataclass(frozen=True)
-class DialReadings:
-    """Readings of dials on the legs: one campaign.
+class OfFile:
+    """Readings of one file, a row each.
 
     Attributes:
-        campaign: the readings.
-        placement: standard deviation of a dial's place along its leg, metres; 0: exact.
+        points: the readings.
     """
 
-    campaign: Campaign
-    placement: float = 0.0
+    points: Recorded
 
     @property
     def name(self) -> str:
-        """Of the campaign."""
-        return self.campaign.name
+        """Of the file, without its ending."""
+        return self.points.name
 
     @property
     def setup_names(self) -> tuple[str, ...]:
         """The mountings."""
-        return tuple(s.name for s in self.campaign.setups)
+        return tuple(s.name for s in self.points.setups)
+
+    @property
+    def measured(self) -> Array:
+        """The readings."""
+        return self.points.reading
+
+    @property
+    def setup(self) -> Ints:
+        """The mounting of each."""
+        return self.points.setup
+
+
+@dataclass(frozen=True)
+class DialReadings(OfFile):
+    """Readings of dials on the legs: one campaign.
+
+    Attributes:
+        placement: standard deviation of a dial's place along its leg, metres; 0: exact.
+    """
+
+    points: Campaign
+    placement: float = 0.0
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Mountings of which an instrument's effect has parameters."""
         return self.setup_names if effect.dial is not None else ()
 
     @property
-    def measured(self) -> Array:
-        """The readings."""
-        return self.campaign.reading
-
-    @property
-    def setup(self) -> Ints:
-        """The mounting of each."""
-        return self.campaign.setup
-
-    @property
     def stations(self) -> Array:
         """Setup, command, approach of all axes, load ``(n, 8)``."""
-        c = self.campaign
-        return np.column_stack([c.setup, c.command, c.approach, c.load])
+        return station_table(self.points)
 
     @property
     def places(self) -> Array:
         """Setup and command ``(n, 4)``."""
-        return np.column_stack([self.campaign.setup, self.campaign.command])
+        return self.stations[:, :4]
 
     def conditions(self) -> Conditions:
         """Of every reading."""
-        return Conditions.of(self.campaign)
+        return Conditions.of(self.points)
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Readings, datums apart."""
-        return model.readings(values, self.campaign)
+        return model.readings(values, self.points)
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
         """Readings; the slope is by the dial's place along the leg."""
-        return model.linearised(values, self.campaign, names)
+        return model.linearised(values, self.points, names)
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
-        slopes = model.readings_by_joints(values, self.campaign)
+        slopes = model.readings_by_joints(values, self.points)
         return lambda joints, functions: (slopes @ joints)[:, None] * functions
 
     def nuisances(self, slopes: Array) -> Block:
         """A datum and a placement for each setup."""
-        setups = len(self.campaign.setups)
+        setups = len(self.points.setups)
         datum = np.eye(setups)[self.setup]
         columns, sd = [datum], [np.full(setups, np.inf)]
         if self.placement > 0:

@@ -208,7 +208,7 @@ def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
 
 def _dials(model: Model, factor: DialReadings, outputs: Any, place: Any, values: Any) -> Any:
     """Readings ``(n, 1)`` of dials, as MX."""
-    campaign, effects = factor.campaign, model.catalogue.of_dials
+    campaign, effects = factor.points, model.catalogue.of_dials
     touched = 12 * campaign.leg[:, None] + np.arange(12)
     flat = (36 * place[:, None] + touched).ravel()
     ends = ca.reshape(ca.vec(outputs[LINES, :])[flat.tolist()], 12, len(campaign))

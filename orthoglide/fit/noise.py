@@ -132,6 +132,14 @@ def station_table(campaign: Campaign) -> Array:
     return np.column_stack([campaign.setup, campaign.command, campaign.approach, campaign.load])
 
 
+def repeat_steps(campaign: Campaign) -> Array:
+    """Each reading that repeats one, less the one at the visit before, metres."""
+    table = station_table(campaign)
+    order = np.lexsort([campaign.order, *table.T[::-1]])
+    same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
+    return np.asarray(np.diff(campaign.reading[order])[same])
+
+
 def repeated(campaigns: Sequence[Campaign]) -> bool:
     """Whether any station is visited twice from the same side."""
     return any(len(np.unique(station_table(c), axis=0)) < len(c) for c in campaigns)
@@ -185,10 +193,7 @@ def repeat_variance(campaigns: Sequence[Campaign]) -> tuple[float, int]:
     """
     total, count = 0.0, 0
     for campaign in campaigns:
-        table = station_table(campaign)
-        order = np.lexsort([campaign.order, *table.T[::-1]])
-        same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
-        steps = np.diff(campaign.reading[order])[same]
+        steps = repeat_steps(campaign)
         total += float(np.sum(steps**2)) / 2
         count += len(steps)
     # Differences of a run share readings: n of them carry about two thirds n degrees of freedom.

@@ -21,8 +21,7 @@ _SAID = 8  # lines
 def notes(estimate: Estimate) -> tuple[Note, ...]:
     """Notes of a fit: what was noticed on reading, lack of fit, bounds, tolerances, the check."""
     problem, scores = estimate.problem, estimate.scores
-    noticed = [c.warnings for c in problem.campaigns] + [f.points.warnings for f in problem.points]
-    found = [Note(text, "campaign") for texts in noticed for text in texts]
+    found = [Note(text, "campaign") for f in problem.factors for text in f.points.warnings]
     tool = [f.points for f in problem.points]
     found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
     for campaign in problem.campaigns:

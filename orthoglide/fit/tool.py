@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.fit.factors import SILENT, Block, ByJoints
+from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -36,11 +36,10 @@ _STEPS = 10
 
 
 @dataclass(frozen=True)
-class ToolReadings:
-    """Readings of one file.
+class ToolReadings(OfFile):
+    """Readings of the tool's instruments.
 
     Attributes:
-        points: the readings.
         sigma: standard deviation of each ``(n,)``, metres or radians.
         place: on the plates over their largest measured radius ``(n, 2)``, of the nominal machine,
             which is near enough.
@@ -74,29 +73,9 @@ class ToolReadings:
         sigma = _sigma(campaign, machine.spec.instruments, noise, place, height)
         return cls(campaign, sigma, place, np.array(ball))
 
-    @property
-    def name(self) -> str:
-        """Of the file, without its ending."""
-        return self.points.name
-
-    @property
-    def setup_names(self) -> tuple[str, ...]:
-        """The setups."""
-        return tuple(s.name for s in self.points.setups)
-
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Setups of which an instrument's effect has parameters: plates."""
         return tuple(s.name for s in self.points.setups if s.kind == "plate" and effect.plate)
-
-    @property
-    def measured(self) -> Array:
-        """The readings."""
-        return self.points.reading
-
-    @property
-    def setup(self) -> Ints:
-        """The setup of each."""
-        return self.points.setup
 
     @property
     def point(self) -> Ints:
@@ -141,7 +120,7 @@ class ToolReadings:
 
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Readings, nuisances apart."""
-        out = model.outputs(model.catalogue.of_machine(values), self.conditions())
+        out = model.outputs(values, self.conditions())
         return self._value(out.p, out.R, self._shape(model.catalogue, values))
 
     def linearise(
@@ -150,7 +129,7 @@ class ToolReadings:
         """Readings; the slopes are the tool's place and the reading itself ``(n, 4)``."""
         catalogue = model.catalogue
         machine = [n for n in names if not catalogue.effect_of(n).of_dial]
-        out, by_name = model.sensitivities(catalogue.of_machine(values), self.conditions(), machine)
+        out, by_name = model.sensitivities(values, self.conditions(), machine)
         n = len(self.points)
         jacobian = np.zeros((n, len(names)))
         of_machine = [k for k, name in enumerate(names) if name in set(machine)]
@@ -163,8 +142,8 @@ class ToolReadings:
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
-        known, where = model.catalogue.of_machine(values), self.conditions()
-        slopes, p = model.by_joints(known, where)[:, :12], model.outputs(known, where).p
+        where = self.conditions()
+        slopes, p = model.by_joints(values, where)[:, :12], model.outputs(values, where).p
 
         def moved(joints: Array, functions: Array) -> Array:
             return self._derivative(p, (slopes @ joints)[:, :, None] * functions[:, None])

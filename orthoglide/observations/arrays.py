@@ -1,15 +1,17 @@
-"""Arrays of readings that their value holds: all of one length, read-only, of possible numbers."""
+"""Readings as arrays that their value holds: all of one length, read-only, of possible numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
+from orthoglide.observations.approach import Ints
 
 
 class Kind(NamedTuple):
@@ -85,14 +87,99 @@ def _wrong(given: Array, kind: Kind) -> NDArray[np.bool_]:
     return np.asarray(np.isinf(given) if kind.empty else ~np.isfinite(given))
 
 
-def check_setups(what: str, names: list[str], setup: NDArray[np.int64]) -> None:
-    """Refuses mountings of one name, and readings ``(n,)`` of none.
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Readings of one file, with the conditions they were taken under and their mountings.
 
-    Raises:
-        InputError: saying which.
+    Attributes:
+        name: file stem; parameters own to the campaign carry it.
+        setups: the mountings, in order of appearance.
+        setup: index into ``setups``, shape ``(n,)``.
+        command: commanded joint coordinates ``(n, 3)``, metres, r removed.
+        approach: direction of each axis' last move ``(n, 3)``: +1, -1, or 0 where unknown.
+        time: seconds since the start ``(n,)``, nan where not recorded.
+        temperature: degrees Celsius ``(n,)``, nan where not recorded.
+        load: weight at the TCP along base -z ``(n,)``, newtons.
+        repeat: number of the repetition ``(n,)``, from 1.
+        order: place in the sequence the machine went through ``(n,)``.
+        posture: labels for people, never used in a computation.
+        reading: ``(n,)``, metres, of an inclination radians; nan in a sheet not yet filled in.
+        sigma: declared standard deviation of each reading ``(n,)``, nan where none is.
+        line: line in the file ``(n,)``, header line 1.
+        file: the file's name as the caller gave it, or ``""``.
+        sha256: digest of the file, or ``""``.
+        warnings: what was noticed on reading and is no error.
+        reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
+        to_frame: the rows of the file as a data frame; of a machine file's layout, where that is
+            given.
     """
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{what}: two setups are called {name!r}: name each mounting apart")
-    if len(setup) and (setup.min() < 0 or setup.max() >= len(names)):
-        raise InputError(f"{what}: setup must index one of the {len(names)} setups")
+
+    to_frame: ClassVar[Callable[..., Any]]
+    _arrays: ClassVar[Mapping[str, Kind]] = OF_READINGS
+
+    name: str
+    setups: tuple[Any, ...]
+    setup: Ints
+    command: Array
+    approach: Array
+    time: Array
+    temperature: Array
+    load: Array
+    repeat: Ints
+    order: Ints
+    posture: tuple[str, ...]
+    reading: Array
+    sigma: Array
+    line: Ints
+    file: str = ""
+    sha256: str = ""
+    warnings: tuple[Any, ...] = ()
+    reference_temperature: float = float("nan")
+
+    def __post_init__(self) -> None:
+        hold(self, self.name, self._arrays, "reading")
+        if len(self.posture) != len(self):
+            raise InputError(f"{self.name}: {len(self)} readings need {len(self)} posture labels")
+        names = [s.name for s in self.setups]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(
+                    f"{self.name}: two setups are called {name!r}: name each mounting apart"
+                )
+        if len(self) and (self.setup.min() < 0 or self.setup.max() >= len(names)):
+            raise InputError(f"{self.name}: setup must index one of the {len(names)} setups")
+
+    def __len__(self) -> int:
+        return len(self.reading)
+
+    @property
+    def temperature_rise(self) -> Array:
+        """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
+        return np.nan_to_num(self.temperature - self._reference())
+
+    def subset(self, rows: ArrayLike) -> Self:
+        """Some of the readings, with the setups they need.
+
+        Args:
+            rows: booleans ``(n,)`` or indices.
+
+        Returns:
+            A campaign whose temperatures still count from this one's first row.
+        """
+        kind = bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats
+        chosen = np.arange(len(self))[np.asarray(rows, dtype=kind)]
+        used, setup = np.unique(self.setup[chosen], return_inverse=True)
+        arrays = {name: getattr(self, name)[chosen] for name in self._arrays}
+        return replace(
+            self,
+            **(arrays | {"setup": setup.reshape(-1)}),
+            setups=tuple(self.setups[k] for k in used),
+            posture=tuple(self.posture[k] for k in chosen),
+            reference_temperature=self._reference(),
+        )
+
+    def _reference(self) -> float:
+        recorded = self.temperature[np.isfinite(self.temperature)]
+        if np.isfinite(self.reference_temperature) or not len(recorded):
+            return self.reference_temperature
+        return float(recorded[0])

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations.approach import Ints, Moves, built_up, derive_approach, planned_moves
-from orthoglide.observations.arrays import OF_READINGS, check_setups, hold
+from orthoglide.observations.arrays import OF_READINGS, Recorded
 
 _THREE = (0, 1, 2)
 
@@ -60,64 +60,18 @@ class Setup:
 
 
 @dataclass(frozen=True, eq=False)
-class Campaign:
-    """Dial readings of one file, with a free datum for every setup.
+class Campaign(Recorded):
+    """Dial readings of one file, with a free datum for every setup; metres.
 
     Attributes:
-        name: file stem; parameters own to the campaign carry it.
-        setups: the mountings, in order of appearance.
-        setup: index into ``setups``, shape ``(n,)``.
-        command: commanded joint coordinates ``(n, 3)``, metres, r removed.
-        approach: direction of each axis' last move ``(n, 3)``: +1, -1, or 0 where unknown.
-        time: seconds since the start ``(n,)``, nan where not recorded.
-        temperature: degrees Celsius ``(n,)``, nan where not recorded.
-        load: weight at the TCP along base -z ``(n,)``, newtons.
-        repeat: number of the repetition ``(n,)``, from 1.
-        order: place in the sequence the machine went through ``(n,)``.
-        posture: labels for people, never used in a computation.
-        reading: the dial ``(n,)``, metres; nan in a sheet not yet filled in.
-        sigma: declared standard deviation of each reading ``(n,)``, metres, nan where none is.
-        line: line in the file ``(n,)``, header line 1.
-        file: the file's name as the caller gave it, or ``""``.
-        sha256: digest of the file, or ``""``.
-        warnings: what was noticed on reading and is no error.
-        reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
         moves: commands gone through between the readings.
         from_frame: a campaign from a data frame with the columns of a campaign file.
-        to_frame: the rows of its file as a data frame.
     """
 
     from_frame: ClassVar[Callable[..., Campaign]]
-    to_frame: ClassVar[Callable[..., Any]]
 
-    name: str
     setups: tuple[Setup, ...]
-    setup: Ints
-    command: Array
-    approach: Array
-    time: Array
-    temperature: Array
-    load: Array
-    repeat: Ints
-    order: Ints
-    posture: tuple[str, ...]
-    reading: Array
-    sigma: Array
-    line: Ints
-    file: str = ""
-    sha256: str = ""
-    warnings: tuple[str, ...] = ()
-    reference_temperature: float = float("nan")
     moves: Moves = field(default_factory=Moves)
-
-    def __post_init__(self) -> None:
-        hold(self, "campaign", OF_READINGS, "reading")
-        if len(self.posture) != len(self):
-            raise InputError(f"campaign: {len(self)} readings need {len(self)} posture labels")
-        check_setups("campaign", [s.name for s in self.setups], self.setup)
-
-    def __len__(self) -> int:
-        return len(self.reading)
 
     def __repr__(self) -> str:
         missing = int(np.isnan(self.reading).sum())
@@ -141,11 +95,6 @@ class Campaign:
         return np.array([s.leg for s in self.setups], dtype=np.int64)[self.setup]
 
     @property
-    def temperature_rise(self) -> Array:
-        """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
-        return np.nan_to_num(self.temperature - self._reference())
-
-    @property
     def derived_approach(self) -> Array:
         """Approach as the order of readings and moves gives it ``(n, 3)``."""
         return derive_approach(self.command, self.order, self.moves)
@@ -161,26 +110,6 @@ class Campaign:
     def _built_up(self) -> dict[tuple[float, ...], Array]:
         """What was asked of :meth:`built_up` so far."""
         return {}
-
-    def subset(self, rows: ArrayLike) -> Campaign:
-        """Some of the readings, with the setups they need.
-
-        Args:
-            rows: booleans ``(n,)`` or indices.
-
-        Returns:
-            A campaign whose temperatures still count from this one's first row.
-        """
-        chosen = np.arange(len(self))[np.asarray(rows, dtype=_index_type(rows))]
-        used, setup = np.unique(self.setup[chosen], return_inverse=True)
-        arrays = {name: getattr(self, name)[chosen] for name in OF_READINGS}
-        return replace(
-            self,
-            **(arrays | {"setup": setup.reshape(-1)}),
-            setups=tuple(self.setups[k] for k in used),
-            posture=tuple(self.posture[k] for k in chosen),
-            reference_temperature=self._reference(),
-        )
 
     def with_readings(self, reading: ArrayLike) -> Campaign:
         """The same campaign with other dial values ``(n,)``, metres."""
@@ -225,13 +154,3 @@ class Campaign:
                 if name != "line"
             )
         )
-
-    def _reference(self) -> float:
-        recorded = self.temperature[np.isfinite(self.temperature)]
-        if np.isfinite(self.reference_temperature) or not len(recorded):
-            return self.reference_temperature
-        return float(recorded[0])
-
-
-def _index_type(rows: ArrayLike) -> type:
-    return bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats

@@ -10,7 +10,7 @@ from orthoglide import files
 from orthoglide.errors import InputError
 from orthoglide.frames import data_frame
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations.campaign import Campaign
+from orthoglide.observations.arrays import Recorded
 from orthoglide.observations.table import frame_table
 from orthoglide.observations.tcp import TcpPoints
 from orthoglide.observations.tool import ToolCampaign
@@ -96,5 +96,5 @@ def tool_from_frame(
     return replace(found[0], file="")
 
 
-Campaign.to_frame = ToolCampaign.to_frame = readings_frame
+Recorded.to_frame = readings_frame
 ToolCampaign.from_frame = staticmethod(tool_from_frame)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,7 @@ from orthoglide.errors import check_word
 from orthoglide.frames import html_table
 from orthoglide.geometry import Array
 from orthoglide.observations.approach import Ints
-from orthoglide.observations.arrays import (
-    MAYBE_VECTOR,
-    NUMBER,
-    OF_READINGS,
-    WHOLE,
-    check_setups,
-    hold,
-)
+from orthoglide.observations.arrays import MAYBE_VECTOR, NUMBER, OF_READINGS, WHOLE, Recorded
 
 Kind = Literal["tcp", "plate", "distance", "ballbar", "incline"]
 KINDS: tuple[Kind, ...] = ("tcp", "plate", "distance", "ballbar", "incline")
@@ -48,66 +41,24 @@ class ToolSetup:
         check_word("kind of reading", self.kind, KINDS)
 
 
-@dataclass(frozen=True, eq=False)
-class ToolCampaign:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ToolCampaign(Recorded):
     """Readings of the tool, one file's.
 
     Attributes:
-        name: file stem.
-        setups: in order of appearance.
-        setup: index into ``setups`` ``(n,)``.
         axis: base axis that is read ``(n,)``; 0 where the kind has none.
         sign: +1, or -1 where the instrument counts against it ``(n,)``.
-        command: ``(n, 3)``, metres.
         second: the other command of a distance ``(n, 3)``, metres; nan for other kinds.
-        approach: direction of each drive's last move ``(n, 3)``; 0 where unknown.
-        time: seconds ``(n,)``, nan where not recorded.
-        temperature: degrees Celsius ``(n,)``, nan where not recorded.
-        load: weight at the tool along base -z ``(n,)``, newtons.
-        repeat: number of the repetition ``(n,)``.
-        order: place in the sequence ``(n,)``.
-        posture: labels for people.
-        reading: ``(n,)``, metres, of an inclination radians.
-        sigma: declared standard deviation ``(n,)``, nan where none is.
-        line: line in the file ``(n,)``.
-        file: the file's name as the caller gave it.
-        sha256: digest of the file.
-        warnings: what was noticed on reading and is no error.
         from_frame: readings from a data frame with the columns of their file.
-        to_frame: the rows of their file as a data frame; of a machine file's layout, where that is
-            given.
     """
 
     from_frame: ClassVar[Callable[..., ToolCampaign]]
-    to_frame: ClassVar[Callable[..., Any]]
+    _arrays: ClassVar = {**OF_READINGS, "axis": WHOLE, "sign": NUMBER, "second": MAYBE_VECTOR}
 
-    name: str
     setups: tuple[ToolSetup, ...]
-    setup: Ints
     axis: Ints
     sign: Array
-    command: Array
     second: Array
-    approach: Array
-    time: Array
-    temperature: Array
-    load: Array
-    repeat: Ints
-    order: Ints
-    posture: tuple[str, ...]
-    reading: Array
-    sigma: Array
-    line: Ints
-    file: str = ""
-    sha256: str = ""
-    warnings: tuple[Any, ...] = ()
-
-    def __post_init__(self) -> None:
-        hold(self, self.name, _ARRAYS, "reading")
-        check_setups(self.name, [s.name for s in self.setups], self.setup)
-
-    def __len__(self) -> int:
-        return len(self.reading)
 
     def __repr__(self) -> str:
         kinds = ", ".join(dict.fromkeys(s.kind for s in self.setups))
@@ -130,12 +81,3 @@ class ToolCampaign:
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
         """Which readings are of a kind ``(n,)``, booleans."""
         return np.array([k == kind for k in self.kind], dtype=bool)
-
-    @property
-    def temperature_rise(self) -> Array:
-        """Against the first recorded ``(n,)``, kelvin; 0 where not recorded."""
-        known = self.temperature[np.isfinite(self.temperature)]
-        return np.nan_to_num(self.temperature - (known[0] if len(known) else 0.0))
-
-
-_ARRAYS = {**OF_READINGS, "axis": WHOLE, "sign": NUMBER, "second": MAYBE_VECTOR}

@@ -9,7 +9,7 @@ from orthoglide.planning.detectable import (
     SmallestEffect as SmallestEffect,
     smallest_effects as smallest_effects,
 )
-from orthoglide.planning.linear import expected_noise as expected_noise
+from orthoglide.planning.linear import foreseen as foreseen
 from orthoglide.planning.observability import (
     Observability as Observability,
     observability as observability,

@@ -12,13 +12,13 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import check_list
-from orthoglide.fit import Estimate, assemble, build_problem, solve
+from orthoglide.fit import Estimate, assemble, solve
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
-from orthoglide.planning.linear import expected_noise
+from orthoglide.planning.linear import foreseen
 from orthoglide.units import Unit
 
 POWER = 0.95
@@ -176,10 +176,7 @@ def as_expected(
         several = [_predicted(machine, one) for one in campaign]
         base = machine.catalogue.base
         return solve(assemble(several, careful, base, noise=noise), method="nested")
-    predicted = campaign.with_readings(machine.readings(campaign))
-    level = expected_noise(machine, predicted, noise)
-    problem = build_problem(machine, [predicted], machine.catalogue.base, level)
-    return solve(problem, method="nested")
+    return solve(foreseen(machine, campaign, noise), method="nested")
 
 
 def _predicted(machine: Machine, one: Readings) -> Readings:

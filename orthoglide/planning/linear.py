@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.fit import Noise, noise_of
+from orthoglide.fit import Noise, Problem, build_problem, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding, station_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -229,3 +229,10 @@ def expected_noise(machine: Machine, campaign: Campaign, declared: float | None 
     if dial.repeatability is None:
         dial = replace(dial, repeatability=PUBLISHED_REPEATABILITY)
     return noise_of([campaign], dial, declared)
+
+
+def foreseen(machine: Machine, sheet: Campaign, noise: float | None = None) -> Problem:
+    """Zeros and lengths to be identified from the readings predicted for a sheet."""
+    exact = sheet.with_readings(machine.readings(sheet))
+    level = expected_noise(machine, exact, noise)
+    return build_problem(machine, [exact], machine.catalogue.base, level)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,7 +60,11 @@ def mixed_sheet(
     owner = np.repeat(np.arange(len(sheets)), [len(s) for s in sheets])
     first = np.cumsum([0, *(len(s) for s in sheets)])
     chosen = [kept[owner[kept] == k] - first[k] for k in range(len(sheets))]
-    return tuple(_part(s, at) for s, at in zip(sheets, chosen, strict=True) if len(at))
+    return tuple(
+        replace(s.subset(at), order=np.arange(1, len(at) + 1))
+        for s, at in zip(sheets, chosen, strict=True)
+        if len(at)
+    )
 
 
 def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, int, Array]:
@@ -84,15 +88,3 @@ def _leverage(information: Array, rows: Array) -> Array:
     """Share of each row ``(n,)`` in what is known along it."""
     share = np.sum(rows * np.linalg.solve(information, rows.T).T, axis=1)
     return np.asarray(np.clip(share, 0.0, 1 - 1e-12))
-
-
-def _part(sheet: ToolCampaign, rows: Array) -> ToolCampaign:
-    """Some rows of a campaign of one setup, in a new sequence."""
-    taken = {
-        f.name: getattr(sheet, f.name)[rows]
-        for f in fields(sheet)
-        if isinstance(getattr(sheet, f.name), np.ndarray)
-    }
-    posture = tuple(sheet.posture[k] for k in rows)
-    taken["order"] = np.arange(1, len(rows) + 1)
-    return replace(sheet, **taken, posture=posture)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.errors import InputError
 from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
@@ -92,11 +92,10 @@ def _tcp_slope(machine: Machine, names: Sequence[str]) -> Array:
     of_machine = [not machine.catalogue.effect_of(n).of_dial for n in names]
     moving = [n for n, moves in zip(names, of_machine, strict=True) if moves]
     parts, weights = in_tolerances(machine, moving)
-    conditions = Conditions.at(workspace(machine.geometry, _GRID))
-    _, by_name = machine.model.sensitivities(machine.values, conditions, parts)
-    moved = by_name[:, :3] @ weights
+    where = Conditions.at(workspace(machine.geometry, _GRID))
+    moved = without_place(tcp_slopes(machine, parts, where) @ weights)
     slope = np.zeros((*moved.shape[:2], len(names)))
-    slope[..., of_machine] = moved - moved.mean(axis=0)
+    slope[..., of_machine] = moved
     return np.asarray(slope.reshape(-1, len(names)))
 
 

@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, without_place
-from orthoglide.fit import build_problem
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import check_dials
-from orthoglide.planning.linear import LinearReadings, expected_noise
+from orthoglide.planning.linear import LinearReadings, foreseen
 from orthoglide.posterior import with_everything
 
 
@@ -117,10 +116,10 @@ def _readings(
     these and by the dials' own.
     """
     check_dials(machine.geometry)
-    exact = sheet.with_readings(machine.readings(sheet))
-    level = expected_noise(machine, exact, noise)
-    wide = with_everything(build_problem(machine, [exact], machine.catalogue.base, level))
+    problem = foreseen(machine, sheet, noise)
+    wide = with_everything(problem)
     of_dial = [n for n in wide.names if machine.catalogue.effect_of(n).of_dial]
     shown = (n for n in wide.names if n not in of_dial)
     kept = list(dict.fromkeys([*map(str, names), *map(str, shown)]))
+    (exact,) = problem.campaigns
     return kept, LinearReadings.of(machine, exact, [*kept, *of_dial], noise).whitened()

@@ -16,7 +16,6 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.posterior.causes import Cause
 from orthoglide.posterior.everything import FullPosterior
 
 _DRAWS = 400
@@ -56,12 +55,13 @@ class BudgetItem:
     share: float
 
 
-def budget(posterior: FullPosterior, causes: Sequence[Cause]) -> tuple[BudgetItem, ...]:
+def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
     """Rank what is wrong by what mending it gains, largest first.
 
     Args:
         posterior: of everything.
-        causes: found, each counted for itself; what is left of an effect is counted together.
+        causes: found, each with its parameters and counted for itself; what is left of an effect
+            is counted together.
     """
     machine = posterior.machine
     known, catalogue, values = machine.posterior, machine.catalogue, machine.values
@@ -106,22 +106,18 @@ def budget(posterior: FullPosterior, causes: Sequence[Cause]) -> tuple[BudgetIte
 
 
 def _members(
-    posterior: FullPosterior, causes: Sequence[Cause], names: Sequence[str], base: Array
+    posterior: FullPosterior, causes: Mapping[str, Sequence[str]], names: Sequence[str], base: Array
 ) -> list[tuple[str, list[str]]]:
     """Causes with the machine's parameters that each is made of, none twice, zeros left out."""
     catalogue = posterior.machine.catalogue
     twins = {t for others in posterior.about.twins.values() for t, _ in others}
     left = [n for n, b in zip(names, base, strict=True) if not b and n not in twins]
     found: list[tuple[str, list[str]]] = []
-    for cause in causes:
-        parts = {
-            str(p)
-            for one in cause.explanations
-            for p in catalogue.moved_by(dict.fromkeys(one.parameters, 1.0))
-        }
+    for cause, parameters in causes.items():
+        parts = set(map(str, catalogue.moved_by(dict.fromkeys(parameters, 1.0))))
         mine = [n for n in left if n in parts]
         if mine:
-            found.append((cause.name, mine))
+            found.append((cause, mine))
             left = [n for n in left if n not in parts]
     by_effect: dict[str, list[str]] = {}
     for n in left:

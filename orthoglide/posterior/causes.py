@@ -103,6 +103,11 @@ class Cause:
         return (self.chosen, *self.same, *self.rivals)
 
     @property
+    def every(self) -> tuple[str, ...]:
+        """Parameters of the whole credible set."""
+        return tuple(name for one in self.explanations for name in one.parameters)
+
+    @property
     def indistinguishable_from(self) -> tuple[str, ...]:
         """Names of the rest of the set."""
         return tuple(one.name for one in (*self.same, *self.rivals))

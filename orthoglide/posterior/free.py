@@ -60,13 +60,13 @@ def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
         legs = model.leg_conditions(values, factor.conditions())
         if isinstance(factor, DialReadings) and turning:
             half = np.ptp(model.geometry.stroke) / 2
-            after = factor.campaign.built_up([half * length for length in BUILD_UP.lengths])
+            after = factor.points.built_up([half * length for length in BUILD_UP.lengths])
             legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
         for place in kept:
             functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
             column = by_joints(_joints(place), functions)
             if place.moves_lines and isinstance(factor, DialReadings):
-                column += _touching(place, factor.campaign)[:, None] * functions
+                column += _touching(place, factor.points)[:, None] * functions
             blocks.setdefault(place.name, []).append(column)
     if not kept:
         return np.zeros((len(problem.measured), 0)), ()

@@ -17,7 +17,8 @@ from orthoglide.effects import DialReading, Effect
 from orthoglide.geometry import Array, leg_axes
 from orthoglide.observations import Campaign
 
-_SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}  # of bars 1 and 2 in the touched line
+SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
+"""Of bars 1 and 2 in the line that a setup touches, by its bar."""
 
 
 def reading_function(effects: tuple[Effect, ...]) -> Any:
@@ -67,7 +68,7 @@ def mountings(campaign: Campaign, r: float) -> Array:
     axes = np.eye(3)
     for row, setup in zip(table, campaign.setups, strict=True):
         a, _, _ = leg_axes(setup.leg)
-        row[:2] = _SHARES[setup.bar]
+        row[:2] = SHARES[setup.bar]
         row[2:5], row[5:8] = axes[a], axes[setup.axis]
         row[8:11] = np.cross(axes[a], axes[setup.axis])
         row[11], row[12] = setup.gauge + r, setup.sign

@@ -10,12 +10,11 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
-from orthoglide.fit import build_problem
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
-from orthoglide.planning import expected_noise
+from orthoglide.planning import foreseen
 from orthoglide.posterior import places_of, with_everything
 
 
@@ -76,9 +75,7 @@ class Scope:
             sheet: readings do not count.
         """
         bare = machine.with_only({})
-        exact = sheet.with_readings(bare.readings(sheet))
-        noise = expected_noise(bare, exact)
-        wide = with_everything(build_problem(bare, [exact], bare.catalogue.base, noise))
+        wide = with_everything(foreseen(bare, sheet))
         beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
         kept = tuple(bare.catalogue.parameter(n, [s.name for s in sheet.setups]) for n in beyond)
         return cls(bare, sheet, kept, tuple(p for p in places_of(wide) if p.in_model))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orthoglide.frames import data_frame, html_table
+from orthoglide.frames import Framed, data_frame
 from orthoglide.rehearsal.drawing import KINDS, OUTSIDE, Kind
 from orthoglide.rehearsal.outcome import Outcome
 from orthoglide.rehearsal.weak_spots import WeakSpot
@@ -23,7 +23,7 @@ _TOOL = ("nominal_mm", "before_mm", "after_mm", "stated_mm", "inside")
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class Rehearsal(Framed):
     """Campaigns on machines of a user's own dimensions and tolerances, held against the truth.
 
     Attributes:
@@ -80,9 +80,6 @@ class Rehearsal:
 
     def __repr__(self) -> str:
         return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
-
-    def _repr_html_(self) -> str:
-        return html_table(repr(self)[1:-1], self.columns)
 
     def __str__(self) -> str:
         return "\n".join(self._lines())

@@ -5,18 +5,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
 from orthoglide.report.phrases import sentence
-from orthoglide.report.wording import BESIDES, MEANINGS, claim, curve_words, evidence
+from orthoglide.report.wording import BESIDES, MEANINGS, curve_words, evidence, standing
 from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError
+    from orthoglide.fit import Change
     from orthoglide.posterior import Cause, Explanation, Located
     from orthoglide.result import Result
     from orthoglide.result.actions import Action
@@ -28,6 +29,7 @@ MOST = 5
 
 _SIDES = 1.96  # of a 95 % interval
 _CERTAIN, _SURE = 0.995, 0.9
+_CLEARLY = 50.0  # log odds
 _STAGES = {
     "now": "The tool now",
     "zeros": "With zeros corrected",
@@ -85,19 +87,20 @@ def finding(result: Result) -> Data:
         "word": result.word,
         "meaning": sentence(MEANINGS[result.word]),
         "claims": claims(result),
-        "among": "among the causes known " if result.word == "partial" else "",
         "drawing": result.picture.svg(),
         "options": len(result.picture.options),
         "dials": bool(result.picture.dials),
-        "text": claim(result),
+        "text": "" if result.found else standing(result),
         "more": BESIDES if result.word == "partial" else "",
         "evidence": evidence(result) if searches else "",
         "tiles": tiles(result),
         "printer": result.firmware is not None and result.firmware.corrections is not None,
         "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",
         "legs": bool(after.problem.campaigns),
-        "loses": any(map(loses, result.effects)) or any(map(loses, result.located)),
-        "actions": [_action(action) for action in result.actions],
+        "loses": any(map(loses, result.effects))
+        or any(map(loses, result.located))
+        or any(map(loses, result.moved)),
+        "actions": [action_data(action) for action in result.actions],
         "sheet": result.next_sheet is not None,
         "most": MOST,
         "cautions": [*([first] if first else []), *result.cautions],
@@ -106,10 +109,16 @@ def finding(result: Result) -> Data:
 
 
 def claims(result: Result) -> list[Claim]:
-    """Causes, then places, each with what else it could be."""
+    """Causes, places and changes, each with what else it could be."""
     option = itertools.count()
     causes = [_of_cause(cause, option) for cause in result.effects]
-    return [*causes, *(_of_place(found, option) for found in result.located)]
+    causes += [_of_place(found, option) for found in result.located]
+    if result.word == "partial":
+        causes = [
+            replace(c, first=replace(c.first, sure=f"among the causes known {c.first.sure}"))
+            for c in causes
+        ]
+    return [*causes, *(_of_change(change, option) for change in result.moved)]
 
 
 def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
@@ -143,6 +152,13 @@ def _of_place(found: Located, option: Iterator[int]) -> Claim:
     return Claim(several[0], (), several[1:])
 
 
+def _of_change(change: Change, option: Iterator[int]) -> Claim:
+    sure = sure_words(1 / (1 + math.exp(-min(change.evidence, _CLEARLY))))
+    first, *rivals = (Statement(sentence(words), "", next(option)) for words in change.words)
+    which = " that one of them changed" if rivals else ""
+    return Claim(replace(first, sure=f"{sure}{which}"), (), tuple(rivals))
+
+
 def sure_words(p: float) -> str:
     """A probability as a mechanic says it: ``97 % sure``, ``51 % likely``."""
     if p >= _CERTAIN:
@@ -172,7 +188,8 @@ def _tile(what: str, error: ExpectedError) -> Tile:
     return Tile(what, shape, (f"of shape, ± {sigma}", place))
 
 
-def _action(action: Action) -> Data:
+def action_data(action: Action) -> Data:
+    """What a page shows of one thing to do."""
     gain = ""
     if math.isfinite(action.gain):
         gain = f"{compact(max(action.gain, 0.0) * 1e3, 2)} mm"

@@ -50,7 +50,7 @@ def summary(result: Result, ranked: bool = False) -> str:
     unshown = unshown_words(result)
     remarks += [*result.pattern, *(sentence(w) for w in (unshown, *result.warnings) if w)]
     parts += [Text(f"- {line}") for line in remarks]
-    parts += [Text(line) for line in _to_do(result)]
+    parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
         parts.append(_firmware(result.firmware.corrections))
         if not result.stands:
@@ -66,7 +66,8 @@ def _unseen(found: Sequence[Unseen]) -> Iterator[str]:
     yield from (f"   - {sentence(one.brief)}" for one in found)
 
 
-def _to_do(result: Result) -> Iterator[str]:
+def to_do(result: Result) -> Iterator[str]:
+    """What to do, a line each, with what to look at below."""
     for k, action in enumerate(result.actions, start=1):
         gain = f" (gains {compact(action.gain * 1e3, 2)} mm at the tool)" if action.gain > 0 else ""
         yield f"{k}. {sentence(action.words)[:-1]}{gain}."

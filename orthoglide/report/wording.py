@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.effects.wording import parameter_words
@@ -13,7 +13,7 @@ from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
-    from orthoglide.fit import Estimate
+    from orthoglide.fit import Change, Estimate
     from orthoglide.parameters import Parameter
     from orthoglide.posterior import Cause, Curve, Located
     from orthoglide.result import Result
@@ -50,6 +50,12 @@ def headline(result: Result) -> str:
 
 def claim(result: Result) -> str:
     """What is wrong, for somebody with a spanner in hand."""
+    changed, more = _changed(result.moved), standing(result)
+    return " ".join(text for text in ((more, changed) if result.found else (changed, more)) if text)
+
+
+def standing(result: Result) -> str:
+    """What is wrong but for what changed."""
     if not result.request.searches:
         fit = result.after
         return f"{_found(fit)} {_gain(fit)}; {_rest(fit)}."
@@ -58,20 +64,19 @@ def claim(result: Result) -> str:
         return f"{_causes(result)}{more}"
     if result.word == "unexplained":
         return f"{_nothing_explains(result)}{where_left(result)}"
-    changed = _changed(result)
     if result.before.scores.dof < _FEW:
         return (
-            f"{changed}These readings are too few to look for causes with: what the "
+            f"These readings are too few to look for causes with: what the "
             f"{effects_named(result.before)} leave over is next to nothing."
         )
     if result.improved:
         return (
-            f"{changed}No single cause stands out: everything is off by a little, about "
+            f"No single cause stands out: everything is off by a little, about "
             f"{compact(result.share, 1)} of its tolerance."
         )
-    nothing = "Nothing else is" if changed else "Nothing is"
+    nothing = "Nothing else is" if result.changed else "Nothing is"
     base = effects_named(result.before)
-    return f"{changed}{nothing} wrong that these readings could show beyond the {base}."
+    return f"{nothing} wrong that these readings could show beyond the {base}."
 
 
 def evidence(result: Result) -> str:
@@ -82,13 +87,12 @@ def evidence(result: Result) -> str:
     if count:
         faults = f"{count} fault{'s' if count > 1 else ''}"
         said.append(f"{faults} in the data had to be dealt with first.")
-    if result.word != "adequate":  # there a change is the first that is said
-        said.append(_changed(result))
+    said.append(_changed([c for c in result.changed if c not in result.moved]))
     return " ".join(said).strip()
 
 
-def _changed(result: Result) -> str:
-    return "".join(f"{sentence(change.message)} " for change in result.changed)
+def _changed(changes: Iterable[Change]) -> str:
+    return " ".join(sentence(change.message) for change in changes)
 
 
 # --- Of a closed loop -----------------------------------------------------------------------

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
+from orthoglide.effects.wording import cause_words, confirm_words
+from orthoglide.fit import Change
 from orthoglide.numerals import plain
 from orthoglide.posterior import Cause, Curve, Explanation, Located
 
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
+_AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
 _LOST = "lost motion, which the errors of the tool above leave out"
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
@@ -91,7 +94,7 @@ def _zeros(result: Result) -> Iterator[Action]:
 
 
 def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]:
-    """Causes and places found, each with what to look at and what it gains."""
+    """Causes, places and changes found, each with what to look at and what it gains."""
     gains = {item.cause: (item.gain, item.gain_sigma) for item in result.budget}
     what = {"confirm": "Confirm before anything is changed", "mend": "Look, confirm and put right"}
     several: tuple[Cause | Located, ...] = (*result.effects, *result.located)
@@ -102,21 +105,53 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
         else:
             lost = f": {_LOST}" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=suspects(one))
+    for change in result.moved:
+        again = _AGAIN.format(change.between[1].rpartition("/")[2])
+        if kind == "confirm":
+            yield Action(kind, what[kind], options=suspects(change))
+        elif abs(change.after) < abs(change.before):
+            yield Action(
+                "confirm", f"Confirm what was put right; {again}", options=suspects(change)
+            )
+        else:
+            gain = (math.nan, math.nan)
+            gain = gain if loses(change) else gains.get(change.parameter, gain)
+            words = f"Look, confirm and put back, or correct for it; {again}"
+            yield Action(kind, words, *gain, options=suspects(change))
 
 
-def loses(found: Cause | Located) -> bool:
+def loses(found: Cause | Located | Change) -> bool:
     """Whether it may be lost motion, which the tool's expected errors leave out."""
     if isinstance(found, Located):
         return any(curve.place.loses for curve in found.members)
-    of = found.chosen.catalogue.effect_of
-    return any("approach" in of(name).needs for name in found.chosen.parameters)
+    one = found.chosen if isinstance(found, Cause) else found
+    names = found.members if isinstance(found, Change) else found.parameters
+    return any("approach" in one.catalogue.effect_of(name).needs for name in names)
 
 
-def suspects(found: Cause | Located) -> tuple[Suspect, ...]:
+def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:
     """What to look at for everything in a credible set."""
+    if isinstance(found, Change):
+        return tuple(_changed(found, k) for k in range(len(found.members)))
     if isinstance(found, Cause):
         return tuple(Suspect(e.words, e.look_at, confirm(e)) for e in found.explanations)
     return tuple(Suspect(c.place.words, c.place.look_at, confirm_place(c)) for c in found.members)
+
+
+def _changed(change: Change, k: int) -> Suspect:
+    """What the k-th of the parameters that may have changed is now, or was and is no more."""
+    name = change.members[k]
+    effect = change.catalogue.effect_of(name)
+    # Each of a class has a size of its own; since a calibration they share what they sum up to.
+    if k and (change.sizes or not math.isfinite(change.moved[name])):
+        return Suspect(change.words[k], effect.look_at, "")
+    now = change.is_cause or abs(change.after) > abs(change.before)
+    value = change.after if now else change.before
+    said = f"{'now' if now else 'before'}: {cause_words(change.catalogue, name, {name: value})}"
+    test = "" if name.member or effect.of_dial else confirm_words(effect, name, value)
+    return Suspect(
+        said, effect.look_at, test if now or not test else f"{test} if it is there still"
+    )
 
 
 def confirm_place(curve: Curve) -> str:
@@ -143,8 +178,6 @@ def confirm_place(curve: Curve) -> str:
 
 def confirm(one: Explanation) -> str:
     """The test that confirms a cause, with the reading to expect; empty of several parameters."""
-    from orthoglide.effects.wording import confirm_words
-
     if len(one.parameters) > 1:
         return ""
     name = one.parameters[0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from orthoglide.effects.words import toward
+from orthoglide.fit import Change
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
@@ -37,7 +39,7 @@ class Picture:
 
     def svg(self, alone: bool = False) -> str:
         """The drawing; ``alone``: as a file of its own."""
-        title = "The machine, what is wrong marked on it" if self.options else "The machine"
+        title = "The machine, what was found marked on it" if self.options else "The machine"
         return drawing(
             self.posed, self.options, self.dials, title=title, shown=self.first, alone=alone
         )
@@ -56,10 +58,23 @@ def picture(result: Result) -> Picture:
     for found in result.located:
         first.append(len(options))
         options += [_placed(machine, curve) for curve in found.members]
+    for change in result.moved:
+        first.append(len(options))
+        options += _moved(machine, change)
     if result.word == "unexplained" and result.rest and result.request.searches:
-        first.append(0)
+        first.append(len(options))
         options.append(_left(result))
     return Picture(posed, stand, tuple(options), tuple(first))
+
+
+def _moved(machine: Machine, change: Change) -> list[Option]:
+    """What may have changed, each on its part, the way and as far as it went."""
+    options = []
+    for words, (name, by) in zip(change.words, change.moved.items(), strict=True):
+        made = option(machine, words, {name: by} if math.isfinite(by) else {})
+        marks = (replace(m, label=m.label and f"changed by {m.label}") for m in made.marks)
+        options.append(replace(made, marks=tuple(marks)))
+    return options
 
 
 def _placed(machine: Machine, curve: Curve) -> Option:
@@ -93,6 +108,7 @@ def view_of(result: Result) -> View:
     machine = result.machine
     explained: list[Explanation] = [e for c in result.effects for e in c.explanations]
     causes: list[Shown] = [(one.words, one.values) for one in explained]
+    causes += [(c.words[0], {c.parameter: c.after - c.before}) for c in result.moved]
     values, of = result.values_before, result.catalogue.effect_of
     for place in (curve.place for found in result.located for curve in found.members):
         own = {n: v for n, v in machine.values.items() if of(n).name == place.effect.name}

@@ -212,7 +212,17 @@ class Result(Framed):
     @cached_property
     def budget(self) -> tuple[BudgetItem, ...]:
         """What is wrong by what mending it gains, largest first; none of ``identify``."""
-        return () if self.posterior is None else budget(self.posterior, self.effects)
+        if self.posterior is None:
+            return ()
+        still = {c.parameter: c.members for c in self.moved if c.is_cause}
+        return budget(self.posterior, still | {c.name: c.every for c in self.effects})
+
+    @cached_property
+    def moved(self) -> tuple[Change, ...]:
+        """Changes of which no cause found tells already."""
+        told = {n for c in self.effects for e in c.explanations for n in e.parameters}
+        told = {self.catalogue.parameter(n).plain for n in told}
+        return tuple(c for c in self.changed if not told.intersection(c.members))
 
     # --- What is left -----------------------------------------------------------------------
 
