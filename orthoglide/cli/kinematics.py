@@ -113,13 +113,14 @@ def _run(
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
     from orthoglide.observations.columns import (
+        APPROACHED,
         DIRECTION_OF_MOVE,
         POINT,
         RHO,
-        approach_of,
+        TRAVELLED,
+        by_leg,
         columns,
         command_names,
-        names_of,
     )
     from orthoglide.observations.table import read_table
 
@@ -129,9 +130,9 @@ def _run(
     if solve is _forward:
         names, new = command_names(rows, machine.spec), POINT
     else:
-        names, new = POINT, RHO if machine.geometry.dialled else names_of(legs)[0]
+        names, new = POINT, RHO if machine.geometry.dialled else by_leg(TRAVELLED, legs)
     given, travelled = _columns(rows, names), names[0].startswith("travel")
-    arrives = approach_of(legs)
+    arrives = by_leg(APPROACHED, legs)
     known = set(arrives) <= set(rows.names)
     seen = {"approach": columns(rows, arrives, DIRECTION_OF_MOVE)} if known else {}
     found = solve(machine, given, travelled, rows.fail, seen)

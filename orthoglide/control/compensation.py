@@ -17,7 +17,7 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import POINT, approach_of, names_of
+from orthoglide.observations.columns import APPROACHED, POINT, TRAVELLED, by_leg
 from orthoglide.prediction import Conditions
 
 RESOLUTION = 1e-9
@@ -83,10 +83,10 @@ class Compensation(Framed):
         ends = (self.residual, self.shape, np.full(len(self), self.place), self.accuracy)
         groups: dict[tuple[str, ...], Array] = {
             POINT: self.wanted * 1e3,
-            tuple(f"rho_{leg}_mm" for leg in self.legs): self.rho * 1e3,
-            names_of(self.legs)[0]: self.travel * 1e3,
-            approach_of(self.legs): self.approach,
-            tuple(f"sigma_{axis}_mm" for axis in LEGS): self.shape_sigma * 1e3,
+            by_leg("rho_{}_mm", self.legs): self.rho * 1e3,
+            by_leg(TRAVELLED, self.legs): self.travel * 1e3,
+            by_leg(APPROACHED, self.legs): self.approach,
+            by_leg("sigma_{}_mm"): self.shape_sigma * 1e3,
             _ENDS: np.column_stack([*ends, self.error_before]) * 1e3,
         }
         return {n: v[:, k].tolist() for names, v in groups.items() for k, n in enumerate(names)}

@@ -20,44 +20,35 @@ from numpy.typing import NDArray
 from orthoglide.geometry import Array, Geometry
 from orthoglide.urdf import Closure, closures, to_urdf
 
-
-@dataclass(frozen=True)
-class Extra:
-    """A joint that the URDF lacks: its name within the leg and its Pinocchio model."""
-
-    name: str
-    joint: Callable[[], Any]
+Joint = Callable[[], Any]
+"""Makes the Pinocchio model of a joint that the URDF lacks."""
 
 
-def _slide(x: float, y: float, z: float) -> Callable[[], Any]:
+def _slide(x: float, y: float, z: float) -> Joint:
     return lambda: pin.JointModelPrismaticUnaligned(np.array([x, y, z]))
 
 
 # Joints that follow a URDF joint and carry all that is behind it; the leg's a, b, c = x, y, z.
-BEHIND: dict[str, tuple[Extra, ...]] = {
-    "slide": (
-        Extra("travel", pin.JointModelPX),
-        Extra("lateral_b", pin.JointModelPY),
-        Extra("lateral_c", pin.JointModelPZ),
-        Extra("turn_a", pin.JointModelRX),
-        Extra("turn_b", pin.JointModelRY),
-        Extra("turn_c", pin.JointModelRZ),
-    ),
-    "bar1": (Extra("stretch1", _slide(-1, 0, 0)),),
-    "bar2": (Extra("stretch2", _slide(-1, 0, 0)),),
-    "knuckle": (Extra("width1", _slide(0, 0, -1)),),
-}
+BEHIND: dict[str, dict[str, Joint]] = {
+    "slide": {
+        "travel": pin.JointModelPX, "lateral_b": pin.JointModelPY, "lateral_c": pin.JointModelPZ,
+        "turn_a": pin.JointModelRX, "turn_b": pin.JointModelRY, "turn_c": pin.JointModelRZ,
+    },
+    "bar1": {"stretch1": _slide(-1, 0, 0)},
+    "bar2": {"stretch2": _slide(-1, 0, 0)},
+    "knuckle": {"width1": _slide(0, 0, -1)},
+}  # fmt: skip
 
 # Relief joints stand before a URDF joint: the bar's torsion at bar 1's tip, and a revolute about
 # the short link at bar 2's root. A torsion placed nearer to the carriage gives another machine.
-BEFORE: dict[str, Extra] = {
-    "knuckle": Extra("relief_bar", pin.JointModelRX),
-    "bar2": Extra("relief_link", pin.JointModelRZ),
+BEFORE: dict[str, tuple[str, Joint]] = {
+    "knuckle": ("relief_bar", pin.JointModelRX),
+    "bar2": ("relief_link", pin.JointModelRZ),
 }
 
 # A joint between a body and one of its frames: here the short link's far end, so that the platform
 # keeps to the middle of a link that is too wide.
-BEFORE_FRAME: dict[str, Extra] = {"knuckle_tip": Extra("width2", _slide(0, 0, -1))}
+BEFORE_FRAME: dict[str, tuple[str, Joint]] = {"knuckle_tip": ("width2", _slide(0, 0, -1))}
 
 VIRTUAL_NAMES: tuple[str, ...] = (
     "travel", "lateral_b", "lateral_c", "turn_a", "turn_b", "turn_c",
@@ -165,12 +156,12 @@ def _with_extras(source: pin.Model) -> pin.Model:
         leg, _, name = source.names[j].partition("_")
         parent, placement = carrier[source.parents[j]], source.jointPlacements[j]
         if name in BEFORE:
-            extra = BEFORE[name]
-            parent = add(parent, extra.joint(), placement, f"{leg}_{extra.name}")
+            extra, joint = BEFORE[name]
+            parent = add(parent, joint(), placement, f"{leg}_{extra}")
             placement = pin.SE3.Identity()
         here = add(parent, source.joints[j], placement, source.names[j])
-        for extra in BEHIND.get(name, ()):
-            here = add(here, extra.joint(), pin.SE3.Identity(), f"{leg}_{extra.name}")
+        for extra, joint in BEHIND.get(name, {}).items():
+            here = add(here, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
         carrier[j] = here
         model.appendBodyToJoint(here, source.inertias[j], pin.SE3.Identity())
     _copy_frames(source, model, carrier)
@@ -184,8 +175,6 @@ def _copy_frames(source: pin.Model, model: pin.Model, carrier: dict[int, int]) -
         if frame.type != pin.FrameType.BODY:
             continue
         if name in BEFORE_FRAME:
-            extra = BEFORE_FRAME[name]
-            parent = int(
-                model.addJoint(parent, extra.joint(), pin.SE3.Identity(), f"{leg}_{extra.name}")
-            )
+            extra, joint = BEFORE_FRAME[name]
+            parent = int(model.addJoint(parent, joint(), pin.SE3.Identity(), f"{leg}_{extra}"))
         model.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, pin.FrameType.OP_FRAME))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from orthoglide.geometry import LEGS, Array
@@ -26,10 +28,17 @@ from orthoglide.units import NOISE
 MM = 1e-3
 NAN = float("nan")
 
-RHO = tuple(f"rho_{leg}_mm" for leg in LEGS)
-TRAVEL = tuple(f"travel_{leg}_mm" for leg in LEGS)
-APPROACH = tuple(f"approach_{leg}" for leg in LEGS)
-POINT = tuple(f"p_{leg}_mm" for leg in LEGS)
+TRAVELLED, SECOND, APPROACHED = "travel_{}_mm", "travel_{}2_mm", "approach_{}"
+"""Columns of the controller's values, of a distance's second command, of each drive's last move."""
+
+
+def by_leg(column: str, legs: tuple[str, str, str] = LEGS) -> tuple[str, ...]:
+    """The three columns of a quantity that every leg, or base axis, has."""
+    return tuple(column.format(leg) for leg in legs)
+
+
+RHO, TRAVEL = by_leg("rho_{}_mm"), by_leg(TRAVELLED)
+APPROACH, POINT = by_leg(APPROACHED), by_leg("p_{}_mm")
 
 SETUP_COLUMNS: dict[str, Column] = {
     "setup": Column(label),
@@ -72,21 +81,10 @@ READING_MRAD = Column(number(MM), NAN)
 SIGMA_MRAD = Column(positive(MM, TURNS), NAN)
 
 
-def names_of(leg_names: tuple[str, str, str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Columns of travel and of the second command of a distance, for legs of these names."""
-    travel = tuple(f"travel_{leg}_mm" for leg in leg_names)
-    return travel, tuple(f"travel_{leg}2_mm" for leg in leg_names)
-
-
-def approach_of(leg_names: tuple[str, str, str]) -> tuple[str, ...]:
-    """Columns of the direction of each drive's last move."""
-    return tuple(f"approach_{leg}" for leg in leg_names)
-
-
 def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
     """The three columns that hold the commands: joint coordinates or the controller's values."""
     if machine is not None and not machine.geometry.dialled:
-        return names_of(machine.geometry.leg_names)[0]
+        return by_leg(TRAVELLED, machine.geometry.leg_names)
     if "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"
@@ -110,6 +108,14 @@ def _agree(table: Table, machine: MachineFile) -> bool:
 def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
     """Several columns of numbers ``(n, k)``."""
     return np.array([table.values(name, column) for name in names], dtype=float).T
+
+
+def fields_of(table: Table) -> dict[str, Any]:
+    """What the rows have of their own as fields of a campaign, but for their kind."""
+    own = {key: column for key, column in ROW_COLUMNS.items() if key != "kind"}
+    found = {key.partition("_")[0]: table.values(key, column) for key, column in own.items()}
+    whole = {"order": order_of(table), "posture": tuple(found["posture"])}
+    return found | whole | {"line": table.lines, "file": table.file, "sha256": table.sha256}
 
 
 def order_of(table: Table) -> Ints:

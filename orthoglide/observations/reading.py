@@ -23,6 +23,7 @@ from orthoglide.observations.columns import (
     approaches,
     command_names,
     commands,
+    fields_of,
     order_of,
 )
 from orthoglide.observations.table import Column, Table, frame_table, read_table
@@ -114,22 +115,14 @@ def campaign_of_table(
     setups, setup = _setups(read)
     command, order = commands(table, names, machine), order_of(table)
     moves = Moves(command[moved], order[moved], np.array(table.lines)[moved])
-    fields: dict[str, Any] = {
-        key.partition("_")[0]: read.values(key, column) for key, column in ROW_COLUMNS.items()
-    }
-    del fields["kind"]
-    fields |= {"order": order[~moved], "posture": tuple(fields["posture"])}
     campaign = Campaign(
         name=name,
         setups=setups,
         setup=setup,
         command=command[~moved],
         approach=approaches(read, APPROACH, command[~moved], order[~moved], moves),
-        line=np.array(read.lines),
-        file=table.file,
-        sha256=table.sha256,
         moves=moves,
-        **fields,
+        **(fields_of(read) | {"order": order[~moved]}),
     )
     if require_readings:
         check_filled(campaign.reading, read.fail)

@@ -17,6 +17,7 @@ from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import MAYBE, MAYBE_VECTOR, VECTOR, WHOLE, hold
 from orthoglide.observations.checks import HARDLY, Fail
 from orthoglide.observations.columns import (
+    APPROACHED,
     DIRECTION_OF_MOVE,
     MM,
     NAN,
@@ -24,11 +25,11 @@ from orthoglide.observations.columns import (
     RHO,
     ROW_COLUMNS,
     TRAVEL,
-    approach_of,
+    TRAVELLED,
+    by_leg,
     columns,
     command_names,
     commands,
-    names_of,
 )
 from orthoglide.observations.table import Column, Table, number, read_table, rows_table
 
@@ -83,7 +84,7 @@ class TcpPoints(Framed):
     def columns(self) -> dict[str, list[Any]]:
         """A row a point: the command and what was measured, in millimetres."""
         values = np.hstack([self.command, self.p, self.sigma[:, None]]) * 1e3
-        commanded = RHO if self.legs == LEGS else names_of(self.legs)[0]
+        commanded = RHO if self.legs == LEGS else by_leg(TRAVELLED, self.legs)
         names = (*commanded, *POINT, "sigma_mm")
         return {name: values[:, k].tolist() for k, name in enumerate(names)}
 
@@ -125,7 +126,7 @@ def tcp_from_rows(
 
 def _tcp(table: Table, machine_file: MachineFile | None) -> TcpPoints:
     machine = machine_file or nominal_machine_file()
-    names, approach = command_names(table, machine), approach_of(machine.geometry.leg_names)
+    names, approach = command_names(table, machine), by_leg(APPROACHED, machine.geometry.leg_names)
     known = (*names, *RHO, *TRAVEL, *approach, *POINT, "sigma_mm")
     warnings = table.check_names(known, (*names, *POINT))
     points = TcpPoints(

@@ -15,17 +15,19 @@ from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import Fail, check_sequence
 from orthoglide.observations.columns import (
+    APPROACHED,
     READING_MRAD,
     RHO,
     ROW_COLUMNS,
     SETUP_COLUMNS,
     SIGMA_MRAD,
     TOOL_COLUMNS,
-    approach_of,
+    TRAVELLED,
     approaches,
+    by_leg,
     command_names,
     commands,
-    names_of,
+    fields_of,
     order_of,
 )
 from orthoglide.observations.reading import campaign_of_table
@@ -111,11 +113,11 @@ def readings_of_table(
 
 def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
     legs = machine.geometry.leg_names
-    names, approach = command_names(table, machine), approach_of(legs)
-    second = _second_names(names, legs)
+    names, approach = command_names(table, machine), by_leg(APPROACHED, legs)
+    second = by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)
     known = (
         *TOOL_COLUMNS, *ROW_COLUMNS, *SETUP_COLUMNS, *names, *second, *approach, *RHO,
-        *names_of(legs)[0], "reading_mrad", "sigma_mrad",
+        *by_leg(TRAVELLED, legs), "reading_mrad", "sigma_mrad",
     )  # fmt: skip
     kinds = table.values("kind", TOOL_COLUMNS["kind"])
     reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
@@ -124,9 +126,9 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
     check_sequence(command, order, table.lines, table.fail)
     setups, setup = _setups(table, kinds)
     direction = _directions(table, kinds)
-    row: dict[str, Any] = {key.partition("_")[0]: table.values(key, c)
-                           for key, c in ROW_COLUMNS.items()
-                           if key not in ("kind", "order", "reading_mm", "sigma_mm")}  # fmt: skip
+    fields = fields_of(table)
+    fields["reading"] = _either(table, kinds, "reading_mm", "reading_mrad")
+    fields["sigma"] = _either(table, kinds, "sigma_mm", "sigma_mrad")
     made = ToolCampaign(
         name=name,
         setups=setups,
@@ -136,22 +138,11 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
         command=command,
         second=_second(table, second, kinds, machine),
         approach=approaches(table, approach, command, order),
-        order=order,
-        reading=_either(table, kinds, "reading_mm", "reading_mrad"),
-        sigma=_either(table, kinds, "sigma_mm", "sigma_mrad"),
-        line=np.array(table.lines),
-        file=table.file,
-        sha256=table.sha256,
         warnings=warnings,
-        **(row | {"posture": tuple(row["posture"])}),
+        **fields,
     )
     check_tool(made, table.fail)
     return made
-
-
-def _second_names(names: tuple[str, ...], legs: tuple[str, str, str]) -> tuple[str, ...]:
-    kind = names[0].partition("_")[0]
-    return tuple(f"{kind}_{leg}2_mm" for leg in legs)
 
 
 def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:

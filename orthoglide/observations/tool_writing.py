@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations.columns import MM, names_of
+from orthoglide.observations.columns import APPROACHED, MM, SECOND, TRAVELLED, by_leg
 from orthoglide.observations.tool import DIRECTED, ToolCampaign
 from orthoglide.observations.writing import Row, numbers, rows_of, shown_commands, signs
 
@@ -38,18 +38,18 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "reading_mrad": angles.any(),
         "sigma_mm": np.isfinite(campaign.sigma[~angles]).any(),
         "sigma_mrad": np.isfinite(campaign.sigma[angles]).any(),
-        **dict.fromkeys(names_of(legs)[1], campaign.of_kind("distance").any()),
+        **dict.fromkeys(by_leg(SECOND, legs), campaign.of_kind("distance").any()),
     }
     columns: dict[str, Sequence[Any]] = {
         "kind": kinds,
         "setup": [campaign.setups[k].name for k in campaign.setup],
         "direction": named,
         "posture": campaign.posture,
-        **shown_commands(campaign.command, machine, names_of(legs)[0]),
-        **shown_commands(campaign.second, machine, names_of(legs)[1]),
+        **shown_commands(campaign.command, machine, by_leg(TRAVELLED, legs)),
+        **shown_commands(campaign.second, machine, by_leg(SECOND, legs)),
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
-        **{f"approach_{leg}": signs(campaign.approach[:, k]) for k, leg in enumerate(legs)},
+        **{n: signs(campaign.approach[:, k]) for k, n in enumerate(by_leg(APPROACHED, legs))},
         "time_s": numbers(campaign.time),
         "temperature_C": numbers(campaign.temperature),
         "load_N": numbers(campaign.load),

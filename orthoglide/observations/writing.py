@@ -14,12 +14,13 @@ from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.columns import (
     APPROACH,
+    APPROACHED,
     MM,
     POINT,
     RHO,
     TRAVEL,
-    approach_of,
-    names_of,
+    TRAVELLED,
+    by_leg,
 )
 from orthoglide.observations.tcp import TcpPoints
 
@@ -94,10 +95,10 @@ def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list
     shown = _commands(points.command, None)
     if machine_file is not None and not machine_file.geometry.dialled:
         legs = machine_file.geometry.leg_names
-        shown = shown_commands(points.command, machine_file, names_of(legs)[0])
+        shown = shown_commands(points.command, machine_file, by_leg(TRAVELLED, legs))
     columns = shown | {name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)}
     if points.approach.any():
-        named = enumerate(approach_of(legs))
+        named = enumerate(by_leg(APPROACHED, legs))
         columns |= {name: signs(points.approach[:, axis]) for axis, name in named}
     if np.isfinite(points.sigma).any():
         columns["sigma_mm"] = numbers(points.sigma, MM)

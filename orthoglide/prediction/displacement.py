@@ -68,15 +68,15 @@ def displacement_tangent(function: Any) -> Any:
     )
 
 
-def displacement_by_condition(function: Any, places: slice) -> Any:
-    """Derivative ``(30, k)`` of the displacements by some conditions: ``COMMAND`` or ``FORCE``.
+def displacement_by_conditions(function: Any) -> Any:
+    """Derivative ``(30, 11)`` of the displacements by the conditions.
 
     What rails and drives do follows the command, and the give of drives the force on them.
     """
     theta = ca.SX.sym("theta", function.size1_in(0))
     seen = ca.SX.sym("conditions", function.size1_in(1))
-    by_seen = ca.jacobian(function(theta, seen), seen)[:, places]
-    return ca.Function("displacement_by_condition", [theta, seen], [ca.densify(by_seen)])
+    by_seen = ca.jacobian(function(theta, seen), seen)
+    return ca.Function("displacement_by_conditions", [theta, seen], [ca.densify(by_seen)])
 
 
 def leg_conditions(

@@ -33,7 +33,7 @@ from orthoglide.prediction.dial import (
 from orthoglide.prediction.displacement import (
     COMMAND,
     FORCE,
-    displacement_by_condition,
+    displacement_by_conditions,
     displacement_function,
     displacement_tangent,
     leg_conditions,
@@ -144,12 +144,8 @@ class Model:
         return Mapped(displacement_tangent(self.displacement))
 
     @cached_property
-    def _displacement_by_command(self) -> Mapped:
-        return Mapped(displacement_by_condition(self.displacement, COMMAND))
-
-    @cached_property
-    def _displacement_by_force(self) -> Mapped:
-        return Mapped(displacement_by_condition(self.displacement, FORCE))
+    def _displacement_by_conditions(self) -> Mapped:
+        return Mapped(displacement_by_conditions(self.displacement))
 
     @cached_property
     def reading(self) -> Any:
@@ -203,11 +199,10 @@ class Model:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
         batch, given = self.closing(values, conditions)
         _, by_given = batch.tangent(batch.close(given), given)
-        theta, seen = self.vector(values), self.seen(conditions)
-        (moves,) = self._displacement_by_command(theta, seen)
+        (by_seen,) = self._displacement_by_conditions(self.vector(values), self.seen(conditions))
+        moves = by_seen[:, :, COMMAND]
         if conditions.load.any():
-            (by_force,) = self._displacement_by_force(theta, seen)
-            moves = moves + by_force @ force_by_command(self.mechanism, conditions)
+            moves = moves + by_seen[:, :, FORCE] @ force_by_command(self.mechanism, conditions)
         by_virtual = by_given[:, :3, 3 : 3 + moves.shape[1]]
         return np.asarray(by_given[:, :3, :3] + by_virtual @ moves)
 
