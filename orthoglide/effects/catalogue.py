@@ -170,9 +170,13 @@ class Catalogue(Mapping[str, Effect]):
         return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
 
     def moved_by(self, values: Mapping[str, float]) -> dict[Parameter, float]:
-        """Single parameters of the machine by what names stand for, campaigns and dials apart."""
+        """Single parameters of the machine by what names stand for, those of dials left out.
+
+        Of what campaigns have for themselves the last one's, which is the machine as it is now.
+        """
         found: dict[Parameter, float] = {}
-        for name, value in self.of_machine(values).items():
+        now = {self.parameter(n).plain: v for n, v in self.of_machine(values).items()}
+        for name, value in now.items():
             for part, weight in self.elementary(name).items():
                 plain = self.parameter(part).plain
                 found[plain] = found.get(plain, 0.0) + weight * value
