@@ -315,3 +315,17 @@ def test_single_coordinates_in_a_turned_frame_are_refused(tmp_path: Path) -> Non
     turned = np.stack([-p[:, 1], p[:, 0], p[:, 2]], axis=1)[np.arange(len(p)), campaign.axis]
     with pytest.raises(og.InputError, match="turned, its x, y, z being −y, x, z of the machine"):
         og.identify([replace(campaign, reading=turned)], MACHINE)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("ballbar", 1.5e-4), ("tcp", 4e-4)])
+def test_a_slip_of_an_exact_instrument_is_told(kind: str, size: float, tmp_path: Path) -> None:
+    """Far less than a bed's bumps, and many times its noise; a cause besides is no slip."""
+    (campaign,) = read(tmp_path, text((kind, "plate"), noise=2e-6))
+    assert isinstance(campaign, ToolCampaign)
+    og.close_loop([campaign], MACHINE)
+    wrong = campaign.reading.copy()
+    wrong[8] += size
+    with pytest.raises(
+        InputError, match=rf"tool.csv, line 10: {size * 1e3:.1g}\d* mm off what all"
+    ):
+        og.close_loop([replace(campaign, reading=wrong)], MACHINE)
