@@ -33,6 +33,18 @@ NOISE = (1e-9, 1e-3)
 
 MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
 
+MISTAKEN = {
+    1e3: "in metres instead of millimetres",
+    1e-3: "in micrometres instead of millimetres",
+    25.4: "in inches instead of millimetres",
+    1 / 25.4: "in millimetres taken for inches",
+    10.0: "in centimetres, or with the decimal point one place off",
+    0.1: "with the decimal point one place off",
+    100.0: "in hundredths, or with the decimal point two places off",
+    0.01: "in hundredths of a millimetre",
+}
+"""What to multiply readings with, and what that says of them."""
+
 
 def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:
     """The SI value nearest to a decimal given in a unit worth ``factor`` (a power of ten)."""

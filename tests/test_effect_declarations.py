@@ -18,6 +18,7 @@ from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.loading import load_effects
 from orthoglide.effects.motions import constant, sideways
+from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words
 from orthoglide.errors import InputError
 from orthoglide.prediction import Conditions, Model
@@ -263,3 +264,11 @@ def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path
     assert "--effects-file" in without.output
     again = CliRunner().invoke(cli, ["rerun", str(out / "result.json"), *effects])
     assert again.exit_code == 0, again.output
+
+
+def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:
+    """The sheets' own mountings have names such as ``xy-0.5``."""
+    for setup in ("xy-0.5", "leg x, left"):
+        for place in dial_places(setup, 0, (0.0, 60.0), (0.0, 1e-3)):
+            assert place.effect.name.isidentifier()
+            assert setup in place.words

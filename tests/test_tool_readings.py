@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import orthoglide as og
 from orthoglide.effects.printers import of_printers
@@ -255,3 +256,62 @@ def test_a_delta_from_python_alone() -> None:
     offsets = [estimate.values[f"joint_offset.{leg}"] for leg in "abc"]
     assert offsets[0] - (offsets[1] + offsets[2]) / 2 == pytest.approx(3e-4, abs=3e-4)
     assert estimate.scores.rms < 2e-5 < estimate.nominal.rms
+
+
+MEANT = {
+    "metres": (("tcp",), 1e-3, "in metres instead of millimetres"),
+    "inches": (("distance",), 1 / 25.4, "in inches instead of millimetres"),
+    "micrometres": (("ballbar",), 1e3, "in micrometres instead of millimetres"),
+}
+
+
+@pytest.mark.parametrize("unit", MEANT)
+def test_another_unit_is_told_before_any_fit(unit: str, tmp_path: Path) -> None:
+    kinds, factor, said = MEANT[unit]
+    (campaign,) = read(tmp_path, text((*kinds, "plate"), noise=2e-5))
+    assert isinstance(campaign, ToolCampaign)
+    rows = campaign.of_kind(kinds[0])
+    wrong = replace(campaign, reading=np.where(rows, factor, 1.0) * campaign.reading)
+    with pytest.raises(og.InputError, match=f"tool.csv, setup '{kinds[0]}-1': .*{said}"):
+        og.identify([wrong], MACHINE)
+    og.identify([campaign], MACHINE)
+
+
+def coordinates(turn: np.ndarray) -> str:
+    """All three coordinates of every place, in a frame of the tracker's own; one of them twice."""
+    commands = MACHINE.inverse(places())
+    commands[7] = commands[3]
+    lines, p = [HEAD], TRUE.forward(commands) @ turn.T + [0.3, -0.2, 1.5]
+    for command, place in zip(commands, p, strict=True):
+        at = ",".join(f"{v * 1e3:.9f}" for v in command)
+        lines += [
+            f"tcp,tracker,{n},{at},,,,{v * 1e3:.9f},\n" for n, v in zip("xyz", place, strict=True)
+        ]
+    return "".join(lines)
+
+
+def test_the_frame_of_a_tracker_may_be_turned_but_not_left_handed(tmp_path: Path) -> None:
+    free = [*MACHINE.catalogue.base, "axis_tilt.tangential.common"]
+
+    def found(turn: np.ndarray) -> og.Estimate:
+        return og.identify(list(read(tmp_path, coordinates(turn))), MACHINE, free, noise=1e-6)
+
+    straight = found(np.eye(3))
+    for axis, angle in (([0.0, 0.0, 1.0], 1.57), ([0.6, 0.8, 0.0], 0.09), ([0.0, 0.6, 0.8], 2.5)):
+        turned = found(Rotation.from_rotvec(angle * np.array(axis)).as_matrix())
+        assert np.abs(turned.x - straight.x).max() < 1e-6
+    mirror = np.diag([1.0, -1.0, 1.0])
+    with pytest.raises(og.InputError, match="left-handed, its x, y, z being x, −y, z of the mach"):
+        found(mirror)
+    with pytest.raises(og.InputError, match="the frame of the instrument is left-handed; give"):
+        found(Rotation.from_rotvec([0.5, 0.4, 0.3]).as_matrix() @ mirror)
+
+
+def test_single_coordinates_in_a_turned_frame_are_refused(tmp_path: Path) -> None:
+    """Which cannot be turned back: of every place one coordinate alone was read."""
+    (campaign,) = read(tmp_path, text(("tcp",), noise=2e-5))
+    assert isinstance(campaign, ToolCampaign)
+    p = TRUE.forward(campaign.command)
+    turned = np.stack([-p[:, 1], p[:, 0], p[:, 2]], axis=1)[np.arange(len(p)), campaign.axis]
+    with pytest.raises(og.InputError, match="turned, its x, y, z being −y, x, z of the machine"):
+        og.identify([replace(campaign, reading=turned)], MACHINE)

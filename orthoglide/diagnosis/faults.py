@@ -11,24 +11,13 @@ from numpy.typing import NDArray
 
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS
+from orthoglide.units import MISTAKEN
 
 Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck", "scatter"]
 Rows = NDArray[np.int64]
 
 EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
-
-UNITS = {
-    1e3: "in metres instead of millimetres",
-    1e-3: "in micrometres instead of millimetres",
-    25.4: "in inches instead of millimetres",
-    1 / 25.4: "in millimetres taken for inches",
-    10.0: "in centimetres, or with the decimal point one place off",
-    0.1: "with the decimal point one place off",
-    100.0: "in hundredths, or with the decimal point two places off",
-    0.01: "in hundredths of a millimetre",
-}
-"""What to multiply readings with, and what that says of them."""
 
 _SHOWN = 12  # lines that a message lists one by one
 
@@ -124,10 +113,10 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 "labels"
             )
         case "unit":
-            factor = min(UNITS, key=lambda f: abs(np.log(f / fault.size)))
+            factor = min(MISTAKEN, key=lambda f: abs(np.log(f / fault.size)))
             return (
                 f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
-                f"be {UNITS[factor]}: put this setup into millimetres"
+                f"be {MISTAKEN[factor]}: put this setup into millimetres"
             )
         case "scatter":
             return (

@@ -8,10 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
-from orthoglide.diagnosis.faults import UNITS, Fault, Kind, Rows, in_order
+from orthoglide.diagnosis.faults import Fault, Kind, Rows, in_order
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
+from orthoglide.units import MISTAKEN
 
 _OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
@@ -55,7 +56,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
     order = {s: in_order(problem, s) for s in setups}
     for s, rows in order.items():
         add("sign", rows, (s,), -1.0, -measured[rows])
-        for factor in UNITS:
+        for factor in MISTAKEN:
             add("unit", rows, (s,), factor, factor * measured[rows])
     commands = np.concatenate([c.command for c in problem.campaigns])
     predicted = _under_each_label(problem, means.signatures.estimate.x)

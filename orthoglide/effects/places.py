@@ -6,6 +6,7 @@ effects of the catalogue compete with them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -115,7 +116,7 @@ class Place:
         unit = RAD if self.turns else MM
         words = self.words
         return Effect(
-            self.name.replace(".", "_").replace("/", "_"),
+            re.sub(r"\W", "_", self.name),  # a setup may be called anything
             unit,
             self.unit / unit.si,
             because="what no known shape explains is a few hundredths",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.fit.noise import station_table
-from orthoglide.geometry import Array, moved_onto
+from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, Recorded, TcpPoints
 from orthoglide.prediction import Conditions, LinearRows, Model
 
@@ -248,18 +248,3 @@ class TcpReadings:
         kept = np.abs(columns).max(axis=0, initial=0.0) > 0
         count = int(kept.sum())
         return Block(columns[:, kept], np.full(count, np.inf), np.zeros(count, dtype=bool))
-
-
-def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
-    """Points in a frame turned by a large angle, brought near the machine's by a rigid motion.
-
-    What is left of the turn is small and is fitted. Points with missing coordinates cannot be
-    turned, and stay as they are where any coordinate is missing.
-
-    Args:
-        points: measured.
-        p: about where the machine has them ``(n, 3)``, metres.
-    """
-    if len(points) < 4 or not np.isfinite(points.p).all():
-        return points
-    return replace(points, p=moved_onto(points.p, points.p, p))

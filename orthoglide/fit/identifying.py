@@ -13,7 +13,9 @@ from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.fit.doubts import check_slips, check_units
 from orthoglide.fit.earlier import account_for_changes, earlier_of
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.factors import Frame, TcpReadings, turned_to
+from orthoglide.fit.factors import Frame, TcpReadings
+from orthoglide.fit.instrument_frame import turned_back, turned_to
+from orthoglide.fit.meant import check_meant
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.problem import Beside, Problem
 from orthoglide.fit.solving import Method, solve
@@ -186,8 +188,10 @@ def _beside(
     points: TcpPoints | ToolCampaign, machine: Machine, frame: Frame, sigma: float | None
 ) -> Beside:
     """Points as readings; a large turn of the instrument's frame is taken out beforehand."""
+    p = machine.forward(points.command)
     if isinstance(points, ToolCampaign):
-        return ToolReadings.of(points, machine, sigma)
+        check_meant(points, machine)
+        return ToolReadings.of(turned_back(points, p), machine, sigma)
     if len(points) < 3:
         raise InputError(
             f"{points.name}: these are too few TCP points to identify anything: measure three or "
@@ -196,7 +200,8 @@ def _beside(
     if sigma is not None:
         points = replace(points, sigma=np.full(len(points), sigma))
     if frame == "rigid":
-        points = turned_to(points, machine.forward(points.command))
+        points = turned_to(points, p)
+    check_meant(points, machine)
     return TcpReadings(points, frame)
 
 

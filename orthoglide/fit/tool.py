@@ -67,7 +67,7 @@ class ToolReadings(OfFile):
         for k, setup in enumerate(campaign.setups):
             rows = campaign.setup == k
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
-            found = _centre(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
+            found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
         height = p[:, 2] - campaign.reading
         sigma = _sigma(campaign, machine.spec.instruments, noise, place, height)
@@ -278,7 +278,7 @@ def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:
     return max(found, _LEAST * REPEATABILITY[kind])  # readings that all agree have a coarse step
 
 
-def _centre(p: Array, distance: Array) -> Array:
+def centre_of(p: Array, distance: Array) -> Array:
     """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``."""
     columns = np.column_stack([2 * p, np.ones(len(p))])
     right = np.sum(p * p, axis=1) - distance**2

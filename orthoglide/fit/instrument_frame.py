@@ -1,0 +1,67 @@
+"""Coordinates in an instrument's own frame, brought near the machine's by a rigid motion.
+
+What is left of the turn is small and is fitted. Points with missing coordinates cannot be turned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array, moved_onto
+from orthoglide.observations import TcpPoints, ToolCampaign
+
+_FEWEST = 4  # points
+_SMALL = 0.003  # radians: the square of a smaller turn moves no more than micrometres
+
+
+def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
+    """Points in a frame turned by any angle; as they are where any coordinate is missing.
+
+    Args:
+        points: measured.
+        p: about where the machine has them ``(n, 3)``, metres.
+    """
+    if len(points) < _FEWEST or not np.isfinite(points.p).all():
+        return points
+    return replace(points, p=moved_onto(points.p, points.p, p))
+
+
+def turned_back(points: ToolCampaign, p: Array) -> ToolCampaign:
+    """The same of the setups of a file that have all three coordinates of every point.
+
+    Args:
+        points: readings of the tool.
+        p: about where the machine has them ``(n, 3)``, metres.
+    """
+    reading = points.reading.copy()
+    for k in range(len(points.setups)):
+        rows = whole_points(points, k)
+        if rows is None:
+            continue
+        measured = (points.sign * points.reading)[rows]
+        near = moved_onto(measured, measured, p[rows[:, 0]])
+        centred = measured - measured.mean(axis=0)
+        turned = np.linalg.norm(near - near.mean(axis=0) - centred)
+        if turned > _SMALL * np.linalg.norm(centred):
+            reading[rows] = points.sign[rows] * near
+    return replace(points, reading=reading)
+
+
+def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
+    """Rows of x, y and z of every point of a setup ``(m, 3)``; ``None`` where one is missing."""
+    rows = np.flatnonzero((points.setup == setup) & points.of_kind("tcp"))
+    if len(rows) < 3 * _FEWEST:
+        return None
+    known = np.column_stack([points.command, points.approach, points.repeat, points.load])[rows]
+    point = np.unique(known, axis=0, return_inverse=True)[1].reshape(-1)
+    # A point that was visited twice has its first x with its first y and its first z.
+    coordinates = [rows[points.axis[rows] == j] for j in range(3)]
+    places = [point[points.axis[rows] == j] for j in range(3)]
+    order = [np.argsort(own, kind="stable") for own in places]
+    first, *others = (own[k] for own, k in zip(places, order, strict=True))
+    if any(not np.array_equal(first, other) for other in others):
+        return None
+    return np.stack([own[k] for own, k in zip(coordinates, order, strict=True)], axis=1)

@@ -1,0 +1,157 @@
+"""Setups of the tool's instruments that mean something else: another unit, another frame.
+
+A machine that its owner can run stands within millimetres of the nominal one. Readings that are
+further from it, and near once a unit or a frame is exchanged, are refused before any fit: a fit
+would bend the machine for them.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.errors import InputError
+from orthoglide.fit.instrument_frame import whole_points
+from orthoglide.fit.tool import centre_of
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine
+from orthoglide.numerals import MINUS, compact
+from orthoglide.observations import TcpPoints, ToolCampaign
+from orthoglide.units import MISTAKEN
+
+_FAR = 3e-3  # metres, rms: zeros off by centimetres strain the tool's path by less
+_MENDED = 0.2  # share of it that is left of readings that mean something else
+_STRETCH = 0.1  # of coordinates of a machine that is about what it should be
+_FEWEST = 4  # readings of a setup that can say so
+Ints = NDArray[np.int64]
+_LETTERS = "xyz"
+_FACTORS = np.array([1.0, *MISTAKEN])
+_FRAMES = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+]
+
+
+def check_meant(points: TcpPoints | ToolCampaign, machine: Machine) -> None:
+    """Refuse setups whose readings fit only in another unit or another frame.
+
+    Args:
+        points: readings of the tool.
+        machine: near which it stands.
+
+    Raises:
+        InputError: naming the file, the setup and what they seem to be.
+    """
+    p = machine.forward(points.command)
+    if isinstance(points, TcpPoints):
+        read = np.isfinite(points.p)
+        axis = np.nonzero(read)[1]
+        _refuse(points, "", _frame(p[np.nonzero(read)[0]], axis, points.p[read]))
+        return
+    for k, setup in enumerate(points.setups):
+        rows = points.setup == k
+        value = points.sign[rows] * points.reading[rows]
+        if rows.sum() < _FEWEST:
+            continue
+        if setup.kind == "tcp":
+            said = _frame(p[rows], points.axis[rows], value, whole_points(points, k) is not None)
+        elif setup.kind == "distance":
+            apart = np.linalg.norm(machine.forward(points.second[rows]) - p[rows], axis=1)
+            said = _unit(np.stack([_rms(f * value - apart) for f in _FACTORS]))
+        elif setup.kind == "ballbar":
+            said = _unit(np.stack([_off_sphere(p[rows], f * value) for f in _FACTORS]))
+        else:
+            continue
+        _refuse(points, f", setup {setup.name!r}", said)
+
+
+def _refuse(points: TcpPoints | ToolCampaign, where: str, said: str) -> None:
+    if said:
+        raise InputError(f"{Path(points.file).name or points.name}{where}: {said}")
+
+
+def _unit(left: Array) -> str:
+    """What readings seem to be of which each factor leaves so much ``(factors,)``, metres."""
+    best = int(np.argmin(left))
+    if left[0] < _FAR or left[best] > _MENDED * left[0]:
+        return ""
+    factor = float(_FACTORS[best])
+    return (
+        f"the readings are {_off(left[0])} off what this machine can give, and fit once they are "
+        f"multiplied by {factor:.4g}, so they seem to be {MISTAKEN[factor]}: give millimetres"
+    )
+
+
+def _frame(p: Array, axis: Ints, value: Array, turns: bool = False) -> str:
+    """What coordinates ``(m,)`` of a tool at ``(m, 3)`` seem to be, as a clause; else empty.
+
+    Where the instrument's frame ``turns``, a turn of it is taken out later, and is no fault.
+    """
+    plain = _left(np.eye(3), p, axis, value)
+    if len(value) < _FEWEST or plain[0] < _FAR:
+        return ""
+    left = np.stack([_left(turn, p, axis, value) for turn in _FRAMES])
+    best, unit = np.unravel_index(int(np.argmin(left)), left.shape)
+    if left[best, unit] > _FAR and (turn := _nearest_frame(p, axis, value)) is not None:
+        shown, far = "", _left(turn, p, axis, value)[0]
+    else:
+        turn, far = _FRAMES[best], left[best, unit]
+        shown = f", its x, y, z being {', '.join(map(_axis, turn))} of the machine"
+    factor = float(_FACTORS[unit])
+    mirrored, as_is = np.linalg.det(turn) < 0, np.allclose(turn, np.eye(3))
+    if far > _MENDED * plain[0] or (turns and factor == 1 and not mirrored):
+        return ""
+    if as_is:
+        return _unit(plain)
+    also = "" if factor == 1 else f", and they are {MISTAKEN[factor]}"
+    return (
+        f"the coordinates are {_off(plain[0])} off where this machine can be: the frame of the "
+        f"instrument is {'left-handed' if mirrored else 'turned'}{shown}{also}; give the "
+        f"coordinates along the machine's axes"
+    )
+
+
+def _nearest_frame(p: Array, axis: Ints, value: Array) -> Array | None:
+    """The frame, left-handed or not, in which coordinates were read; ``None`` if they are none."""
+    rows = []
+    for j in range(3):
+        own = np.column_stack([p[axis == j], np.ones(int(np.sum(axis == j)))])
+        if np.linalg.matrix_rank(own, tol=1e-2) < 4:
+            return None
+        rows.append(np.linalg.lstsq(own, value[axis == j], rcond=None)[0][:3])
+    left, stretch, right = np.linalg.svd(np.array(rows))
+    return np.asarray(left @ right) if np.abs(stretch - 1).max() < _STRETCH else None
+
+
+def _left(turn: Array, p: Array, axis: Ints, value: Array) -> Array:
+    """What each factor leaves ``(factors,)``, metres rms, with a datum a direction and a small turn
+    of the instrument, were its frame turned.
+    """
+    seen, rows = p @ turn.T, np.arange(len(p))
+    turns = np.stack([np.cross(e, seen)[rows, axis] for e in np.eye(3)], axis=1)
+    columns = np.column_stack([np.eye(3)[axis], turns])
+    rest = value[:, None] * _FACTORS - seen[rows, axis][:, None]
+    rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-9)[0]
+    return np.asarray(np.sqrt(np.mean(rest**2, axis=0)))
+
+
+def _off_sphere(p: Array, distance: Array) -> float:
+    away = distance - np.linalg.norm(p - centre_of(p, distance), axis=1)
+    return _rms(away - away.mean())
+
+
+def _rms(rest: Array) -> float:
+    return float(np.sqrt(np.mean(rest**2)))
+
+
+def _off(far: float) -> str:
+    return f"{compact(far * 1e3, 2)} mm rms"
+
+
+def _axis(row: Array) -> str:
+    k = int(np.argmax(np.abs(row)))
+    return f"{MINUS if row[k] < 0 else ''}{_LETTERS[k]}"
