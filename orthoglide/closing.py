@@ -22,9 +22,10 @@ from orthoglide.fit import (
     solve,
     sorted_out,
 )
+from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
 from orthoglide.frames import html_table
-from orthoglide.judging import fitted_already, hold_out, tcp_errors
+from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import TcpPoints, check_given
@@ -278,7 +279,7 @@ def judge(verdict: Verdict) -> Verdict:
         errors = tcp_errors(machine, request.tcp, before, after, stated)
     held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
     fitted = (*request.campaigns, *request.points)
-    if any(fitted_already(one, other) for one in held for other in fitted):
+    if any(shared(one, other) > 0.5 for one in held for other in fitted):
         text = "the readings held out are readings that were fitted: they judge nothing"
         warnings = (*verdict.after.warnings, Note(text, "holdout"))
         verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))

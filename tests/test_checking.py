@@ -196,6 +196,10 @@ def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
         by = re.search(rf"{member}[^()]*? by \N{{MINUS SIGN}}([\d.]+) (?:mm|mrad)", told)
         assert by is not None, told
         assert float(by[1]) == pytest.approx(size, rel=0.3)
+    # Each of the class is on the drawing, on its own parts, beside what is left.
+    drawn = [o for o in found.told.picture.options if o.marks[0].label.startswith("changed by ")]
+    assert len(drawn) == len(found.changes[0].members) == told.count("or the ") + 1
+    assert {"rail", "plate"} <= {mark.part for o in drawn for mark in o.marks}
     # The lobes of the bed are there still: of the new readings alone.
     every = {one.name for cause in found.verdict.effects for one in cause.explanations}
     assert "plate_trefoil.bed.cos" in every

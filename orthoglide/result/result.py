@@ -214,15 +214,16 @@ class Result(Framed):
         """What is wrong by what mending it gains, largest first; none of ``identify``."""
         if self.posterior is None:
             return ()
-        still = {c.parameter: c.members for c in self.moved if c.is_cause}
-        return budget(self.posterior, still | {c.name: c.every for c in self.effects})
+        causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
+        causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
+        return budget(self.posterior, causes)
 
     @cached_property
     def moved(self) -> tuple[Change, ...]:
-        """Changes of which no cause found tells already."""
-        told = {n for c in self.effects for e in c.explanations for n in e.parameters}
+        """Changes of which no cause found tells already by its first name."""
+        told = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
         told = {self.catalogue.parameter(n).plain for n in told}
-        return tuple(c for c in self.changed if not told.intersection(c.members))
+        return tuple(c for c in self.changed if c.parameter not in told)
 
     # --- What is left -----------------------------------------------------------------------
 
