@@ -130,8 +130,9 @@ def table(found: Sequence[Record]) -> Iterator[str]:
         if item["cause"].partition(".")[0] in of_rig
     ]
     for how in ("repaired", "compensated"):
-        for what, named in (("causes named", True), ("the rest of an effect", False)):
-            chosen = [i for i in items if i["named"] is named]
+        for what, named in (("causes named", {True}), ("the rest of an effect", {False}),
+                            ("all", {True, False})):  # fmt: skip
+            chosen = [i for i in items if i["named"] in named]
             if not chosen:
                 continue
             gain, sigma, real = (np.array([i[k] for i in chosen]) for k in ("gain", "sigma", how))

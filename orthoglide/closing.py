@@ -22,9 +22,12 @@ from orthoglide.fit import (
     solve,
     sorted_out,
 )
+from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
+from orthoglide.fit.instrument_frame import turned_to
+from orthoglide.fit.meant import check_meant
 from orthoglide.frames import html_table
-from orthoglide.judging import fitted_already, hold_out, tcp_errors
+from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import TcpPoints, check_given
@@ -162,6 +165,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         return _identified(request, progress)
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine = request.machine
+    if (judge_by := request.tcp) is not None:
+        check_meant(turned_to(judge_by, machine.forward(judge_by.command)), machine)
     carried = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
     problem = assemble(
         [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),
@@ -278,7 +283,7 @@ def judge(verdict: Verdict) -> Verdict:
         errors = tcp_errors(machine, request.tcp, before, after, stated)
     held = (*request.holdout, *([] if request.tcp is None else [request.tcp]))
     fitted = (*request.campaigns, *request.points)
-    if any(fitted_already(one, other) for one in held for other in fitted):
+    if any(shared(one, other) > 0.5 for one in held for other in fitted):
         text = "the readings held out are readings that were fitted: they judge nothing"
         warnings = (*verdict.after.warnings, Note(text, "holdout"))
         verdict = replace(verdict, after=replace(verdict.after, warnings=warnings))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.fit import assemble, solve
-from orthoglide.fit.copies import shared
 from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
@@ -22,11 +21,6 @@ class HoldOut:
 
     before_rms: float
     after_rms: float
-
-
-def fitted_already(held: Readings | TcpPoints, fitted: Readings | TcpPoints) -> bool:
-    """Whether most readings held out were fitted: the same value, instrument and command."""
-    return shared(held, fitted) > 0.5
 
 
 def hold_out(

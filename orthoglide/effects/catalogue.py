@@ -79,12 +79,11 @@ class Catalogue(Mapping[str, Effect]):
     @cached_property
     def base(self) -> tuple[str, ...]:
         """The effects with which every identification starts; of the papers: zeros and lengths."""
-        return tuple(e.name for e in self.effects if e.controller in self.legs.held)
+        return self.held_as(*self.legs.held)
 
-    @cached_property
-    def zeros(self) -> tuple[str, ...]:
-        """The effects that a controller's zeros hold."""
-        return tuple(e.name for e in self.effects if e.controller == "zero")
+    def held_as(self, *numbers: str) -> tuple[str, ...]:
+        """The effects that some of a controller's numbers hold, such as its zeros: ``"zero"``."""
+        return tuple(e.name for e in self.effects if e.controller in numbers)
 
     @cached_property
     def motions(self) -> Mapping[Parameter, tuple[int, tuple[Motion, ...]]]:

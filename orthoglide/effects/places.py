@@ -259,16 +259,8 @@ def places(
         add("drive", drive, "", "reversal", _none, BUILD_UP, 50 * _UM)
         for other in range(len(LEGS)):
             if other != leg:
-                add(
-                    "drive",
-                    drive,
-                    "",
-                    "command",
-                    partial(_command_of, other),
-                    _ACROSS,
-                    50 * _UM,
-                    other,
-                )
+                by = partial(_command_of, other)
+                add("drive", drive, "", "command", by, _ACROSS, 50 * _UM, other)
         for axis, letter in across.items():
             sideways = ((f"lateral_{axis}", 1.0),)
             add("rail", sideways, letter, "travel", _travel, _FINE, 50 * _UM)

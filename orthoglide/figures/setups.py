@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import LEGS, Array
-from orthoglide.observations import ToolCampaign
+from orthoglide.observations import Setup, TcpPoints, ToolSetup
 
 if TYPE_CHECKING:
     from orthoglide.fit import Problem
@@ -40,50 +40,30 @@ class Mounting:
 
 
 def mountings(problem: Problem) -> Iterator[Mounting]:
-    """All setups of a problem, in their order."""
-    several, first = len(problem.campaigns) > 1, 0
-    for campaign in problem.campaigns:
-        for k, setup in enumerate(campaign.setups):
-            there = np.flatnonzero(campaign.setup == k)
-            travel = campaign.command[there, setup.leg] - problem.machine.geometry.zero[setup.leg]
-            moves = np.ptp(travel) > _MOVES
-            name = f"{campaign.name} · {setup.name}" if several else setup.name
-            yield Mounting(
-                name,
-                f"{name}: leg {LEGS[setup.leg]}, read along {setup.direction}",
-                f"travel of carriage {LEGS[setup.leg]}, mm" if moves else "place in the file",
-                first + there,
-                travel * 1e3 if moves else campaign.order[there].astype(float),
-                campaign.approach[there, setup.leg],
-            )
-        first += len(campaign)
-    for points, part in zip(
-        problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
-    ):
-        if isinstance(points.points, ToolCampaign):
-            yield from _of_tool(points.points, points.setup, part.start)
-            continue
-        for k, axis in enumerate(LEGS):
-            there = np.flatnonzero(points.setup == k)
-            if len(there):
-                yield Mounting(
-                    f"{points.name} · {axis}",
-                    f"{points.name}: coordinate {axis} of the TCP",
-                    "point",
-                    part.start + there,
-                    (points.point[there] + 1).astype(np.float64),
-                    points.points.approach[points.point[there], k],
-                )
-
-
-def _of_tool(tool: ToolCampaign, place: NDArray[np.int64], first: int) -> Iterator[Mounting]:
-    for k, setup in enumerate(tool.setups):
-        there = np.flatnonzero(place == k)
-        yield Mounting(
-            f"{tool.name} · {setup.name}",
-            f"{tool.name}: {setup.name}, {setup.kind}",
-            "reading",
-            first + there,
-            np.arange(1.0, len(there) + 1),
-            np.zeros(len(there)),
-        )
+    """All setups of a problem, in their order; of TCP points their coordinates."""
+    several = len(problem.campaigns) > 1
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        read: Any = factor.points
+        for k, setup in enumerate(LEGS if isinstance(read, TcpPoints) else read.setups):
+            there = np.flatnonzero(factor.setup == k)
+            if not len(there):
+                continue
+            x, side = np.arange(1.0, len(there) + 1), np.zeros(len(there))
+            if isinstance(setup, Setup):
+                leg = setup.leg
+                travel = read.command[there, leg] - problem.machine.geometry.zero[leg]
+                moves = np.ptp(travel) > _MOVES
+                name = f"{read.name} · {setup.name}" if several else setup.name
+                title = f"{name}: leg {LEGS[leg]}, read along {setup.direction}"
+                label = f"travel of carriage {LEGS[leg]}, mm" if moves else "place in the file"
+                x = travel * 1e3 if moves else read.order[there].astype(float)
+                side = read.approach[there, leg]
+            elif isinstance(setup, ToolSetup):
+                name, label = f"{read.name} · {setup.name}", "reading"
+                title = f"{read.name}: {setup.name}, {setup.kind}"
+            else:
+                name, label = f"{read.name} · {setup}", "point"
+                title = f"{read.name}: coordinate {setup} of the TCP"
+                points = np.flatnonzero(np.isfinite(read.p[:, k]))
+                x, side = points + 1.0, read.approach[points, k]
+            yield Mounting(name, title, label, part.start + there, x, side)

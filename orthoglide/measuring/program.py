@@ -16,10 +16,9 @@ import numpy as np
 from orthoglide.closing import Verdict
 from orthoglide.errors import OrthoglideError
 from orthoglide.fit import Estimate, identify
-from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, Setup
-from orthoglide.observations.protocols import check_dials, unread
+from orthoglide.observations import Campaign
+from orthoglide.observations.protocols import check_dials, dial_at, unread
 from orthoglide.planning import next_measurements, next_sheet
 
 SETTLED = (
@@ -82,12 +81,8 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
     share = round(float(np.clip(share, *ends)), 3)
     part = _INNER[number % len(_INNER)]
     travels = [part * high, high, part * high, 0.0, part * low, low, part * low, 0.0]
-    name = f"-{share:g}" + (f"-bar{bar}" if bar else "")
     pairs = [(leg, axis) for leg in range(3) for axis in range(3) if axis != leg]
-    setups = tuple(
-        Setup(LEGS[leg] + LEGS[axis] + name, leg, axis, 1, round(share * geometry.L, 9), bar)
-        for leg, axis in pairs
-    )
+    setups = tuple(dial_at(geometry, leg, axis, share, bar) for leg, axis in pairs)
     visits = [(leg, travel, dial) for leg in range(3) for travel in travels for dial in range(2)]
     command = [geometry.command_on_axis(leg, travel) for leg, travel, _ in visits]
     return unread(

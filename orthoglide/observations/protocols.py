@@ -87,7 +87,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
         for posture in postures
     ]
     setups = tuple(
-        Setup(f"{LEGS[leg]}{LEGS[axis]}-{gauge:g}", leg, axis, 1, round(gauge * geometry.L, 9))
+        dial_at(geometry, leg, axis, gauge)
         for leg in range(3)
         for gauge in _GAUGES[kind]
         for axis in range(3)
@@ -106,6 +106,12 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
         time=visit * VISIT + mounting * (MOUNTING - VISIT),
     )
     return sheet.with_moves()
+
+
+def dial_at(geometry: Geometry, leg: int, axis: int, share: float, bar: int = 0) -> Setup:
+    """A mounting at a share of the leg, named after where it stands; ``bar`` as of `Setup`."""
+    name = f"{LEGS[leg]}{LEGS[axis]}-{share:g}" + (f"-bar{bar}" if bar else "")
+    return Setup(name, leg, axis, 1, round(share * geometry.L, 9), bar)
 
 
 def unread(

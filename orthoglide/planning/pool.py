@@ -12,7 +12,7 @@ from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
 from orthoglide.observations.approach import OVERSHOOT
-from orthoglide.observations.protocols import check_dials, unread
+from orthoglide.observations.protocols import check_dials, dial_at, unread
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
 """Where the dials may stand, as fractions of the leg."""
@@ -120,10 +120,9 @@ def reading_pool(
         for axis in ((leg + 1) % 3, (leg + 2) % 3):
             for gauge in gauges:
                 for bar in bars:
-                    name = f"next-{LEGS[leg]}{LEGS[axis]}-{gauge:g}" + (f"-bar{bar}" if bar else "")
-                    setup = Setup(name, leg, axis, 1, round(gauge * geometry.L, _GRID), bar)
+                    setup = dial_at(geometry, leg, axis, gauge, bar)
                     rows += [(len(setups), s) for s in reach if visible(s, setup)]
-                    setups.append(setup)
+                    setups.append(replace(setup, name=f"next-{setup.name}"))
     return unread(
         "next",
         setups,
