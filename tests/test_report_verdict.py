@@ -180,16 +180,23 @@ def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) 
 
 PAPER = """<script>addEventListener("load", () => setTimeout(() => {
   const end = s => document.querySelector(s).getBoundingClientRect().bottom;
-  document.title = JSON.stringify({drawing: end(".drawn"), tool: end(".tiles.tool")});
+  const found = {drawing: end(".drawn"), tool: end(".tiles.tool")};
+  document.querySelectorAll("details").forEach(e => { e.open = true; });
+  found.headless = document.querySelectorAll("thead").length
+    - [...document.querySelectorAll("thead")].filter(e => e.offsetHeight > 10).length;
+  found.cut = [...document.querySelectorAll(".scroll")].filter(
+    e => e.scrollWidth > e.clientWidth + 1).length;
+  document.title = JSON.stringify(found);
 }, 100));</script></body>"""
 
 
 @pytest.mark.parametrize("which", CASES)
-def test_the_first_sheet_of_paper_has_the_verdict_the_drawing_and_the_tools_error(
+def test_on_paper_the_first_sheet_has_drawing_and_tiles_and_tables_have_heads(
     which: str, tmp_path: Path
 ) -> None:
-    """The drawing took the sheet for itself; the size that is left of A4 between the margins."""
+    """The drawing took the first sheet for itself, and tables were laid out as on a phone."""
     page = files_of(which)["report.html"].replace("@media print", "@media all")
+    page = page.replace("@media screen", "@media not all")
     (tmp_path / "page.html").write_text(page.replace("</body>", PAPER))
     (tmp_path / "frame.html").write_text(
         '<body style="margin:0"><iframe src="page.html" style="border:0" width="680" height="1000">'
@@ -197,7 +204,8 @@ def test_the_first_sheet_of_paper_has_the_verdict_the_drawing_and_the_tools_erro
         "document.querySelector('iframe').contentDocument.title }, 300))</script></body>"
     )
     ends = browsed(tmp_path / "frame.html", "1400,1200", 3000)
-    assert 200 < ends["drawing"] < ends["tool"] < 265 / 25.4 * 96
+    assert 200 < ends["drawing"] < ends["tool"] < 265 / 25.4 * 96  # A4 between its margins
+    assert (ends["headless"], ends["cut"]) == (0, 0)
 
 
 # --- What is said ---------------------------------------------------------------------------
