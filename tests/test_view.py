@@ -21,6 +21,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.parameters import Parameter
 from orthoglide.pictures import causes_of, dials, option, view
 from orthoglide.scene import Dial, Mark, Posed, drawing, view_page
+from orthoglide.scene.drawing import projection
 from tests.test_first_screen import PER, SCALES
 from tests.test_layout import DELTA, freely
 from tests.test_report import browsed, browser, words
@@ -167,6 +168,17 @@ def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign:
         assert all(apart(size, x - r, y - r, x + r, y + r) for x, y, r in circles), parameter
 
 
+@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
+def test_an_arrow_across_a_rail_is_seen_beside_it(kind: str) -> None:
+    """The eye stood in line with one tower: its way outward lay upon it."""
+    posture = posed(kind)
+    seen = projection(posture, posture.lines.reshape(-1, 3))
+    for leg in posture.geometry.legs:
+        (x, y), *across = ((seen.right @ a, seen.up @ a) for a in leg.axes.T)
+        for u, v in across:
+            assert abs(x * v - y * u) / np.hypot(x, y) > 0.2
+
+
 def test_a_machine_ten_times_larger_is_drawn_as_well() -> None:
     """Arrows and dials have their size on the paper, whatever the machine's."""
     small = og.Machine.nominal()
@@ -263,6 +275,32 @@ def test_the_switch_moves_the_drawing_and_nothing_is_asked_of_a_network(
     assert told["asked"] == []
     assert told["picked"] == (None if which == "delta" else ["inline", "none", "none", "inline"])
     assert re.search(r"off by -?\d+\.\d{3}, .* mm in x, y, z", str(told["readout"]))
+
+
+EDGES = """<script>addEventListener("load", () => {
+  const canvas = document.querySelector("canvas"), { width: w, height: h } = canvas;
+  const ink = (...box) => canvas.getContext("2d").getImageData(...box).data.some(
+    (v, k, all) => v !== all[k % 4]);  // than the paper in the corner
+  const shown = s => document.querySelector(s).offsetHeight;
+  document.title = JSON.stringify({ middle: ink(0, 0, w, h), canvas: shown("canvas"),
+    controls: shown(".controls"),
+    edges: ink(0, 0, w, 3) || ink(0, h - 3, w, 3) || ink(0, 0, 3, h) || ink(w - 3, 0, 3, h) });
+});</script></body>"""
+
+
+@pytest.mark.parametrize("size", ["1280,900", "390,844"])
+@pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
+def test_the_view_keeps_within_its_frame_and_is_printed_without_its_controls(
+    kind: str, size: str, tmp_path: Path
+) -> None:
+    """The letter of a tower was cut, and the page of a machine alone was printed empty."""
+    own = machine(kind)
+    page = view_page(view(own, ()), drawing(own.posed()), "A machine")
+    told = driven(page.replace("@media print", "@media all"), tmp_path, EDGES, size)
+    assert told["middle"]
+    assert not told["edges"]
+    assert int(str(told["canvas"])) > 200
+    assert told["controls"] == 0
 
 
 LAID_OUT = """<script>addEventListener("load", () => {

@@ -50,9 +50,9 @@ class Projection:
 
 def projection(posed: Posed, points: Array) -> Projection:
     """Looks at a machine so that no leg hides another, and fits points ``(n, 3)`` on the paper."""
-    if posed.geometry.layout.hanging:  # from in front, between two towers
+    if posed.geometry.layout.hanging:  # from where no direction of a tower points at the eye
         towers = [math.atan2(*leg.axes[1::-1, 1]) for leg in posed.geometry.legs]
-        azimuth, elevation = min(towers) + math.radians(62), math.radians(22)
+        azimuth, elevation = min(towers) + math.radians(45), math.radians(14)
     else:
         azimuth, elevation = math.radians(52), math.radians(30)
     ca, sa, ce, se = (

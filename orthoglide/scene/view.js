@@ -39,7 +39,7 @@ for (const view of document.querySelectorAll("div.view:not([data-ready])")) {
 
   function projector() {
     const [ct, st, ci, si] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
-    const scale = zoom * 0.5 * Math.min(0.9 * canvas.width, canvas.height) / reach;
+    const scale = zoom * 0.45 * Math.min(canvas.width, canvas.height) / reach;
     return p => {
       const q = add(p, middle, -1);
       const x = -st * q[0] + ct * q[1], y = -ct * si * q[0] - st * si * q[1] + ci * q[2];
