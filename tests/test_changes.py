@@ -87,6 +87,8 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
         told_size = re.search(r"by ([\d.]+) mrad", one.words)
         assert told_size
         assert drawn.marks[0].label.startswith(f"{told_size[1]} mrad")
+    test = " ".join(suspect.confirm for a in verdict.actions for suspect in a.options)
+    assert re.search(r"move 100 mm outward: expect [\d.]+ mm toward z", test)
     alone = view(verdict.machine, [("", {effect.name: change.after})]).ways[0]
     np.testing.assert_allclose(verdict.view.ways[0].p, alone.p, rtol=0.1, atol=1e-8)
     verdict.report(str(tmp_path / "run"))

@@ -24,6 +24,7 @@ from tests import rig_campaigns as rc
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.test_cli import run
+from tests.test_report import opened
 
 RIG = Path(__file__).parent / "data" / "rig"
 WORN = {"joint_offset.x": 1.2e-3, "joint_offset.y": -0.8e-3, "leg_length.z": -6e-5}
@@ -124,6 +125,8 @@ def test_from_files_and_results_to_words_and_a_page(
     assert "Before: the zero of drive x is 1." in " ".join(plain.stdout.split())
     assert "it must read" in page
     assert "The report of new<" in page
+    seen = opened(page, 390, tmp_path)  # its table was wider than a phone
+    assert (seen.inner, seen.out, seen.cut) == (390, [], [])
     table = list(csv.DictReader(io.StringIO((tmp_path / "out" / "changes.csv").read_text())))
     by_name = {row["parameter"]: row for row in table}
     assert by_name["joint_offset.x"]["changed"] == "yes"

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from orthoglide.machine import Machine
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.mixed import mixed_sheet, whitened
 from orthoglide.planning.owning import sheet_of
+from orthoglide.report import report_files
 from orthoglide.report.wording import headline
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
@@ -324,3 +326,34 @@ def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any
     names = [row[0] for row in rows if "_" in row[0]]
     assert "rail_tilt.tangential.common" in names
     assert len(rows) < 3.5 * len(names)  # two or three lines of words for each
+
+
+@pytest.mark.parametrize(("word", "tilt"), [("unexplained", 0.0), ("partial", 2e-2)])
+def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt: float) -> None:
+    """It was a dead end: neither where it is nor what to measure was told."""
+    rng = np.random.default_rng(3)
+    rig = DeltaRig(errors={"joint_offset.a": 4e-4, "axis_tilt.b.radial": tilt})
+    sound = measured(rig, rng, machine=nominal(), instrument="tool coordinates")
+    odd = rng.normal(scale=1e-4, size=len(sound))
+    odd[sound.axis != 0] *= 0.5
+    farthest = int(np.flatnonzero(sound.axis == 0)[5])
+    odd[farthest] = 6e-4
+    verdict = close_loop([replace(sound, reading=sound.reading + odd)], nominal())
+    assert verdict.word == word
+    at = nominal().forward(sound.command[farthest]) * 1e3
+    place = ", ".join(f"{n} {round(v)}" for n, v in zip("xyz", at, strict=True)).replace("-", "−")
+    most = verdict.rest_of_tool[0]
+    assert (most.reads, most.where[0]) == ("the tool along x", place)
+    assert 3e-4 < most.most < 8e-4  # the fit takes a part of it
+    assert f"shows in the tool along x ({most.setup})" in headline(verdict)
+    assert f"with the tool at {place} mm" in headline(verdict)
+    follow = [a for a in verdict.actions if a.kind == "measure"]
+    assert place in follow[0].words
+    assert "three times each and coming from either side" in follow[0].words
+    files = report_files(verdict)
+    page = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", files["report.html"]))
+    for part in (f"{most.share:.0%} of it is in the tool along x", "What is left", "What to do"):
+        assert part in page
+    kept = json.loads(files["result.json"])["left"]["by_instrument"]
+    assert sum(one["share"] for one in kept) == pytest.approx(1.0)
+    assert kept[0]["where"][0] == place

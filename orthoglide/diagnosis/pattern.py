@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.faults import setup_names
+from orthoglide.diagnosis.rest import rest_of_tool
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis
 from orthoglide.geometry import LEGS, Array
@@ -41,8 +42,10 @@ def describe_left(estimate: Estimate) -> tuple[str, ...]:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs
         by approach, drifts in time, or repeats along an axis.
     """
-    if not estimate.problem.campaigns:  # only readings of dials are looked at
-        return ()
+    if not estimate.problem.campaigns:  # no more is looked for in readings of the tool
+        return tuple(
+            f"{r.share:.0%} of it is in {r.reads} ({r.setup})" for r in rest_of_tool(estimate)[:1]
+        )
     rest = _Rest(estimate)
     tests = (_where, _single_station, _parity, _hysteresis, _trend, _period)
     found = tuple(text for test in tests if (text := test(rest)))

@@ -1,14 +1,23 @@
-"""Where what a fit leaves lives: on which dial, how much of it, and at which station most."""
+"""Where what a fit leaves lives: in which readings, how much of it, and at which station most."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orthoglide.diagnosis.faults import setup_names
 from orthoglide.fit import Estimate
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array
+from orthoglide.numerals import plain
+from orthoglide.observations import ToolCampaign
+from orthoglide.observations.approach import Ints
+
+_READS = {
+    "tcp": "the tool along {}", "plate": "the plate's height", "distance": "distances",
+    "ballbar": "the ball bar", "incline": "the platform's turn about {}",
+}  # fmt: skip
+_PLACES = 3  # at which most is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,3 +71,79 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
             )
         )  # fmt: skip
     return tuple(sorted(found, key=lambda one: -one.share))
+
+
+@dataclass(frozen=True, eq=False)
+class ToolRest:
+    """What a fit leaves of one mounting of an instrument at the tool, along one axis if it has any.
+
+    Attributes:
+        setup: its name.
+        reads: what is read, in words.
+        unit: in which people read it.
+        share: of everything left of such readings, in squares of the noise.
+        rms: root mean square of it, metres or radians.
+        most: largest mean over one station along +axis, with its sign.
+        posture: label of that station; may be empty.
+        where: places of the nominal tool at which most is left, most first, in millimetres.
+    """
+
+    setup: str
+    reads: str
+    unit: str
+    share: float
+    rms: float
+    most: float
+    posture: str
+    where: tuple[str, ...]
+
+
+def rest_of_tool(estimate: Estimate) -> tuple[ToolRest, ...]:
+    """What a fit leaves of every instrument at the tool, largest share first; none without any."""
+    problem, found = estimate.problem, []
+    squares = problem.weighing.whiten(estimate.residuals) ** 2
+    for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
+        if isinstance(campaign := getattr(factor, "points", None), ToolCampaign):
+            parts = np.column_stack([campaign.setup, campaign.axis])
+            for part in np.unique(parts, axis=0):
+                own = np.flatnonzero((parts == part).all(axis=1))
+                found.append(_of_part(estimate, campaign, own, rows.start, squares))
+    total = max(sum(one.share for one in found), 1e-300)
+    shares = (replace(one, share=one.share / total) for one in found)
+    return tuple(sorted(shares, key=lambda one: -one.share))
+
+
+def _of_part(
+    estimate: Estimate, campaign: ToolCampaign, own: Ints, first: int, squares: Array
+) -> ToolRest:
+    """Of some rows of a campaign ``(k,)`` that begins at a stacked row; the share not of a whole.
+
+    Args:
+        estimate: the fit.
+        campaign: of which the rows are.
+        own: rows of it.
+        first: where it begins among all rows.
+        squares: of all residuals in units of their noise ``(n,)``.
+    """
+    setup, left = campaign.setups[campaign.setup[own[0]]], estimate.residuals[first + own]
+    _, at, of = np.unique(
+        estimate.problem.station[first + own], return_index=True, return_inverse=True
+    )
+    mean = np.bincount(of, campaign.sign[own] * left) / np.bincount(of)
+    most = np.argsort(-np.abs(mean))
+    where = own[at[most]]
+    _, fresh = np.unique(campaign.command[where], axis=0, return_index=True)
+    worst = where[np.sort(fresh)[:_PLACES]]
+    return ToolRest(
+        setup.name,
+        _READS[setup.kind].format(LEGS[campaign.axis[own[0]]]),
+        "mrad" if setup.kind == "incline" else "mm",
+        float(squares[first + own].sum()),
+        float(np.sqrt(np.mean(left**2))),
+        float(mean[most[0]]),
+        campaign.posture[worst[0]],
+        tuple(
+            ", ".join(f"{name} {plain(v * 1e3, 0)}" for name, v in zip(LEGS, p, strict=True))
+            for p in estimate.problem.machine.with_only({}).forward(campaign.command[worst])
+        ),
+    )

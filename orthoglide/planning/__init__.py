@@ -34,4 +34,4 @@ from orthoglide.planning.tolerances import (
     NeededTolerances as NeededTolerances,
     needed_tolerances as needed_tolerances,
 )
-from orthoglide.planning.tracing import tracing as tracing
+from orthoglide.planning.tracing import repeating as repeating, tracing as tracing

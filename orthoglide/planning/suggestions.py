@@ -96,7 +96,7 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
     visits: Counter[int] = Counter()
     for suggestion in suggestions:
         visits |= Counter(suggestion.chosen)
-    pool = suggestions[0].pool if suggestions else None
+    pool = next((s.pool for s in suggestions if s.pool is not None), None)
     return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
 
 

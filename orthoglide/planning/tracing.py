@@ -1,10 +1,10 @@
-"""Readings that follow what nothing explains: both bars of one leg along its whole travel."""
+"""Readings that follow what nothing explains, where most of it is."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from orthoglide.diagnosis.rest import SetupRest
+from orthoglide.diagnosis.rest import SetupRest, ToolRest
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import Suggestion
@@ -41,3 +41,18 @@ def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
         f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
     )
     return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
+
+
+def repeating(rest: ToolRest) -> Suggestion:
+    """Readings of an instrument at the tool again, at the places where most is left.
+
+    Args:
+        rest: of the instrument that shows most of it.
+    """
+    reason = (
+        f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "
+        f"tool at {'; '.join(rest.where)} mm, three times each and coming from either side. What "
+        f"comes back is of the machine or of what the instrument stands on; what does not is a "
+        f"loose part, lost motion, or the instrument itself"
+    )
+    return Suggestion(reason, "trace", float("nan"), None)

@@ -18,7 +18,7 @@ from orthoglide.report.wording import headline, located_words
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
     from orthoglide.diagnosis.changes import Change
-    from orthoglide.diagnosis.rest import SetupRest
+    from orthoglide.diagnosis.rest import SetupRest, ToolRest
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
     from orthoglide.judging import TcpErrors
     from orthoglide.posterior import BudgetItem, CandidateScore, Cause, Curve, Explanation, Located
@@ -91,6 +91,7 @@ def _mapping(result: Result) -> dict[str, Any]:
             "stopped": result.stopped,
             "pattern": list(result.pattern),
             "by_setup": [_rest(rest) for rest in result.rest],
+            "by_instrument": [_rest_of_tool(rest) for rest in result.rest_of_tool],
         },
         "workspace": _workspace(result),
         "tool": {name: error.as_dict() for name, error in result.numbers.expected.items()},
@@ -232,6 +233,19 @@ def _action(action: Action) -> dict[str, Any]:
         "gain_mm": _mm(action.gain, _SHORT),
         "gain_sigma_mm": _mm(action.gain_sigma, _SHORT),
         "options": [vars(option) for option in action.options],
+    }
+
+
+def _rest_of_tool(rest: ToolRest) -> dict[str, Any]:
+    return {
+        "setup": rest.setup,
+        "reads": rest.reads,
+        "unit": rest.unit,
+        "share": number(rest.share, _SHORT),
+        "rms": _mm(rest.rms, _SHORT),
+        "most": _mm(rest.most, _SHORT),
+        "posture": rest.posture,
+        "where": list(rest.where),
     }
 
 

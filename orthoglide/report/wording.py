@@ -13,6 +13,7 @@ from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
+    from orthoglide.diagnosis.rest import ToolRest
     from orthoglide.fit import Change, Estimate
     from orthoglide.parameters import Parameter
     from orthoglide.posterior import Cause, Curve, Located
@@ -126,7 +127,7 @@ def where_left(result: Result) -> str:
             "plate again, turned by 60 degrees on its seat; what turns with it is its own."
         )
     if not result.rest:
-        return ""
+        return _left_of_tool(result.rest_of_tool)
     most = result.rest[0]
     leg, way = LEGS[most.leg], toward(LEGS[most.axis], most.most)
     at = f" at posture {most.posture}" if most.posture else ""
@@ -136,6 +137,20 @@ def where_left(result: Result) -> str:
         f" The largest part of what is left ({100 * most.share:.0f} %) shows on leg {leg} read "
         f"along {LEGS[most.axis]}{spread}: there the dial is off by up to "
         f"{compact(abs(most.most) * 1e3, 2)} mm, toward {way}{at}."
+    )
+
+
+def _left_of_tool(rest: Sequence[ToolRest]) -> str:
+    if not rest:
+        return ""
+    most = rest[0]
+    spread = (
+        ", though all readings show some" if len(rest) > 1 and most.share < 2 / len(rest) else ""
+    )
+    return (
+        f" The largest part of what is left ({100 * most.share:.0f} %) shows in {most.reads} "
+        f"({most.setup}){spread}: up to {compact(abs(most.most) * 1e3, 2)} {most.unit}, with the "
+        f"tool at {most.where[0]} mm."
     )
 
 

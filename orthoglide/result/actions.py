@@ -178,9 +178,9 @@ def confirm_place(curve: Curve) -> str:
 
 def confirm(one: Explanation) -> str:
     """The test that confirms a cause, with the reading to expect; empty of several parameters."""
-    if len(one.parameters) > 1:
+    if len({one.catalogue.parameter(n).plain for n in one.parameters}) > 1:
         return ""
-    name = one.parameters[0]
+    name = one.parameters[-1]  # of what campaigns have for themselves: the last one's
     parameter = one.catalogue.parameter(name)
     value = one.values[name]
     return (

@@ -12,7 +12,7 @@ from orthoglide.accuracy import Map, tcp_map
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
-from orthoglide.diagnosis.rest import SetupRest, rest_by_setup
+from orthoglide.diagnosis.rest import SetupRest, ToolRest, rest_by_setup, rest_of_tool
 from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -291,6 +291,11 @@ class Result(Framed):
         return rest_by_setup(self.after)
 
     @cached_property
+    def rest_of_tool(self) -> tuple[ToolRest, ...]:
+        """The same of every instrument at the tool."""
+        return rest_of_tool(self.after)
+
+    @cached_property
     def picture(self) -> Picture:
         """The machine with what was found."""
         return picture(self)
@@ -310,19 +315,20 @@ class Result(Framed):
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide.planning import deciding_instruments, next_measurements, tracing
+        from orthoglide.planning import deciding_instruments, next_measurements, repeating, tracing
 
         if not self.request.searches:
             return ()
         geometry = self.request.machine.geometry
+        again = () if self.stands or not self.rest_of_tool else (repeating(self.rest_of_tool[0]),)
         if not geometry.dialled:
-            return deciding_instruments(self.after, self.effects)
+            return (*deciding_instruments(self.after, self.effects), *again)
         rivals = [
             (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
         ] or [(e.name, e.machine) for e in self.alone[:_MOST_RIVALS]]
         apart = next_measurements(self.after, rivals, count=_PROPOSED, directions=())
         more = next_measurements(self.before, count=_PROPOSED)
-        trace = () if self.stands or not self.rest else (tracing(self.rest[0], geometry),)
+        trace = again if self.stands or not self.rest else (tracing(self.rest[0], geometry),)
         return (*trace, *apart, *more)
 
     @cached_property
