@@ -192,7 +192,7 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
         Parameters that the commands allow for, SI.
     """
     held, of = {"zero", *also}, machine.catalogue.effect_of
-    zeros = [p for e in machine.catalogue.values() if e.controller == "zero" for p in e.motions]
+    zeros = machine.catalogue.expand(machine.catalogue.held_as("zero"))
     identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
     wanted, goal, weight = wanted_points(machine), np.zeros(3), _PLACE

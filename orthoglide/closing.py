@@ -24,6 +24,8 @@ from orthoglide.fit import (
 )
 from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
+from orthoglide.fit.instrument_frame import turned_to
+from orthoglide.fit.meant import check_meant
 from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine
@@ -163,6 +165,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         return _identified(request, progress)
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine = request.machine
+    if (judge_by := request.tcp) is not None:
+        check_meant(turned_to(judge_by, machine.forward(judge_by.command)), machine)
     carried = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
     problem = assemble(
         [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),

@@ -1,6 +1,7 @@
 """Two campaigns of one machine: what changed between them, from what to what."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from orthoglide.diagnosis.changes import Change
 from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.observations import Campaign
+from orthoglide.pictures import view
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -80,6 +82,13 @@ def test_a_tilt_that_was_put_right(machine, tmp_path):
     assert {effect.name, *effect.indistinguishable_from} == set(change.members)
     now = [verdict.machine.values.get(name, 0.0) for name in change.members]
     assert sum(now) == pytest.approx(0.3e-3, abs=1.5e-4)
+    # Drawn as large as it is told, not with what it was before added.
+    for one, drawn in zip(effect.explanations, verdict.picture.options, strict=True):
+        told_size = re.search(r"by ([\d.]+) mrad", one.words)
+        assert told_size
+        assert drawn.marks[0].label.startswith(f"{told_size[1]} mrad")
+    alone = view(verdict.machine, [("", {effect.name: change.after})]).ways[0]
+    np.testing.assert_allclose(verdict.view.ways[0].p, alone.p, rtol=0.1, atol=1e-8)
     verdict.report(str(tmp_path / "run"))
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     (told,), (cause,) = result["changed"], result["effects"]

@@ -98,6 +98,9 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     assert sheet.read_text().count("\n") == 1 + 29 + 26
     told = run("close-loop", sheet, "--machine", machine, "--out", tmp_path / "o", code=2)
     assert "the reading is empty" in told
+    for whose in (("--machine", machine), ()):
+        told = run("rehearse", "--sheet", sheet, "--campaigns", 1, *whose, code=2)
+        assert "design --owns tcp,ballbar --machine FILE tells" in told
     assert "is one of leg, tcp" in run("design", "--owns", "ruler", "--machine", machine, code=2)
     assert "linear-delta" in run("design", "--owns", "leg", "--machine", machine, code=2)
 

@@ -28,7 +28,7 @@ from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
 from orthoglide.report.found import before_and_after
 from orthoglide.report.wording import evidence, headline
-from tests.test_report import RIG, check_page, check_timeless, opened, words
+from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
 
 CASES = ("explained", "partial", "unexplained", "faulty")
 
@@ -176,6 +176,28 @@ def test_nothing_overflows_in_a_browser(which: str, width: int, tmp_path: Path) 
     assert seen.page <= width
     assert (seen.out, seen.cut, seen.flat) == ([], [], 0)
     assert seen.height > 3000
+
+
+PAPER = """<script>addEventListener("load", () => setTimeout(() => {
+  const end = s => document.querySelector(s).getBoundingClientRect().bottom;
+  document.title = JSON.stringify({drawing: end(".drawn"), tool: end(".tiles.tool")});
+}, 100));</script></body>"""
+
+
+@pytest.mark.parametrize("which", CASES)
+def test_the_first_sheet_of_paper_has_the_verdict_the_drawing_and_the_tools_error(
+    which: str, tmp_path: Path
+) -> None:
+    """The drawing took the sheet for itself; the size that is left of A4 between the margins."""
+    page = files_of(which)["report.html"].replace("@media print", "@media all")
+    (tmp_path / "page.html").write_text(page.replace("</body>", PAPER))
+    (tmp_path / "frame.html").write_text(
+        '<body style="margin:0"><iframe src="page.html" style="border:0" width="680" height="1000">'
+        "</iframe><script>addEventListener('load', () => setTimeout(() => { document.title = "
+        "document.querySelector('iframe').contentDocument.title }, 300))</script></body>"
+    )
+    ends = browsed(tmp_path / "frame.html", "1400,1200", 3000)
+    assert 200 < ends["drawing"] < ends["tool"] < 265 / 25.4 * 96
 
 
 # --- What is said ---------------------------------------------------------------------------

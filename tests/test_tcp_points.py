@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -149,3 +150,11 @@ def test_dials_and_points_close_the_loop_and_run_again(tmp_path: Path) -> None:
     assert result["arguments"]["fit_tcp"] == ["rig-2.tcp.csv"]
     again = CliRunner().invoke(cli, ["rerun", str(out / "result.json"), "--quiet"])
     assert again.exit_code == 0, again.output
+
+
+def test_points_that_judge_are_looked_at_as_well() -> None:
+    """In another unit or a left-handed frame they would condemn a machine that is right."""
+    dials, points = og.read_campaign(RIG / "rig-1.csv", MACHINE.spec), measured(30)
+    for wrong, said in ((points.p / 25.4, "in inches"), (points.p * [1, -1, 1], "left-handed")):
+        with pytest.raises(og.InputError, match=said):
+            og.close_loop([dials], MACHINE, tcp=replace(points, p=wrong))

@@ -277,6 +277,24 @@ def test_another_unit_is_told_before_any_fit(unit: str, tmp_path: Path) -> None:
     og.identify([campaign], MACHINE)
 
 
+def test_a_ball_bar_in_metres_is_told_by_its_length(tmp_path: Path) -> None:
+    """About a ball in the middle of its circles it hardly varies, whatever the unit."""
+    (campaign,) = read(tmp_path, text(("ballbar",)))
+    assert isinstance(campaign, ToolCampaign)
+    t = np.arange(len(campaign)) * 0.7
+    at = np.stack([0.1 * np.cos(t), 0.1 * np.sin(t), 0.03 * np.cos(5 * t)], axis=1)
+    at *= (0.1 / np.linalg.norm(at, axis=1))[:, None]
+    command = MACHINE.inverse(at)
+    length = np.linalg.norm(TRUE.forward(command), axis=1)
+    for reading, said in ((length, ""), (length - 0.1, ""), (1e-3 * length, "in metres instead")):
+        given = replace(campaign, command=command, reading=reading)
+        if said:
+            with pytest.raises(InputError, match=said):
+                og.identify([given], MACHINE)
+        else:
+            og.identify([given], MACHINE)
+
+
 def coordinates(turn: np.ndarray) -> str:
     """All three coordinates of every place, in a frame of the tracker's own; one of them twice."""
     commands = MACHINE.inverse(places())
@@ -315,3 +333,17 @@ def test_single_coordinates_in_a_turned_frame_are_refused(tmp_path: Path) -> Non
     turned = np.stack([-p[:, 1], p[:, 0], p[:, 2]], axis=1)[np.arange(len(p)), campaign.axis]
     with pytest.raises(og.InputError, match="turned, its x, y, z being −y, x, z of the machine"):
         og.identify([replace(campaign, reading=turned)], MACHINE)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("ballbar", 1.5e-4), ("tcp", 4e-4)])
+def test_a_slip_of_an_exact_instrument_is_told(kind: str, size: float, tmp_path: Path) -> None:
+    """Far less than a bed's bumps, and many times its noise; a cause besides is no slip."""
+    (campaign,) = read(tmp_path, text((kind, "plate"), noise=2e-6))
+    assert isinstance(campaign, ToolCampaign)
+    og.close_loop([campaign], MACHINE)
+    wrong = campaign.reading.copy()
+    wrong[8] += size
+    with pytest.raises(
+        InputError, match=rf"tool.csv, line 10: {size * 1e3:.1g}\d* mm off what all"
+    ):
+        og.close_loop([replace(campaign, reading=wrong)], MACHINE)

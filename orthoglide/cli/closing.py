@@ -129,7 +129,7 @@ def _demo_runs(
         "published": (
             "2. The machine of the papers, from the few readings that its authors published.",
             lambda: read_request(
-                "demo", (first,), holdout=held, own=worn.catalogue.zeros, seed=seed
+                "demo", (first,), holdout=held, own=worn.catalogue.held_as("zero"), seed=seed
             ),
         ),
     }

@@ -79,12 +79,11 @@ class Catalogue(Mapping[str, Effect]):
     @cached_property
     def base(self) -> tuple[str, ...]:
         """The effects with which every identification starts; of the papers: zeros and lengths."""
-        return tuple(e.name for e in self.effects if e.controller in self.legs.held)
+        return self.held_as(*self.legs.held)
 
-    @cached_property
-    def zeros(self) -> tuple[str, ...]:
-        """The effects that a controller's zeros hold."""
-        return tuple(e.name for e in self.effects if e.controller == "zero")
+    def held_as(self, *numbers: str) -> tuple[str, ...]:
+        """The effects that some of a controller's numbers hold, such as its zeros: ``"zero"``."""
+        return tuple(e.name for e in self.effects if e.controller in numbers)
 
     @cached_property
     def motions(self) -> Mapping[Parameter, tuple[int, tuple[Motion, ...]]]:
@@ -170,9 +169,13 @@ class Catalogue(Mapping[str, Effect]):
         return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
 
     def moved_by(self, values: Mapping[str, float]) -> dict[Parameter, float]:
-        """Single parameters of the machine by what names stand for, campaigns and dials apart."""
+        """Single parameters of the machine by what names stand for, those of dials left out.
+
+        Of what campaigns have for themselves the last one's, which is the machine as it is now.
+        """
         found: dict[Parameter, float] = {}
-        for name, value in self.of_machine(values).items():
+        now = {self.parameter(n).plain: v for n, v in self.of_machine(values).items()}
+        for name, value in now.items():
             for part, weight in self.elementary(name).items():
                 plain = self.parameter(part).plain
                 found[plain] = found.get(plain, 0.0) + weight * value

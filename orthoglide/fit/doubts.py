@@ -30,7 +30,9 @@ _OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres,
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
-_BUMP, _ROLL = 1e-3, 2e-3  # metres, radians
+# Least that counts, metres (radians of an inclination): a bed has bumps, a printed part pillars, a
+# rail may roll its carriage in waves that no catalogue knows; they move its place by less.
+_LEAST = {"plate": 1e-3, "distance": 1e-3, "incline": 2e-3, "ballbar": 1e-4, "tcp": 2e-4}
 
 
 def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
@@ -134,13 +136,11 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
 
 
 def _least(problem: Problem, name: tuple[int, int]) -> float:
-    """Least distance that counts, metres or radians: a bed has bumps, a printed part its pillars,
-    and a rail may roll its carriage in waves that no catalogue knows.
-    """
+    """Least distance that counts, metres or radians."""
     points = problem.points[name[0]].points
     if not isinstance(points, ToolCampaign):
         return 0.0
-    return _ROLL if points.setups[points.setup[name[1]]].kind == "incline" else _BUMP
+    return _LEAST[points.setups[points.setup[name[1]]].kind]
 
 
 def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:

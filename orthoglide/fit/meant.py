@@ -24,6 +24,7 @@ from orthoglide.units import MISTAKEN
 
 _FAR = 3e-3  # metres, rms: zeros off by centimetres strain the tool's path by less
 _MENDED = 0.2  # share of it that is left of readings that mean something else
+_STILL = 1e-5  # metres
 _STRETCH = 0.1  # of coordinates of a machine that is about what it should be
 _FEWEST = 4  # readings of a setup that can say so
 Ints = NDArray[np.int64]
@@ -63,7 +64,8 @@ def check_meant(points: TcpPoints | ToolCampaign, machine: Machine) -> None:
             apart = np.linalg.norm(machine.forward(points.second[rows]) - p[rows], axis=1)
             said = _unit(np.stack([_rms(f * value - apart) for f in _FACTORS]))
         elif setup.kind == "ballbar":
-            said = _unit(np.stack([_off_sphere(p[rows], f * value) for f in _FACTORS]))
+            away = np.array([_off_sphere(p[rows], f * value) for f in _FACTORS])
+            said = _unit(away[:, 0]) or _still(value, away[:, 1])
         else:
             continue
         _refuse(points, f", setup {setup.name!r}", said)
@@ -139,9 +141,26 @@ def _left(turn: Array, p: Array, axis: Ints, value: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(rest**2, axis=0)))
 
 
-def _off_sphere(p: Array, distance: Array) -> float:
+def _still(value: Array, longer: Array) -> str:
+    """What a ball bar's readings ``(m,)`` seem to be that hardly vary; else empty.
+
+    Its deviations are a real machine's, micrometres and more; of lengths in another unit it is the
+    length that tells, by which each factor makes the bar ``longer`` than it can be.
+    """
+    best = int(np.argmin(longer))
+    if np.ptp(value) > _STILL or longer[0] < _FAR or longer[best] > _MENDED * longer[0]:
+        return ""
+    return (
+        f"the readings vary by less than {_STILL * 1e3:g} mm, as those of no machine do, and are "
+        f"lengths once they are multiplied by {_FACTORS[best]:.4g}, so they seem to be "
+        f"{MISTAKEN[float(_FACTORS[best])]}: give millimetres"
+    )
+
+
+def _off_sphere(p: Array, distance: Array) -> tuple[float, float]:
+    """Rms of what distances are off a ball's, and their mean, by which a bar is longer."""
     away = distance - np.linalg.norm(p - centre_of(p, distance), axis=1)
-    return _rms(away - away.mean())
+    return _rms(away - away.mean()), float(abs(away.mean()))
 
 
 def _rms(rest: Array) -> float:

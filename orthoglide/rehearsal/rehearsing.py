@@ -11,7 +11,9 @@ from typing import get_args
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, protocol, read_campaign
-from orthoglide.observations.protocols import Kind, check_dials
+from orthoglide.observations.protocols import Kind
+from orthoglide.observations.table import Column, read_table
+from orthoglide.observations.tool import KINDS
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.journal import Journal, request_digests
@@ -21,6 +23,11 @@ from orthoglide.rehearsal.weak_spots import weak_spots
 
 CAMPAIGNS = 90
 """Ten of each turn of :data:`orthoglide.rehearsal.drawing.TURNS`."""
+
+_AT_THE_TOOL = (
+    "a rehearsal simulates dials on the legs of an Orthoglide alone: what instruments at the tool "
+    "would find and name, orthoglide design --owns tcp,ballbar --machine FILE tells"
+)
 
 
 def rehearse(
@@ -60,7 +67,8 @@ def rehearse(
     if jobs == 0:
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
     machine = (machine or Machine.nominal()).with_only({})
-    check_dials(machine.geometry)
+    if not machine.geometry.dialled:
+        raise InputError(_AT_THE_TOOL)
     progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, _sheet(machine, sheet))
     kept = None if out is None else Journal(Path(out), request_digests(scope, seed))
@@ -77,6 +85,8 @@ def _sheet(machine: Machine, sheet: Campaign | str | os.PathLike[str]) -> Campai
         return sheet
     if sheet in get_args(Kind):
         return protocol(sheet, machine.geometry)  # type: ignore[arg-type]
+    if any(kind in KINDS for kind in read_table(sheet).values("kind", Column(str, ""))):
+        raise InputError(f"{Path(sheet).name}: {_AT_THE_TOOL}")
     return read_campaign(sheet, machine.spec, require_readings=False)
 
 

@@ -44,7 +44,7 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     geometry = machine.geometry
     at_zero = np.array([leg.carriage[2] - leg.platform[2] for leg in geometry.legs])
     below = machine.inverse(lifted) + at_zero - old.at_endstop
-    lengths = {e.name for e in machine.catalogue.effects if e.controller == "bar_length"}
+    lengths = machine.catalogue.held_as("bar_length")
     longer = [
         sum(machine.values.get(f"{name}.{leg}", 0.0) for name in lengths)
         for leg in geometry.leg_names
@@ -82,9 +82,8 @@ def unseen_by_firmware(
     points = np.zeros((7, 3))
     points[1:, 0], points[1:, 1] = ring * np.cos(angle), ring * np.sin(angle)
     at = Conditions.at(machine.with_only({}).inverse(points))
-    zeros = [p for e in machine.catalogue.effects if e.controller == "zero" for p in e.motions]
-    places = [p for e in machine.catalogue.effects if e.controller == "place" for p in e.motions]
-    every = [*zeros, *places, *values]
+    known = machine.catalogue.held_as("zero", "place")  # in the catalogue's order
+    every = [*machine.catalogue.expand(known), *values]
     _, by_name = machine.with_only({}).model.sensitivities({}, at, every)
     by_z = by_name[:, 2]
     out = by_z[:, 3:9]
