@@ -99,8 +99,10 @@ def run(case: Case, seed: int) -> Record:
         {
             "cause": item.cause,
             "named": item.cause in named,
-            "gain": 1e3 * item.gain,
-            "sigma": 1e3 * item.gain_sigma,
+            "said": {
+                "repaired": [1e3 * item.gain, 1e3 * item.gain_sigma],
+                "compensated": [1e3 * item.compensated, 1e3 * item.compensated_sigma],
+            },
             "repaired": now - tool.error(rig.with_errors(dict.fromkeys(_on_rig(item), 0.0))),
             "compensated": now
             - tool.error(
@@ -135,7 +137,8 @@ def table(found: Sequence[Record]) -> Iterator[str]:
             chosen = [i for i in items if i["named"] in named]
             if not chosen:
                 continue
-            gain, sigma, real = (np.array([i[k] for i in chosen]) for k in ("gain", "sigma", how))
+            gain, sigma = np.transpose([i["said"][how] for i in chosen])
+            real = np.array([i[how] for i in chosen])
             within = np.abs(gain - real) <= 1.96 * sigma + LEAST
             yield (
                 f"| {how} | {what} | {len(chosen)} | {gain.mean():.4f} | {real.mean():.4f} | "

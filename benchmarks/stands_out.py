@@ -113,6 +113,10 @@ def table(found: Sequence[Record]) -> Iterator[str]:
         for share in SHARES[1:]:
             rows = [r for r in told if (r["case"][0], r["case"][3]) == (share, times)]
             yield f"| {share:g}, {times} times that | {_row(rows)} |"
+    for times in TIMES:
+        for protocol in ac.PROTOCOLS:
+            rows = [r for r in told if (r["case"][1], r["case"][3]) == (protocol, times)]
+            yield f"| {protocol}, {times} times | {_row(rows)} |"
     yield f"| all | {_row(told)} |"
 
 

@@ -19,9 +19,21 @@ def test_a_cause_gains_what_was_said() -> None:
     record = gains.run((1, "two-gauges", 1), SEED)
     (item,) = [i for i in record["items"] if i["named"]]
     for how in ("repaired", "compensated"):
-        assert item["gain"] == pytest.approx(item[how], rel=0.1)
-        assert abs(item["gain"] - item[how]) <= 1.96 * item["sigma"] + gains.LEAST
+        gain, sigma = item["said"][how]
+        assert gain == pytest.approx(item[how], rel=0.1)
+        assert abs(gain - item[how]) <= 1.96 * sigma + gains.LEAST
     assert "| repaired | causes named | 1 |" in "\n".join(gains.table([record]))
+
+
+def test_compensating_leaves_what_the_readings_do_not_know() -> None:
+    """Of an effect that they do not see at all nothing is gained, whatever mending it would."""
+    worn = og.Machine.nominal().with_parameters({"axis_tilt.y.z": 2e-3})
+    verdict = og.close_loop([og.simulate(worn, "sweep", seed=3)])
+    first, *rest = verdict.budget
+    assert 0.9 * first.gain < first.compensated < first.gain
+    for item in rest:
+        assert item.compensated <= item.gain + 1e-6
+    assert sum(i.compensated for i in rest) < 0.5 * sum(i.gain for i in rest)
 
 
 def test_a_sound_machine_has_nothing_to_gain() -> None:

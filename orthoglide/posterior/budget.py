@@ -36,8 +36,11 @@ class BudgetItem:
         readings_rms: root mean square of its part of the readings, datums fitted.
         tcp_mean: mean of its part of the tool's error.
         tcp_sigma: standard deviation of that.
-        gain: by how much the mean error of the tool falls if it is put right or compensated.
+        gain: by how much the mean error of the tool falls if it is put right.
         gain_sigma: standard deviation of that.
+        compensated: by how much it falls if the value found is taken away, which leaves what the
+            readings do not know of it.
+        compensated_sigma: standard deviation of that.
         share: ``gain`` over the mean error.
     """
 
@@ -52,6 +55,8 @@ class BudgetItem:
     tcp_sigma: float
     gain: float
     gain_sigma: float
+    compensated: float
+    compensated_sigma: float
     share: float
 
 
@@ -81,8 +86,10 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
         at = [known.names.index(n) for n in names]
         # Exact at the mean: a bar off by millimetres turns the platform by more than its slope.
         mended = controller.left({n: v for n, v in values.items() if n not in names})
-        part = now - mended + off[:, at] @ slopes[:, at].T
+        known_part = now - mended
+        part = known_part + off[:, at] @ slopes[:, at].T
         gain = total - _mean_length(drawn - part)
+        compensated = total - _mean_length(drawn - known_part)
         tolerance = np.array([machine.tolerance(n) for n in names])
         size, single = np.abs(known.mean[at] + off[:, at]) / tolerance, len(at) == 1
         length = _mean_length(part)
@@ -99,6 +106,8 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 float(length.std()),
                 float(gain.mean()),
                 float(gain.std()),
+                float(compensated.mean()),
+                float(compensated.std()),
                 float(gain.mean() / max(total.mean(), 1e-12)),
             )
         )

@@ -195,6 +195,9 @@ def budget(result: Result) -> Data:
                 "readings": f"{item.readings_rms * 1e3:.4f}",
                 "tcp": f"{item.tcp_mean * 1e3:.4f} ± {item.tcp_sigma * 1e3:.4f}",
                 "gain": f"{plain(item.gain * 1e3, 4)} ± {item.gain_sigma * 1e3:.4f}",
+                "compensated": (
+                    f"{plain(item.compensated * 1e3, 4)} ± {item.compensated_sigma * 1e3:.4f}"
+                ),
                 "share": f"{plain(100 * item.share, 0)}%",
             }
             for item in result.budget[:_MOST_ITEMS]

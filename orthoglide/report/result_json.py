@@ -222,6 +222,8 @@ def _budget(item: BudgetItem, result: Result) -> dict[str, Any]:
         "tcp_sigma_mm": _mm(item.tcp_sigma, _SHORT),
         "gain_mm": _mm(item.gain, _SHORT),
         "gain_sigma_mm": _mm(item.gain_sigma, _SHORT),
+        "compensated_mm": _mm(item.compensated, _SHORT),
+        "compensated_sigma_mm": _mm(item.compensated_sigma, _SHORT),
         "gain_share": number(item.share, _SHORT),
     }
 
