@@ -183,7 +183,7 @@ OF_ONE_LAYOUT = {
     "comparison/": "compares with that model, and refuses other layouts",
     "observations/campaign.py": "dials on legs: an Orthoglide's, relabelled",
     "planning/pool.py": "mountings of dials against legs",
-    "measuring/page.py": "the same, said to who mounts them",
+    "report/sheet.py": "the same, said to who mounts them",
     "urdf/solids.py": "boxes of the Orthoglide's drawing keep to the base axes",
     "urdf/tree.py": "a sentence of the Orthoglide's own file, tested letter by letter",
     "control/urdf.py": "the same",

@@ -13,9 +13,10 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.measuring import sheet_page
+from orthoglide.report.sheet import sheet_page
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, Row, approaches, read_csv, simulate
+from tests.test_report_verdict import files_of
 
 CELL = re.compile(r"<td[^>]*class=\"([^\"]*)\"[^>]*>(.*?)</td>|<td>(.*?)</td>", re.S)
 
@@ -48,7 +49,18 @@ def steps(page: str) -> list[tuple[list[int], bool, list[float], list[bool]]]:
 def test_page_and_file_have_the_same_rows_in_the_same_order(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    path = written(tmp_path, *words)
+    compare(written(tmp_path, *words))
+
+
+def test_what_a_report_proposes_is_printed_as_well(tmp_path: Path) -> None:
+    files = files_of("unexplained")
+    for name in ("next_measurements.csv", "next_measurements.html"):
+        (tmp_path / name).write_text(files[name], encoding="utf-8")
+    compare(tmp_path / "next_measurements.csv")
+
+
+def compare(path: Path) -> None:
+    """A sheet and the page beside it, row by row."""
     rows = read_csv(path)
     shown = steps(path.with_suffix(".html").read_text(encoding="utf-8"))
     assert [line for lines, *_ in shown for line in lines] == list(range(2, len(rows) + 2))

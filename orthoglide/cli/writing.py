@@ -28,8 +28,8 @@ def write_sheet(path: Path, sheet: Campaign, machine: Machine) -> str:
     """A new measuring sheet in the coordinates of the machine's controller, and the page to print
     beside it; what they hold.
     """
-    from orthoglide.measuring import sheet_page
     from orthoglide.observations import campaign_text
+    from orthoglide.report.sheet import sheet_page
 
     page = page_beside(path)
     told = (

@@ -1,6 +1,5 @@
-"""At the machine: the sheet that is carried there, and the conversation while it is measured."""
+"""At the machine: the conversation while it is measured."""
 
-from orthoglide.measuring.page import sheet_page as sheet_page
 from orthoglide.measuring.program import (
     MOST as MOST,
     SETTLED as SETTLED,

@@ -13,12 +13,12 @@ from orthoglide.machine import Machine
 from orthoglide.measuring.ahead import begun
 from orthoglide.measuring.answers import HELP, understood
 from orthoglide.measuring.expected import Expected
-from orthoglide.measuring.page import command_columns, counted, dial_words, mounted_together
 from orthoglide.measuring.program import MOST, SETTLED, Next, following, opening
 from orthoglide.measuring.record import AGAIN, SKIPPED, Record
 from orthoglide.observations import Campaign, Moves
 from orthoglide.observations.approach import OVERSHOOT
 from orthoglide.observations.writing import Row
+from orthoglide.report.sheet import command_columns, counted, dial_words, mounted_together
 from orthoglide.text import shown
 
 _LEAD = 4

@@ -34,11 +34,16 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
     from orthoglide.machine_file import machine_files
     from orthoglide.observations import campaign_text
     from orthoglide.report.page import page
+    from orthoglide.report.sheet import sheet_page
     from orthoglide.report.tables import calibrated_machine, residual_table
 
     progress(Step("suggesting"))
     proposed, spec = result.next_sheet, result.request.machine.spec
-    sheet = "" if proposed is None else campaign_text(proposed, spec)
+    sheet, sheets = "", dict[str, str]()
+    if proposed is not None:
+        name, sheet = "next_measurements", campaign_text(proposed, spec)
+        printed = sheet_page(proposed, result.request.machine, f"{name}.csv")
+        sheets = {f"{name}.csv": sheet, f"{name}.html": printed}
     text = result_text(result)
     progress(Step("drawing"))
     drawings = draw(result)
@@ -46,7 +51,7 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
     return {
         **machine_files(calibrated_machine(result), "calibrated.toml"),
         "residuals.csv": residual_table(result),
-        **({"next_measurements.csv": sheet} if sheet else {}),
+        **sheets,
         **{f"figures/{d.name}.svg": d.svg for d in drawings},
         "report.html": page(result, drawings, sheet),
         "result.json": text,

@@ -14,8 +14,8 @@ from orthoglide.files import Commit, writing
 from orthoglide.text import shown
 
 _REPORT = {
-    "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv", "report.html",
-    "residuals.csv", "result.json",
+    "calibrated.npz", "calibrated.toml", "figures", "next_measurements.csv",
+    "next_measurements.html", "report.html", "residuals.csv", "result.json",
 }  # fmt: skip
 """All that a report consists of: a folder that holds anything else is nobody's to replace."""
 

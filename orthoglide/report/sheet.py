@@ -25,7 +25,7 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
         file: name of the CSV with the same rows.
     """
     return rendered(
-        "orthoglide.measuring",
+        "orthoglide.report",
         "sheet.html.j2",
         file=file,
         machine=machine.spec.title,
