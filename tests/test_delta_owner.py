@@ -357,3 +357,19 @@ def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt
     kept = json.loads(files["result.json"])["left"]["by_instrument"]
     assert sum(one["share"] for one in kept) == pytest.approx(1.0)
     assert kept[0]["where"][0] == place
+
+
+def test_a_cause_beside_a_place_is_reported_whole() -> None:
+    """Rivals of the cause are machines on which the place goes wrong as well."""
+    rig = DeltaRig(
+        errors={"axis_tilt.a.tangential": 2e-3},
+        bends={"b": lambda s: (0.0, 0.0, 6e-5 * np.sin(2 * np.pi * s / 0.15))},
+    )
+    rng = np.random.default_rng(3)
+    points = measured(rig, rng, machine=nominal(), instrument="tool coordinates")
+    verdict = close_loop(points, nominal())
+    assert verdict.word == "located"
+    assert [e.name for e in verdict.effects] == ["axis_tilt.a.tangential"]
+    assert [f.name for f in verdict.located] == ["drive.b/travel"]
+    assert "a level on the platform" in verdict.next_measurements[0].reason
+    assert set(report_files(verdict)) >= {"result.json", "report.html"}

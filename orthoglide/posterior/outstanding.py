@@ -190,7 +190,7 @@ class _Reader:
             ),
             dict(zip(names, values.tolist(), strict=True)),
             self._shown(about.rows[:, group.places] @ group.weights @ value),
-            about.problem.machine.catalogue,
+            posterior.machine.catalogue,  # which knows places, too
         )
 
     def _shown(self, rows: Array) -> Array:

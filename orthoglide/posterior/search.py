@@ -13,11 +13,12 @@ States are searched forward, the best group first, then each exchanged against a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.linear import EXPECTED, STRANGE, Linear, Scale, scales
@@ -57,7 +58,9 @@ class Search:
         self.cost = np.log(len(linear.slabs) * max(chance.sum() / EXPECTED, 1.0) / chance)
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
+        self._products: dict[int, dict[int, Array]] = {}
         self.best = self._search()
+        self._products.clear()  # large, and hardly needed again
 
     @cached_property
     def _known(self) -> frozenset[int]:
@@ -168,24 +171,10 @@ class Search:
                 [self._log_z(s, state) - sum(self.cost[g] for g, _ in state) for s in self.scales]
             )
         taken = {k for k, _ in state}
-        groups = self.linear.groups
-        table = np.full((len(self.scales), len(groups), len(self.linear.slabs)), -np.inf)
+        shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
+        table = np.full(shape, -np.inf)
         for k, scale in enumerate(self.scales):
-            columns, residual = self._given(scale, state)
-            for size, members in self._by_size.items():
-                span = np.array([self._span[g] for g in members])
-                blocks = columns[:, span].transpose(1, 0, 2)
-                across = blocks.transpose(0, 2, 1)
-                # Of both sides of a block the shorter one has its singular values as well.
-                if size <= len(residual):
-                    values, vectors = np.linalg.eigh(across @ blocks)
-                    square = (vectors.transpose(0, 2, 1) @ (across @ residual)[:, :, None])[
-                        ..., 0
-                    ] ** 2
-                else:
-                    values, vectors = np.linalg.eigh(blocks @ across)
-                    square = values * (vectors.transpose(0, 2, 1) @ residual) ** 2
-                values = np.maximum(values, 0.0)
+            for members, values, square in self._decomposed(scale, self._inner(k), state):
                 for t, tau in enumerate(self.linear.slabs):
                     grown = 1 + tau**2 * values
                     gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
@@ -193,6 +182,51 @@ class Search:
             table[k] += self.visited[state][k] - self.cost[:, None]
         table[:, sorted(taken)] = -np.inf
         return table
+
+    def _inner(self, k: int) -> dict[int, Array]:
+        """Products of the columns of each group ``(groups, size, size)`` by size, at one scale."""
+        if k not in self._products:
+            by_group = self.scales[k].by_group
+            self._products[k] = {
+                size: (blocks := by_group[:, self._columns(size)].transpose(1, 2, 0))
+                @ blocks.transpose(0, 2, 1)
+                for size in self._by_size
+                if size <= len(by_group)
+            }
+        return self._products[k]
+
+    def _columns(self, size: int) -> NDArray[np.intp]:
+        """Where the columns of all groups of a size stand ``(groups, size)``."""
+        return np.array([self._span[g] for g in self._by_size[size]])
+
+    def _decomposed(
+        self, scale: Scale, inner: dict[int, Array], state: State
+    ) -> Iterator[tuple[list[int], Array, Array]]:
+        """Groups of one size, the squared singular values of what each shows besides a state
+        ``(groups, size)``, and squared what the residual has along them, times those.
+        """
+        by_group, residual = scale.by_group, scale.residual
+        left, shrink = self._out(scale, state)
+        taken = shrink * (2 - shrink)
+        along = left.T @ by_group
+        across = by_group.T @ residual - along.T @ (taken * (left.T @ residual))
+        for size, members in self._by_size.items():
+            at = self._columns(size)
+            # Of both sides of a block the shorter one has its singular values as well.
+            if size in inner:
+                out = along[:, at].transpose(1, 2, 0)
+                values, vectors = np.linalg.eigh(
+                    inner[size] - (out * taken) @ out.transpose(0, 2, 1)
+                )
+                turned = vectors.transpose(0, 2, 1) @ across[at][:, :, None]
+                yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
+            else:
+                blocks = whitened(by_group[:, at.ravel()], left, shrink)
+                blocks = blocks.reshape(-1, *at.shape).transpose(1, 0, 2)
+                values, vectors = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
+                values = np.maximum(values, 0.0)
+                turned = vectors.transpose(0, 2, 1) @ whitened(residual, left, shrink)
+                yield members, values, values * turned**2
 
     def _out(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
@@ -205,15 +239,6 @@ class Search:
         columns = np.hstack([by_group[:, self._span[g]] * tau for g, tau in state])
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
-
-    def _given(self, scale: Scale, state: State) -> tuple[Array, Array]:
-        """All groups' columns and the residual, with what is out whitened."""
-        columns, residual = scale.by_group, scale.residual
-        if state:
-            left, shrink = self._out(scale, state)
-            columns = whitened(columns, left, shrink)
-            residual = whitened(residual, left, shrink)
-        return columns, residual
 
     def _log_z(self, scale: Scale, state: State) -> float:
         left, shrink = self._out(scale, state)
