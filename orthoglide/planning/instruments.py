@@ -11,6 +11,7 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate
 from orthoglide.fit.tool import REPEATABILITY
 from orthoglide.geometry import Array
+from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.posterior import Cause, Explanation
 from orthoglide.prediction import Conditions
@@ -37,7 +38,9 @@ class InstrumentReadings:
     turned: Array
 
 
-def deciding(fit: Estimate, causes: Sequence[Cause]) -> tuple[tuple[str, float], ...]:
+def deciding(
+    fit: Estimate, causes: Sequence[Cause], machine: Machine
+) -> tuple[tuple[str, float], ...]:
     """What would tell rivals apart, in sentences with the sigmas between the two that differ most.
 
     Each rival's machine predicts what an instrument would read on a circle on the plate; what the
@@ -46,11 +49,14 @@ def deciding(fit: Estimate, causes: Sequence[Cause]) -> tuple[tuple[str, float],
     Args:
         fit: of the readings at hand.
         causes: that were found, with their rivals.
+        machine: that knows them, and the places found.
     """
     pairs, found = list[tuple[InstrumentReadings, InstrumentReadings]](), []
     for cause in causes:
-        chosen = _readings_of(cause.chosen, fit)
-        pairs += [(chosen, _readings_of(other, fit)) for other in (*cause.same, *cause.rivals)]
+        chosen = _readings_of(cause.chosen, fit, machine)
+        pairs += [
+            (chosen, _readings_of(other, fit, machine)) for other in (*cause.same, *cause.rivals)
+        ]
     for what, unit, sigma, of in (
         ("distances between holes or pillars around the rim and across it, each with its own width "
          "and the part's shrinkage", "mm", REPEATABILITY["distance"], _distances),
@@ -97,17 +103,14 @@ def _turned(one: InstrumentReadings, other: InstrumentReadings) -> Array:
     return one.turned - other.turned
 
 
-def _readings_of(one: Explanation, fit: Estimate) -> InstrumentReadings:
+def _readings_of(one: Explanation, fit: Estimate, machine: Machine) -> InstrumentReadings:
     problem, catalogue = fit.problem, one.catalogue
-    machine = problem.machine
     points = np.concatenate([p.conditions().command for p in problem.points])
     radius = 0.9 * float(np.hypot(*machine.forward(points)[:, :2].T).max())
     angle = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS
     ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     at = Conditions.at(machine.with_only({}).inverse(ring))
-    out = machine.with_effects(catalogue.effects).model.outputs(
-        {n: v for n, v in one.machine.items() if v}, at
-    )
+    out = machine.model.outputs({n: v for n, v in one.machine.items() if v}, at)
     half, near = _DIRECTIONS // 2, _DIRECTIONS // 6
     spans = [np.roll(out.p, -k, axis=0) - out.p for k in (near, 2 * near, half)]
     turn = 0.5 * np.stack(

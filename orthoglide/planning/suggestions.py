@@ -100,16 +100,19 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
     return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
 
 
-def deciding_instruments(fit: Estimate, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
+def deciding_instruments(
+    fit: Estimate, causes: Sequence[Cause], machine: Machine
+) -> tuple[Suggestion, ...]:
     """Instruments at the tool that would decide between rivals, where no dial is set on the legs.
 
     Args:
         fit: of the readings at hand.
         causes: that were found, with their rivals.
+        machine: that knows them, and the places found.
     """
     return tuple(
         Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
-        for reason, gain in deciding(fit, causes)
+        for reason, gain in deciding(fit, causes, machine)
     )
 
 

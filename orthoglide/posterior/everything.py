@@ -41,18 +41,21 @@ class FullPosterior:
         before: the fit of the base.
         about: the readings linearised at the mean.
         mixture: of the explanations.
-        known: of all coefficients, in their units.
     """
 
     before: Estimate
     about: Everything
     mixture: Mixture
-    known: Averaged
 
     @property
     def mean(self) -> Array:
         """Of all coefficients, in their units ``(C,)``."""
-        return self.known.mean
+        return self.mixture.mean
+
+    @cached_property
+    def known(self) -> Averaged:
+        """Of all coefficients, in their units; of use where the mean has settled."""
+        return self.mixture.averaged(self.about.known)
 
     @cached_property
     def covariance(self) -> Array:
@@ -177,7 +180,7 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
         try:
             about = everything(before, at)
             mixture = Mixture(about.linear, given)
-            found = FullPosterior(before, about, mixture, mixture.averaged(about.known))
+            found = FullPosterior(before, about, mixture)
             at = (found.mean * about.scale)[: about.known]
             apart = about.distance(found.mean, before)
         except ClosureError as error:

@@ -137,7 +137,9 @@ class Mixture(Search):
 
     def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """As `likeliest`, on a sound machine."""
-        logs = {k: self._log_z(self.scales[k], state) for k in self._sound}
+        logs = {
+            k: self._log_z(self.scales[k], self._out(self.scales[k], state)) for k in self._sound
+        }
         return self.moments(state, self.scales[max(logs, key=lambda k: logs[k])], at)
 
     def next_odds(self) -> Array:
@@ -176,14 +178,36 @@ class Mixture(Search):
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
-        left, shrink = self._out(scale, state)
-        residual = whitened(scale.residual, left, shrink)
-        columns = whitened(scale.columns, left, shrink)
+        columns = whitened(scale.columns, *self._out(scale, state))
         spread = self._spread(state)
         # Prior covariance: the spike's diagonal and what is out.
         seen = columns * scale.spike + (columns @ spread) @ spread.T
         prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
-        return seen.T @ residual, prior - seen[:, at].T @ seen[:, at]
+        return self._mean(state, scale), prior - seen[:, at].T @ seen[:, at]
+
+    def _mean(self, state: State, scale: Scale) -> Array:
+        """Mean of all coefficients in a state ``(C,)``."""
+        out, spread = self._out(scale, state), self._spread(state)
+        along = scale.columns.T @ whitened(whitened(scale.residual, *out), *out)
+        return np.asarray(scale.spike * along + spread @ (spread.T @ along))
+
+    @cached_property
+    def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
+        """States and scales that means are averaged over, with their weights."""
+        flat = [
+            (float(w), state, self.scales[k])
+            for state, weights in self.weights.items()
+            for k, w in enumerate(weights)
+            if w > _NEGLIGIBLE
+        ]
+        flat.sort(key=lambda entry: -entry[0])
+        total = sum(w for w, _, _ in flat[:_KEPT])
+        return tuple((w / total, state, scale) for w, state, scale in flat[:_KEPT])
+
+    @cached_property
+    def mean(self) -> Array:
+        """Of all coefficients ``(C,)``, over all states and scales that count."""
+        return np.asarray(sum(w * self._mean(state, scale) for w, state, scale in self._terms))
 
     def averaged(self, known: int) -> Averaged:
         """Everything over all states and scales that count.
@@ -195,23 +219,13 @@ class Mixture(Search):
         likely = [g.places for g, p in zip(self.linear.groups, self.inclusion, strict=True)
                   if p > LEAST_SHARE]  # fmt: skip
         at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
-        flat = [
-            (float(w), state, self.scales[k])
-            for state, weights in self.weights.items()
-            for k, w in enumerate(weights)
-            if w > _NEGLIGIBLE
-        ]
-        flat.sort(key=lambda entry: -entry[0])
-        flat = flat[:_KEPT]
-        total = sum(w for w, _, _ in flat)
         size = len(self.linear.fixed)
-        mean, second, prior = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
+        second, prior = np.zeros((size, size)), np.zeros((size, size))
         block = np.ix_(at, at)
-        for weight, state, scale in flat:
+        for weight, state, scale in self._terms:
             m, cov = self.moments(state, scale, at)
-            mean += weight / total * m
-            second[block] += weight / total * (cov + np.outer(m[at], m[at]))
+            second[block] += weight * (cov + np.outer(m[at], m[at]))
             spread = self._spread(state)[at]
-            prior[block] += weight / total * (np.diag(scale.spike[at]) + spread @ spread.T)
-        second[block] -= np.outer(mean[at], mean[at])
-        return Averaged(mean, second, prior)
+            prior[block] += weight * (np.diag(scale.spike[at]) + spread @ spread.T)
+        second[block] -= np.outer(self.mean[at], self.mean[at])
+        return Averaged(self.mean, second, prior)

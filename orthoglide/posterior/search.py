@@ -58,7 +58,7 @@ class Search:
         self.cost = np.log(len(linear.slabs) * max(chance.sum() / EXPECTED, 1.0) / chance)
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
-        self._products: dict[int, dict[int, Array]] = {}
+        self._products: dict[int, Array] = {}
         self.best = self._search()
         self._products.clear()  # large, and hardly needed again
 
@@ -166,67 +166,64 @@ class Search:
 
     def _expand(self, state: State) -> Array:
         """Log weights ``(scales, groups, taus)`` of the state with one more group out."""
+        outs = [self._out(scale, state) for scale in self.scales]
         if state not in self.visited:
             self.visited[state] = np.array(
-                [self._log_z(s, state) - sum(self.cost[g] for g, _ in state) for s in self.scales]
-            )
-        taken = {k for k, _ in state}
+                [self._log_z(*both) for both in zip(self.scales, outs, strict=True)]
+            ) - sum(self.cost[g] for g, _ in state)
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
         table = np.full(shape, -np.inf)
-        for k, scale in enumerate(self.scales):
-            for members, values, square in self._decomposed(scale, self._inner(k), state):
-                for t, tau in enumerate(self.linear.slabs):
-                    grown = 1 + tau**2 * values
-                    gain = (tau**2 * square / grown - np.log(grown)).sum(axis=1) / 2
-                    table[k, members, t] = gain
-            table[k] += self.visited[state][k] - self.cost[:, None]
-        table[:, sorted(taken)] = -np.inf
+        for members, values, square in self._decomposed(outs):
+            for t, tau in enumerate(self.linear.slabs):
+                grown = 1 + tau**2 * values
+                table[:, members, t] = (tau**2 * square / grown - np.log(grown)).sum(axis=2) / 2
+        table += self.visited[state][:, None, None] - self.cost[:, None]
+        table[:, [k for k, _ in state]] = -np.inf
         return table
 
-    def _inner(self, k: int) -> dict[int, Array]:
-        """Products of the columns of each group ``(groups, size, size)`` by size, at one scale."""
-        if k not in self._products:
-            by_group = self.scales[k].by_group
-            self._products[k] = {
-                size: (blocks := by_group[:, self._columns(size)].transpose(1, 2, 0))
-                @ blocks.transpose(0, 2, 1)
-                for size in self._by_size
-                if size <= len(by_group)
-            }
-        return self._products[k]
+    def _decomposed(
+        self, outs: Sequence[tuple[Array, Array]]
+    ) -> Iterator[tuple[list[int], Array, Array]]:
+        """Groups of one size, the squared singular values of what each shows besides what is out
+        ``(scales, groups, size)``, and squared what the residual has along them, times those.
+        """
+        along, across = [], []
+        for scale, (left, shrink) in zip(self.scales, outs, strict=True):
+            by_group, residual, kept = scale.by_group, scale.residual, 1 - shrink
+            along.append(inside := np.sqrt(1 - kept**2)[:, None] * (left.T @ by_group))
+            met = np.sqrt(1 - kept**2) * (left.T @ residual)
+            across.append(by_group.T @ residual - inside.T @ met)
+        taken, met_by = np.stack(along), np.stack(across)
+        for size, members in self._by_size.items():
+            at = self._columns(size)
+            # Of both sides of a block the shorter one has its singular values as well.
+            if size <= len(self.scales[0].residual):
+                out = taken[:, :, at].transpose(0, 2, 3, 1)
+                inner = self._inner(size) - out @ out.transpose(0, 1, 3, 2)
+                values, vectors = np.linalg.eigh(inner)
+                turned = vectors.transpose(0, 1, 3, 2) @ met_by[:, at, None]
+                yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
+            else:
+                pairs = list(zip(self.scales, outs, strict=True))
+                blocks = np.stack([whitened(s.by_group[:, at.ravel()], *o) for s, o in pairs])
+                blocks = blocks.reshape(*blocks.shape[:2], *at.shape).transpose(0, 2, 1, 3)
+                rest = np.stack([whitened(s.residual, *o) for s, o in pairs])
+                values, vectors = np.linalg.eigh(blocks @ blocks.transpose(0, 1, 3, 2))
+                values = np.maximum(values, 0.0)
+                turned = vectors.transpose(0, 1, 3, 2) @ rest[:, None, :, None]
+                yield members, values, values * turned[..., 0] ** 2
 
     def _columns(self, size: int) -> NDArray[np.intp]:
         """Where the columns of all groups of a size stand ``(groups, size)``."""
         return np.array([self._span[g] for g in self._by_size[size]])
 
-    def _decomposed(
-        self, scale: Scale, inner: dict[int, Array], state: State
-    ) -> Iterator[tuple[list[int], Array, Array]]:
-        """Groups of one size, the squared singular values of what each shows besides a state
-        ``(groups, size)``, and squared what the residual has along them, times those.
-        """
-        by_group, residual = scale.by_group, scale.residual
-        left, shrink = self._out(scale, state)
-        taken = shrink * (2 - shrink)
-        along = left.T @ by_group
-        across = by_group.T @ residual - along.T @ (taken * (left.T @ residual))
-        for size, members in self._by_size.items():
+    def _inner(self, size: int) -> Array:
+        """Products of the columns of each group of a size ``(scales, groups, size, size)``."""
+        if size not in self._products:
             at = self._columns(size)
-            # Of both sides of a block the shorter one has its singular values as well.
-            if size in inner:
-                out = along[:, at].transpose(1, 2, 0)
-                values, vectors = np.linalg.eigh(
-                    inner[size] - (out * taken) @ out.transpose(0, 2, 1)
-                )
-                turned = vectors.transpose(0, 2, 1) @ across[at][:, :, None]
-                yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
-            else:
-                blocks = whitened(by_group[:, at.ravel()], left, shrink)
-                blocks = blocks.reshape(-1, *at.shape).transpose(1, 0, 2)
-                values, vectors = np.linalg.eigh(blocks @ blocks.transpose(0, 2, 1))
-                values = np.maximum(values, 0.0)
-                turned = vectors.transpose(0, 2, 1) @ whitened(residual, left, shrink)
-                yield members, values, values * turned**2
+            each = (s.by_group[:, at].transpose(1, 2, 0) for s in self.scales)
+            self._products[size] = np.stack([b @ b.transpose(0, 2, 1) for b in each])
+        return self._products[size]
 
     def _out(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
@@ -240,8 +237,8 @@ class Search:
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
-    def _log_z(self, scale: Scale, state: State) -> float:
-        left, shrink = self._out(scale, state)
+    def _log_z(self, scale: Scale, out: tuple[Array, Array]) -> float:
+        left, shrink = out
         along = left.T @ scale.residual
         gain = along @ ((1 - (1 - shrink) ** 2) * along)
         return scale.log_z + 0.5 * float(gain) + float(np.log1p(-shrink).sum())

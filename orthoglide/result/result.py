@@ -322,7 +322,7 @@ class Result(Framed):
         geometry = self.request.machine.geometry
         again = () if self.stands or not self.rest_of_tool else (repeating(self.rest_of_tool[0]),)
         if not geometry.dialled:
-            return (*deciding_instruments(self.after, self.effects), *again)
+            return (*deciding_instruments(self.after, self.effects, self.machine), *again)
         rivals = [
             (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
         ] or [(e.name, e.machine) for e in self.alone[:_MOST_RIVALS]]
