@@ -6,7 +6,7 @@ is worth reading.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +32,10 @@ _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
 # Least that counts, metres (radians of an inclination): a bed has bumps, a printed part pillars, a
 # rail may roll its carriage in waves that no catalogue knows; they move its place by less.
-_LEAST = {"plate": 1e-3, "distance": 1e-3, "incline": 2e-3, "ballbar": 1e-4, "tcp": 2e-4}
+_LEAST = {"plate": 1e-3, "distance": 1e-3, "incline": 2e-3, "ballbar": 1e-3, "tcp": 1e-3}
+# Of one or two points: where more are off together, the machine has a shape.
+_LEAST_ALONE = _LEAST | {"ballbar": 1e-4, "tcp": 2e-4}
+_ALONE = 2
 
 
 def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
@@ -90,22 +93,25 @@ def check_slips(estimate: Estimate) -> None:
         return
     others = (point >= 0) & ~np.isin(point, worst)
 
-    def far(rest: Array, spread: Array) -> list[int]:
+    def far(rest: Array, spread: Array, least: Mapping[str, float]) -> list[int]:
         off = rest / np.hypot(problem.sigma, spread)
         limit = _SLIPPED * max(1.0, float(np.sqrt(np.mean(off[others] ** 2))))
         return [
             p
             for p in sorted(worst)
             if np.linalg.norm(off[point == p]) > limit
-            and np.linalg.norm(rest[point == p]) > _least(problem, names[p])
+            and np.linalg.norm(rest[point == p]) > _least(problem, names[p], least)
         ]
 
     rest = problem.measured - again.predicted
-    if not far(rest, np.zeros(len(rest))):
+    if not far(rest, np.zeros(len(rest)), _LEAST_ALONE):
         return
     # A cause may be far off the base at a few places: who is off all causes there are?
     rest, spread = _with_everything(again)
-    if slipped := far(rest, spread):
+    slipped = far(rest, spread, _LEAST_ALONE)
+    if len(slipped) > _ALONE:
+        slipped = far(rest, spread, _LEAST)
+    if slipped:
         raise InputError("; ".join(_said(problem, names[p], rest[point == p]) for p in slipped)
                          + ": correct the row or remove it")  # fmt: skip
 
@@ -135,12 +141,12 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
     return rest - nuisance.fitted(rest), np.sqrt(np.maximum(variance, 0.0))
 
 
-def _least(problem: Problem, name: tuple[int, int]) -> float:
+def _least(problem: Problem, name: tuple[int, int], least: Mapping[str, float]) -> float:
     """Least distance that counts, metres or radians."""
     points = problem.points[name[0]].points
     if not isinstance(points, ToolCampaign):
         return 0.0
-    return _LEAST[points.setups[points.setup[name[1]]].kind]
+    return least[points.setups[points.setup[name[1]]].kind]
 
 
 def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:
