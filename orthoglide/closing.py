@@ -166,7 +166,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine = request.machine
     if (judge_by := request.tcp) is not None:
-        check_meant(turned_to(judge_by, machine.forward(judge_by.command)), machine)
+        p = machine.forward(judge_by.command)
+        check_meant(turned_to(judge_by, p), p, machine)
     carried = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
     problem = assemble(
         [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),

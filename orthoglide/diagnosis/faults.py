@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS
+from orthoglide.observations import source
 from orthoglide.units import MISTAKEN
 
 Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck", "scatter"]
@@ -72,12 +73,11 @@ def message(problem: Problem, fault: Fault) -> str:
     """One sentence: which file, which lines, what it looks like, what to do."""
     at = places(problem, fault.rows)
     campaign = problem.campaigns[at[0][0]]
-    where = campaign.file.rpartition("/")[2] or campaign.name
     lines = _listed([int(campaign.line[row]) for k, row in at if k == at[0][0]])
     names = setup_names(problem)
     setups = " and ".join(repr(names[s]) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
-    return f"{where}, {lines}, setup{plural} {setups}: {_clause(problem, fault)}"
+    return f"{source(campaign)}, {lines}, setup{plural} {setups}: {_clause(problem, fault)}"
 
 
 def _clause(problem: Problem, fault: Fault) -> str:

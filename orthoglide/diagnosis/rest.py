@@ -103,7 +103,7 @@ def rest_of_tool(estimate: Estimate) -> tuple[ToolRest, ...]:
     problem, found = estimate.problem, []
     squares = problem.weighing.whiten(estimate.residuals) ** 2
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
-        if isinstance(campaign := getattr(factor, "points", None), ToolCampaign):
+        if isinstance(campaign := factor.points, ToolCampaign):
             parts = np.column_stack([campaign.setup, campaign.axis])
             for part in np.unique(parts, axis=0):
                 own = np.flatnonzero((parts == part).all(axis=1))

@@ -56,6 +56,12 @@ class Change:
         return self.catalogue.effect_of(self.parameter).unit
 
     @property
+    def files(self) -> tuple[str, str]:
+        """Those of ``between``, without their folders."""
+        before, after = (path.rpartition("/")[2] for path in self.between)
+        return before, after
+
+    @property
     def moved(self) -> dict[Parameter, float]:
         """By how much each member would have changed, SI; nan where that is not known."""
         by, of = self.after - self.before, self.catalogue.effect_of
@@ -77,7 +83,7 @@ class Change:
         decimals = decimals_for(self.sigma / unit.si, most=9)
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
         return (
-            f"between {_file(self.between[0])} and {_file(self.between[1])} the "
+            f"between {self.files[0]} and {self.files[1]} the "
             f"{parameter_words(self.parameter)}{others} changed from {before} to {after} "
             f"{unit.name} (± {compact(self.sigma / unit.si, 2)})"
         )
@@ -151,10 +157,6 @@ def summed_of(members: tuple[Parameter, ...], problem: Problem) -> tuple[Paramet
     first = of(members[0])
     alike = tuple(name for name in members if of(name).unit == first.unit)
     return members[:1] if first.name in catalogue.base else alike
-
-
-def _file(path: str) -> str:
-    return path.rpartition("/")[2]
 
 
 def _either_side(problem: Problem, name: str, since: str) -> list[int] | None:

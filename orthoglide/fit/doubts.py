@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from orthoglide.fit.solving import solve
 from orthoglide.fit.unknowns import with_free
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
-from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations import Campaign, ToolCampaign, source
 
 INCH = 25.4
 """Millimetres."""
@@ -53,9 +52,8 @@ def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
         for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
                                      (INCH, "inches", "millimetres")):  # fmt: skip
             if _on_grid(shown * factor, dial) == 1.0:
-                name = campaign.file.rpartition("/")[2] or campaign.name
                 raise InputError(
-                    f"{name}: the readings are multiples of the dial's step of "
+                    f"{source(campaign)}: the readings are multiples of the dial's step of "
                     f"{dial.resolution * 1e3:g} mm only once they are multiplied by {factor:.4g}: "
                     f"they seem to be {meant} taken for {taken}; give reading_mm in millimetres, "
                     f"or correct resolution in the machine file"
@@ -152,11 +150,11 @@ def _least(problem: Problem, name: tuple[int, int], least: Mapping[str, float]) 
 def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:
     """Where a point stands, and how far off it is."""
     points = problem.points[name[0]].points
-    file = Path(points.file).name or problem.points[name[0]].name
     distance = float(np.linalg.norm(rest)) * 1e3
     turned = isinstance(points, ToolCampaign) and points.setups[points.setup[name[1]]].kind
     unit = "mrad" if turned == "incline" else "mm"
-    return f"{file}, line {points.line[name[1]]}: {distance:.3g} {unit} off what all others say"
+    where = f"{source(points)}, line {points.line[name[1]]}"
+    return f"{where}: {distance:.3g} {unit} off what all others say"
 
 
 def _worst(estimate: Estimate, point: NDArray[np.int64], count: int) -> list[int]:

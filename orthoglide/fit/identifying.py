@@ -190,7 +190,7 @@ def _beside(
     """Points as readings; a large turn of the instrument's frame is taken out beforehand."""
     p = machine.forward(points.command)
     if isinstance(points, ToolCampaign):
-        check_meant(points, machine)
+        check_meant(points, p, machine)
         return ToolReadings.of(turned_back(points, p), machine, sigma)
     if len(points) < 3:
         raise InputError(
@@ -201,7 +201,7 @@ def _beside(
         points = replace(points, sigma=np.full(len(points), sigma))
     if frame == "rigid":
         points = turned_to(points, p)
-    check_meant(points, machine)
+    check_meant(points, p, machine)
     return TcpReadings(points, frame)
 
 

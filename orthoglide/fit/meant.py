@@ -8,7 +8,6 @@ would bend the machine for them.
 from __future__ import annotations
 
 from itertools import permutations, product
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from orthoglide.fit.tool import centre_of
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import MINUS, compact
-from orthoglide.observations import TcpPoints, ToolCampaign
+from orthoglide.observations import TcpPoints, ToolCampaign, source
 from orthoglide.units import MISTAKEN
 
 _FAR = 3e-3  # metres, rms: zeros off by centimetres strain the tool's path by less
@@ -37,17 +36,17 @@ _FRAMES = [
 ]
 
 
-def check_meant(points: TcpPoints | ToolCampaign, machine: Machine) -> None:
+def check_meant(points: TcpPoints | ToolCampaign, p: Array, machine: Machine) -> None:
     """Refuse setups whose readings fit only in another unit or another frame.
 
     Args:
         points: readings of the tool.
+        p: where the machine has it ``(n, 3)``, metres.
         machine: near which it stands.
 
     Raises:
         InputError: naming the file, the setup and what they seem to be.
     """
-    p = machine.forward(points.command)
     if isinstance(points, TcpPoints):
         read = np.isfinite(points.p)
         axis = np.nonzero(read)[1]
@@ -73,7 +72,7 @@ def check_meant(points: TcpPoints | ToolCampaign, machine: Machine) -> None:
 
 def _refuse(points: TcpPoints | ToolCampaign, where: str, said: str) -> None:
     if said:
-        raise InputError(f"{Path(points.file).name or points.name}{where}: {said}")
+        raise InputError(f"{source(points)}{where}: {said}")
 
 
 def _unit(left: Array) -> str:

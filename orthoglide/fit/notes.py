@@ -11,7 +11,7 @@ from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
-from orthoglide.observations import TcpPoints
+from orthoglide.observations import Campaign, TcpPoints, source
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _HALF = 2.0  # times that noise may be declared too large without a word
@@ -35,7 +35,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for points in tool:
         if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
             text = (
-                f"{_lines(points.file, points.name, lines)}: the same point as before to the last "
+                f"{_lines(points, lines)}: the same point as before to the last "
                 f"digit: a copy tells nothing that the other does not, so leave it out"
             )
             found.append(Note(text, "copies", lines))
@@ -111,14 +111,14 @@ def slips(estimate: Estimate) -> Iterator[Note]:
             worst = int(np.argmax(times))
             lines = tuple(int(line) for line in campaign.line[off])
             text = (
-                f"{_lines(campaign.file, campaign.name, lines)}: up to {times[worst]:.1f} times "
+                f"{_lines(campaign, lines)}: up to {times[worst]:.1f} times "
                 f"the noise of a reading from what all others say: read "
                 f"{'them' if len(off) > 1 else 'it'} again"
             )
             yield Note(text, "slip", lines)
 
 
-def _lines(file: str, name: str, lines: tuple[int, ...]) -> str:
+def _lines(given: Campaign | TcpPoints, lines: tuple[int, ...]) -> str:
     """Lines of a file, the first of many."""
     told = ", ".join(map(str, lines[:_SAID])) + (" and more" if len(lines) > _SAID else "")
-    return f"{file.rpartition('/')[2] or name}, line{'s' * (len(lines) > 1)} {told}"
+    return f"{source(given)}, line{'s' * (len(lines) > 1)} {told}"

@@ -17,8 +17,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Campaign
 from orthoglide.observations.reading import campaign_of_table
 from orthoglide.observations.table import rows_table
-from orthoglide.observations.writing import Row, campaign_rows
-from orthoglide.report.sheet import command_columns
+from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.text import csv_text, shown
 
 AGAIN = "again"

@@ -17,8 +17,8 @@ from orthoglide.measuring.program import MOST, SETTLED, Next, following, opening
 from orthoglide.measuring.record import AGAIN, SKIPPED, Record
 from orthoglide.observations import Campaign, Moves
 from orthoglide.observations.approach import OVERSHOOT
-from orthoglide.observations.writing import Row
-from orthoglide.report.sheet import command_columns, counted, dial_words, mounted_together
+from orthoglide.observations.writing import Row, command_columns
+from orthoglide.report.sheet import counted, dial_words, mounted_together
 from orthoglide.text import shown
 
 _LEAD = 4

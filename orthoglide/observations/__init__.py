@@ -4,7 +4,7 @@ from orthoglide.observations.approach import (
     Moves as Moves,
     derive_approach as derive_approach,
 )
-from orthoglide.observations.arrays import Recorded as Recorded
+from orthoglide.observations.arrays import Recorded as Recorded, source as source
 from orthoglide.observations.campaign import (
     Campaign as Campaign,
     Setup as Setup,

@@ -81,6 +81,11 @@ def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None
         raise InputError(f"{what}: approach is +1 or -1 for each axis, or 0 where it is not known")
 
 
+def source(given: Any) -> str:
+    """Where readings come from, for people: their file without its folder, or their name."""
+    return str(given.file.rpartition("/")[2] or given.name)
+
+
 def _wrong(given: Array, kind: Kind) -> NDArray[np.bool_]:
     if kind is WHOLE:
         return np.asarray(given != np.round(given))

@@ -38,6 +38,11 @@ def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
     return text.csv_text(list(rows[0]) if rows else [], (row.values() for row in rows))
 
 
+def command_columns(row: Row) -> list[str]:
+    """Columns of the three commands."""
+    return [name for name in row if name.startswith(("rho_", "travel_"))]
+
+
 def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -> list[Row]:
     """The rows of a campaign's file, moves included.
 

@@ -178,18 +178,22 @@ class Mixture(Search):
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""
-        columns = whitened(scale.columns, *self._out(scale, state))
-        spread = self._spread(state)
-        # Prior covariance: the spike's diagonal and what is out.
-        seen = columns * scale.spike + (columns @ spread) @ spread.T
-        prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
-        return self._mean(state, scale), prior - seen[:, at].T @ seen[:, at]
+        return self._mean(state, scale), self._covariance(state, scale, at)
 
     def _mean(self, state: State, scale: Scale) -> Array:
         """Mean of all coefficients in a state ``(C,)``."""
         out, spread = self._out(scale, state), self._spread(state)
         along = scale.columns.T @ whitened(whitened(scale.residual, *out), *out)
         return np.asarray(scale.spike * along + spread @ (spread.T @ along))
+
+    def _covariance(self, state: State, scale: Scale, at: NDArray[np.intp]) -> Array:
+        """Covariance of some coefficients in a state ``(k, k)``."""
+        columns = whitened(scale.columns, *self._out(scale, state))
+        spread = self._spread(state)
+        # Prior covariance: the spike's diagonal and what is out.
+        seen = columns * scale.spike + (columns @ spread) @ spread.T
+        prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
+        return np.asarray(prior - seen[:, at].T @ seen[:, at])
 
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
@@ -205,9 +209,15 @@ class Mixture(Search):
         return tuple((w / total, state, scale) for w, state, scale in flat[:_KEPT])
 
     @cached_property
+    def _means(self) -> list[Array]:
+        """Of all coefficients ``(C,)`` in each of these."""
+        return [self._mean(state, scale) for _, state, scale in self._terms]
+
+    @cached_property
     def mean(self) -> Array:
         """Of all coefficients ``(C,)``, over all states and scales that count."""
-        return np.asarray(sum(w * self._mean(state, scale) for w, state, scale in self._terms))
+        weighted = (w * m for (w, _, _), m in zip(self._terms, self._means, strict=True))
+        return np.asarray(sum(weighted))
 
     def averaged(self, known: int) -> Averaged:
         """Everything over all states and scales that count.
@@ -222,8 +232,8 @@ class Mixture(Search):
         size = len(self.linear.fixed)
         second, prior = np.zeros((size, size)), np.zeros((size, size))
         block = np.ix_(at, at)
-        for weight, state, scale in self._terms:
-            m, cov = self.moments(state, scale, at)
+        for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
+            cov = self._covariance(state, scale, at)
             second[block] += weight * (cov + np.outer(m[at], m[at]))
             spread = self._spread(state)[at]
             prior[block] += weight * (np.diag(scale.spike[at]) + spread @ spread.T)

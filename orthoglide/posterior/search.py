@@ -189,19 +189,19 @@ class Search:
         """
         along, across = [], []
         for scale, (left, shrink) in zip(self.scales, outs, strict=True):
-            by_group, residual, kept = scale.by_group, scale.residual, 1 - shrink
-            along.append(inside := np.sqrt(1 - kept**2)[:, None] * (left.T @ by_group))
-            met = np.sqrt(1 - kept**2) * (left.T @ residual)
-            across.append(by_group.T @ residual - inside.T @ met)
-        taken, met_by = np.stack(along), np.stack(across)
+            by_group, residual = scale.by_group, scale.residual
+            taken = np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T
+            along.append(taken @ by_group)
+            across.append(by_group.T @ residual - along[-1].T @ (taken @ residual))
+        inside, met = np.stack(along), np.stack(across)
         for size, members in self._by_size.items():
             at = self._columns(size)
             # Of both sides of a block the shorter one has its singular values as well.
             if size <= len(self.scales[0].residual):
-                out = taken[:, :, at].transpose(0, 2, 3, 1)
+                out = inside[:, :, at].transpose(0, 2, 3, 1)
                 inner = self._inner(size) - out @ out.transpose(0, 1, 3, 2)
                 values, vectors = np.linalg.eigh(inner)
-                turned = vectors.transpose(0, 1, 3, 2) @ met_by[:, at, None]
+                turned = vectors.transpose(0, 1, 3, 2) @ met[:, at, None]
                 yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
             else:
                 pairs = list(zip(self.scales, outs, strict=True))

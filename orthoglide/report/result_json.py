@@ -334,7 +334,7 @@ def _change(change: Change) -> dict[str, Any]:
         "to": number(change.after / si),
         "sigma": number(change.sigma / si),
         "unit": change.unit.name,
-        "between": [file.rpartition("/")[2] for file in change.between],
+        "between": list(change.files),
         "words": change.message,
     }
 

@@ -10,7 +10,7 @@ from typing import Any
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Setup
-from orthoglide.observations.writing import Row, campaign_rows
+from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.pages import rendered
 from orthoglide.pictures import dials
 from orthoglide.scene import drawing
@@ -105,11 +105,6 @@ def mounted_together(rows: list[Row]) -> dict[str, tuple[str, ...]]:
         for name in names:
             found[name] = max(names, found.get(name, ()), key=len)
     return found
-
-
-def command_columns(row: Row) -> list[str]:
-    """Columns of the three commands."""
-    return [name for name in row if name.startswith(("rho_", "travel_"))]
 
 
 def _visits(rows: list[Row], commands: list[str]) -> Iterator[list[Row]]:

@@ -106,7 +106,7 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
             lost = f": {_LOST}" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=suspects(one))
     for change in result.moved:
-        again = _AGAIN.format(change.between[1].rpartition("/")[2])
+        again = _AGAIN.format(change.files[1])
         if kind == "confirm":
             yield Action(kind, what[kind], options=suspects(change))
         elif abs(change.after) < abs(change.before):
