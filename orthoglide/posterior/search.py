@@ -24,6 +24,7 @@ from orthoglide.geometry import Array
 from orthoglide.posterior.linear import EXPECTED, STRANGE, Linear, Scale, scales
 
 _MOST = 6  # groups that stand out together
+_AHEAD = 3  # of them that may be better together where none is alone
 _FEW = 2  # coefficients of one cause: more are an effect whole
 _NEARLY, _STARTS = 3.0, 2  # log odds of causes that may stand for one, and how many are tried
 
@@ -73,11 +74,25 @@ class Search:
         for group in sorted(self._known):
             state = self.child(state, group)
         while len(state) < _MOST:
-            child = self._best_child(state)
-            if child is None or self._total(child) < self._total(state):
+            child = self._ahead(state)
+            if child is None:
                 break
             state = self._split(self._exchanged(child))
         return state
+
+    def _ahead(self, state: State) -> State | None:
+        """The next state that is better, of as many more causes as that takes.
+
+        Where several stand out, a wide background explains them all as well as all but one of
+        them: only the last makes it narrow.
+        """
+        child = state
+        for _ in range(min(_AHEAD, _MOST - len(state))):
+            further = self._best_child(child)
+            if further is None or self._total(further) >= self._total(state):
+                return further
+            child = further
+        return None
 
     def _split(self, state: State) -> State:
         """Two lesser causes in place of one, where that is better.
