@@ -114,6 +114,28 @@ def test_a_fault_put_right_leaves_nothing(tmp_path: Path, name: str, size: float
     assert abs(change.after) < 3 * change.sigma
 
 
+def test_two_strong_faults_are_named_and_the_one_put_right_is_told(tmp_path: Path) -> None:
+    """Either alone is no better than a wide background: both were called adequate, the tilt was
+    shared out among all that resembles it, and its repair was told with the wrong sign.
+    """
+    both = {**ERRORS, TILT: 3e-3, "backlash.x": 6e-5}
+    first = og.close_loop(measured(both, 1, "first"), SHEET)
+    assert first.word == "explained"
+    assert {c.name for c in first.effects} in (
+        {TILT, "backlash.x"},
+        {"rail_tilt.y.z", "backlash.x"},
+    )
+    assert first.values["backlash.x"] == pytest.approx(6e-5, abs=5e-6)
+    first.machine.save(tmp_path / "calibrated.toml")
+    known = og.Machine.load(tmp_path / "calibrated.toml")
+    again = og.close_loop(measured({**both, TILT: 2e-4}, 2, "second"), known)
+    (change,) = again.changed
+    assert TILT in (change.parameter, *change.members)
+    assert change.before == pytest.approx(3e-3, abs=1e-4)
+    assert change.after == pytest.approx(2e-4, abs=3 * change.sigma)
+    assert again.word == "adequate"
+
+
 def test_a_tower_that_leans_since_the_calibration_is_told_in_full(tmp_path: Path) -> None:
     """Four tolerances: it was told by half, and what that left was called the readings' noise."""
     first = og.close_loop([probed("probe", 1)], delta())
