@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ known to go wrong with such machines goes wrong more often."""
 EXPECTED = 3.0
 """Causes that stand out, expected before the readings are seen (the mean of a Poisson law): who
 measures a machine has a reason to."""
+
+_UNSEEN = 1e-6
+"""Sigmas that the largest slab may add along a direction which counts as not seen at all."""
 
 _RARE = -3.0
 """Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
@@ -94,6 +98,19 @@ class Linear:
         background = np.where(self.free, free_share, share)
         return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
 
+    @cached_property
+    def seen(self) -> tuple[Array, ...]:
+        """Of each group the combinations of its coefficients that readings see ``(q, r)``.
+
+        All its coefficients stand out alike, so any turn of them is as good.
+        """
+        return tuple(g.weights @ self._seen_of(g) for g in self.groups)
+
+    def _seen_of(self, group: Group) -> Array:
+        shown = self.columns[:, group.places] @ group.weights
+        _, size, turn = np.linalg.svd(shown, full_matrices=False)
+        return turn[: max(1, int((size * max(self.slabs) > _UNSEEN).sum()))].T
+
 
 class Basis:
     """Everything whitened by all but the background of the effects, along what that would add.
@@ -105,7 +122,7 @@ class Basis:
         rough: error of its own at every station, in the noise of a reading.
         columns: by coefficient ``(m, C)``.
         residual: ``(m,)``.
-        by_group: columns of all groups side by side ``(m, K)``.
+        by_group: what readings see of all groups side by side ``(m, K)``.
         grows: what a background of one tolerance adds to the variance of each direction ``(m,)``.
         log_det: of the covariance without background.
     """
@@ -126,7 +143,8 @@ class Basis:
         both = (turn.T @ half) @ np.column_stack([A, linear.residual])
         self.columns, self.residual = both[:, :-1], both[:, -1]
         none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
-        blocks = (self.columns[:, g.places] @ g.weights for g in linear.groups)
+        both_of = zip(linear.groups, linear.seen, strict=True)
+        blocks = (self.columns[:, g.places] @ seen for g, seen in both_of)
         self.by_group = np.hstack([none, *blocks])
 
 
@@ -161,7 +179,7 @@ class Scale:
 
     @property
     def by_group(self) -> Array:
-        """Columns of all groups side by side ``(m, K)``."""
+        """What readings see of all groups side by side ``(m, K)``."""
         return self.basis.by_group * self._weight[:, None]
 
 

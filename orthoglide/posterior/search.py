@@ -48,11 +48,11 @@ class Search:
         self.linear = linear
         self._given_names = frozenset(given)
         self.scales = scales(linear)
-        ends = np.cumsum([0, *(g.size for g in linear.groups)])
+        ends = np.cumsum([0, *(seen.shape[1] for seen in linear.seen)])
         self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
-        for k, group in enumerate(linear.groups):
-            self._by_size.setdefault(group.size, []).append(k)
+        for k, span in enumerate(self._span):
+            self._by_size.setdefault(len(span), []).append(k)
         # Each slab is one of so many, at one of so many scales; strangers are rarer than what a
         # catalogue has.
         chance = np.array([STRANGE if g.free else 1.0 for g in linear.groups])
@@ -211,22 +211,11 @@ class Search:
         inside, met = np.stack(along), np.stack(across)
         for size, members in self._by_size.items():
             at = self._columns(size)
-            # Of both sides of a block the shorter one has its singular values as well.
-            if size <= len(self.scales[0].residual):
-                out = inside[:, :, at].transpose(0, 2, 3, 1)
-                inner = self._inner(size) - out @ out.transpose(0, 1, 3, 2)
-                values, vectors = np.linalg.eigh(inner)
-                turned = vectors.transpose(0, 1, 3, 2) @ met[:, at, None]
-                yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
-            else:
-                pairs = list(zip(self.scales, outs, strict=True))
-                blocks = np.stack([whitened(s.by_group[:, at.ravel()], *o) for s, o in pairs])
-                blocks = blocks.reshape(*blocks.shape[:2], *at.shape).transpose(0, 2, 1, 3)
-                rest = np.stack([whitened(s.residual, *o) for s, o in pairs])
-                values, vectors = np.linalg.eigh(blocks @ blocks.transpose(0, 1, 3, 2))
-                values = np.maximum(values, 0.0)
-                turned = vectors.transpose(0, 1, 3, 2) @ rest[:, None, :, None]
-                yield members, values, values * turned[..., 0] ** 2
+            out = inside[:, :, at].transpose(0, 2, 3, 1)
+            inner = self._inner(size) - out @ out.transpose(0, 1, 3, 2)
+            values, vectors = np.linalg.eigh(inner)
+            turned = vectors.transpose(0, 1, 3, 2) @ met[:, at, None]
+            yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
 
     def _columns(self, size: int) -> NDArray[np.intp]:
         """Where the columns of all groups of a size stand ``(groups, size)``."""
