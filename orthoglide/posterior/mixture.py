@@ -12,12 +12,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.linear import SOUND, Scale
 from orthoglide.posterior.search import Search, State, whitened
 
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
+_COUNTS = 1e-3  # weight of a state that probabilities of causes are read from
 _KEPT = 60  # of them at most
 _LIKELY, _ASKED = 0.05, 8  # weight of explanations over that of the likeliest, and their number
 
@@ -71,6 +73,15 @@ class Mixture(Search):
         """The best state without one of its groups."""
         return tuple(s for s in self.best if s[0] != member)
 
+    def _with(self, member: int, other: int) -> State:
+        """The likeliest state with another group in the place of one of the best state."""
+        if other == member:
+            return self.best
+        having = [s for s in self._probable if self._stands_for(s).get(member) == other]
+        return max(having, key=lambda s: self._probable[s], default=None) or self.child(
+            self.without(member), other
+        )
+
     @cached_property
     def strongest(self) -> tuple[int, ...]:
         """Groups of the best state, that first without which readings are explained worst."""
@@ -81,7 +92,10 @@ class Mixture(Search):
         return tuple(sorted(left, key=lambda member: left[member]))
 
     def alternatives(self, member: int) -> Array:
-        """Probability of each group ``(groups,)`` in one place of the best state, the rest given.
+        """Probability of each group ``(groups,)`` in one place of the best state.
+
+        With the rest of the best state given, one group against another; where a state that
+        differs by more explains the readings, too, what it has in that place.
 
         The last entry, behind the groups, is that of nothing.
         """
@@ -92,7 +106,48 @@ class Mixture(Search):
         top = max(float(table.max()), nothing)
         by_group = np.exp(table - top).sum(axis=(0, 2))
         found = np.append(by_group, np.exp(nothing - top))
-        return np.asarray(found / found.sum())
+        found /= found.sum()
+        others = np.zeros(len(found))
+        for state, weight in self._probable.items():
+            more = {g for g, _ in state} - {g for g, _ in rest}
+            if len(more) + len(rest) > len(state) or (len(more) > 1 and member not in more):
+                others[self._stands_for(state).get(member, -1)] += weight
+        return np.asarray((1 - others.sum()) * found + others)
+
+    @cached_property
+    def _probable(self) -> dict[State, float]:
+        """States that count, with their weights."""
+        pooled = {state: float(weight.sum()) for state, weight in self.weights.items()}
+        return {state: weight for state, weight in pooled.items() if weight > _COUNTS}
+
+    def _stands_for(self, state: State) -> dict[int, int]:
+        """Which group of a state is in the place of each of the best state.
+
+        The same, or that which shows most like it; an effect whole may stand for several.
+        """
+        ours, theirs = [g for g, _ in self.best], [g for g, _ in state]
+        found = {g: g for g in ours if g in theirs}
+        lost = [g for g in ours if g not in theirs]
+        gained = [g for g in theirs if g not in ours]
+        if lost and gained:
+            one, other = self._shows(self.best, lost), self._shows(state, gained)
+            alike = np.abs(one @ other.T)
+            found |= {
+                lost[i]: gained[j] for i, j in zip(*linear_sum_assignment(-alike), strict=True)
+            }
+            for i, group in enumerate(lost):
+                nearest = gained[int(np.argmax(alike[i]))]
+                if group not in found and self.linear.groups[nearest].size > 1:
+                    found[group] = nearest
+        return found
+
+    def _shows(self, state: State, groups: list[int]) -> Array:
+        """What groups of a state show of the readings, of unit length ``(groups, m)``."""
+        logs = self.weights[state]
+        mean = self._mean(state, self.scales[int(np.argmax(logs))])
+        places = [self.linear.groups[g].places for g in groups]
+        shown = np.stack([self.linear.columns[:, at] @ mean[at] for at in places])
+        return np.asarray(shown / np.maximum(np.linalg.norm(shown, axis=1), 1e-300)[:, None])
 
     @cached_property
     def shares(self) -> tuple[float, float, float]:
@@ -172,9 +227,14 @@ class Mixture(Search):
             spread = np.hstack([spread, part])
         return spread
 
+    def instead(self, member: int, other: int, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Mean and covariance with another group in the place of one of the best state."""
+        return self.likeliest(self._with(member, other), at)
+
     def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""
-        return self.moments(state, self.scales[int(np.argmax(self.visited[state]))], at)
+        logs = self.visited[state] if state in self.visited else self.weights[state]
+        return self.moments(state, self.scales[int(np.argmax(logs))], at)
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""

@@ -28,7 +28,6 @@ from orthoglide.posterior.causes import (
 )
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.linear import Group
-from orthoglide.posterior.search import State
 from orthoglide.prediction import Conditions
 
 _OFF = 0.1  # tolerances: a background that is worth a word
@@ -92,13 +91,6 @@ class _Reader:
             named = [k for k in chosen if not self.groups[k].free]
             return self._cause(member, [(k, float(odds[k])) for k in named])
         return self._located(member, [(k, float(odds[k])) for k in chosen], free)
-
-    def _state(self, member: int, other: int) -> State:
-        """The best state with another group in one place, at its likeliest tau."""
-        mixture = self.posterior.mixture
-        if other == member:
-            return mixture.best
-        return mixture.child(mixture.without(member), other)
 
     def alone(self) -> tuple[Explanation, ...]:
         """Causes of which one would be behind it if the rest of the machine were sound: a set of
@@ -165,7 +157,7 @@ class _Reader:
         return [replace(e, probability=one.probability / len(found)) for e in found]
 
     def _explanation(self, member: int, k: int, probability: float) -> Explanation:
-        found = self.posterior.mixture.likeliest(self._state(member, k), self.groups[k].places)
+        found = self.posterior.mixture.instead(member, k, self.groups[k].places)
         return self._told(k, probability, *found)
 
     def _told(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
@@ -237,7 +229,7 @@ class _Reader:
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
         about, group = self.posterior.about, self.groups[k]
-        mean, spread = self.posterior.mixture.likeliest(self._state(member, k), group.places)
+        mean, spread = self.posterior.mixture.instead(member, k, group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
         if not place.loses:  # else its level may belong to the zeros

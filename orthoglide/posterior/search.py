@@ -8,25 +8,25 @@ state (which groups are out, at which tau), all is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
 
-States are searched forward, the best group first, then each exchanged against all others.
+States are searched by letting out one more group, or two, in place of none, of one or of two that
+were out. Of causes of one coefficient all pairs are tried: where two stand out, neither alone need
+be better than a wide background, and each other pair that shows the same is as far away.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.linear import EXPECTED, STRANGE, Linear, Scale, scales
+from orthoglide.posterior.pairs import likely_pairs
 
 _MOST = 6  # groups that stand out together
-_AHEAD = 3  # of them that may be better together where none is alone
-_FEW = 2  # coefficients of one cause: more are an effect whole
-_NEARLY, _STARTS = 3.0, 2  # log odds of causes that may stand for one, and how many are tried
 
 
 State = tuple[tuple[int, float], ...]
@@ -62,6 +62,7 @@ class Search:
         self._products: dict[int, Array] = {}
         self.best = self._search()
         self._products.clear()  # large, and hardly needed again
+        self.__dict__.pop("_crossed", None)
 
     @cached_property
     def _known(self) -> frozenset[int]:
@@ -73,89 +74,77 @@ class Search:
         state: State = ()
         for group in sorted(self._known):
             state = self.child(state, group)
-        while len(state) < _MOST:
-            child = self._ahead(state)
-            if child is None:
-                break
-            state = self._split(self._exchanged(child))
+        while better := self._better(state):
+            state = better
         return state
 
-    def _ahead(self, state: State) -> State | None:
-        """The next state that is better, of as many more causes as that takes.
+    def _better(self, state: State) -> State | None:
+        """A state of more weight: the best by one group, or else the best by two."""
+        for reach in (self._by_one, self._by_two):
+            best = max(reach(state), key=self._total, default=state)
+            if self._total(best) > self._total(state) + 1e-9:
+                return best
+        return None
+
+    def _by_one(self, state: State) -> Iterator[State]:
+        """One group more, one less, one against another."""
+        yield from self._more(state)
+        for rest in self._fewer(state, 1):
+            yield from self._more(rest)
+            yield rest
+
+    def _by_two(self, state: State) -> Iterator[State]:
+        """Two or three groups more, two in place of one or of two.
 
         Where several stand out, a wide background explains them all as well as all but one of
         them: only the last makes it narrow.
         """
-        child = state
-        for _ in range(min(_AHEAD, _MOST - len(state))):
-            further = self._best_child(child)
-            if further is None or self._total(further) >= self._total(state):
-                return further
-            child = further
-        return None
+        further = [two for one in self._more(state) for two in self._more(one)]
+        further += self._pair(state, ())
+        yield from further
+        for two in further:
+            yield from self._more(two)
+        for count in (1, 2):
+            for rest in self._fewer(state, count):
+                yield from self._pair(rest, [g for g, _ in state])
 
-    def _split(self, state: State) -> State:
-        """Two lesser causes in place of one, where that is better.
+    def _fewer(self, state: State, count: int) -> list[State]:
+        """The states with so many groups less, of those that need not be out."""
+        own = [s for s in state if s[0] not in self._known]
+        return [tuple(s for s in state if s not in out) for out in combinations(own, count)]
 
-        One may draw what two make, an effect whole most of all, and be better than either of them
-        alone: then no exchange of one against another finds the two.
-        """
-        found = state
-        for out in state:
-            if out[0] in self._known or self.linear.groups[out[0]].free:
-                continue
-            for one in self._instead(tuple(s for s in state if s is not out), out[0]):
-                if two := self._best_child(one, small=True):
-                    found = max(found, self._exchanged(two), key=self._total)
-        return found
+    def _more(self, state: State) -> list[State]:
+        """The best state with one more group out, if there may be one."""
+        child = self._best_child(state) if len(state) < _MOST else None
+        return [] if child is None else [child]
 
-    def _instead(self, rest: State, out: int) -> list[State]:
-        """A state with the causes that are nearly as likely as one that it had besides; of an
-        effect whole with the likeliest, however much less likely.
-        """
-        self._best_child(rest)
-        table = self.children[rest]
-        pooled = np.logaddexp.reduce(table, axis=(0, 2))
-        whole = self.linear.groups[out].size > _FEW
-        least = -np.inf if whole else pooled[out] - _NEARLY
-        likely = [
-            k
-            for k in np.argsort(-pooled, kind="stable").tolist()
-            if k != out and pooled[k] > least and self._small(k)
-        ]
-        return [self.child(rest, k) for k in likely[: 1 if whole else _STARTS]]
-
-    def _small(self, group: int) -> bool:
-        """Whether it is a cause of few coefficients, and no free function."""
-        return not self.linear.groups[group].free and self.linear.groups[group].size <= _FEW
-
-    def _exchanged(self, state: State) -> State:
-        """Each group exchanged against the best of all others, as long as that is better."""
-        for _ in range(4):
-            own = [s for s in state if s[0] not in self._known]
-            if not own:
-                break
-            rivals = [self._best_child(tuple(s for s in state if s is not out)) for out in own]
-            better = max((r for r in rivals if r), key=self._total, default=state)
-            fewer = max((tuple(s for s in state if s is not out) for out in own), key=self._total)
-            better = max(better, fewer, key=self._total)
-            if self._total(better) <= self._total(state) + 1e-9:
-                break
-            state = better
-        return state
+    def _pair(self, state: State, but: Sequence[int]) -> list[State]:
+        """The best state with two more causes out, of one coefficient each, without some."""
+        if len(state) + 2 > _MOST:
+            return []
+        self._best_child(state)
+        inside, met = self._besides([self._out(scale, state) for scale in self.scales])
+        at = [int(self._span[k][0]) for k in self._ones]
+        inside, met = inside[:, :, at], met[:, at]
+        seen = self._crossed - inside.transpose(0, 2, 1) @ inside
+        out = np.isin(self._ones, [*but, *(g for g, _ in state)])
+        cost = np.where(out, np.inf, self.cost[self._ones])
+        found = []
+        for i, tau, j, other, logs in likely_pairs(
+            seen, met, self.visited[state], cost, self.linear.slabs
+        ):
+            pair = (int(self._ones[i]), tau), (int(self._ones[j]), other)
+            found.append(tuple(sorted((*state, *pair))))
+            self.visited[found[-1]] = logs
+        return sorted(found, key=self._total)[-1:]
 
     def _total(self, state: State) -> float:
         weights = self.visited[state]
         top = weights.max()
         return float(top + np.log(np.exp(weights - top).sum()))
 
-    def _best_child(self, state: State, *, small: bool = False) -> State | None:
-        """Let one more group out: all of them at all scales, the best returned.
-
-        Args:
-            state: what is out already.
-            small: whether only causes of few coefficients may be added.
-        """
+    def _best_child(self, state: State) -> State | None:
+        """Let one more group out: all of them at all scales, the best returned."""
         if state not in self.children:
             self.children[state] = self._expand(state)
         table = self.children[state]  # (scales, groups, taus)
@@ -163,8 +152,6 @@ class Search:
             return None
         top = table.max()
         pooled = np.exp(table - top).sum(axis=0)
-        if small:
-            pooled[[not self._small(k) for k in range(len(pooled))]] = 0.0
         group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
         return self._child(state, int(group), int(tau))
 
@@ -196,11 +183,22 @@ class Search:
         table[:, [k for k, _ in state]] = -np.inf
         return table
 
-    def _decomposed(
-        self, outs: Sequence[tuple[Array, Array]]
-    ) -> Iterator[tuple[list[int], Array, Array]]:
-        """Groups of one size, the squared singular values of what each shows besides what is out
-        ``(scales, groups, size)``, and squared what the residual has along them, times those.
+    @cached_property
+    def _ones(self) -> NDArray[np.intp]:
+        """Causes of one coefficient."""
+        alone = [g.size == 1 and not g.free for g in self.linear.groups]
+        return np.flatnonzero(alone)
+
+    @cached_property
+    def _crossed(self) -> Array:
+        """Products of the columns of causes of one coefficient ``(scales, ones, ones)``."""
+        at = [int(self._span[k][0]) for k in self._ones]
+        each = (s.by_group[:, at] for s in self.scales)
+        return np.stack([columns.T @ columns for columns in each])
+
+    def _besides(self, outs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+        """Along what is out ``(scales, q, K)``, and what besides it the residual has along each
+        column ``(scales, K)``.
         """
         along, across = [], []
         for scale, (left, shrink) in zip(self.scales, outs, strict=True):
@@ -208,7 +206,15 @@ class Search:
             taken = np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T
             along.append(taken @ by_group)
             across.append(by_group.T @ residual - along[-1].T @ (taken @ residual))
-        inside, met = np.stack(along), np.stack(across)
+        return np.stack(along), np.stack(across)
+
+    def _decomposed(
+        self, outs: Sequence[tuple[Array, Array]]
+    ) -> Iterator[tuple[list[int], Array, Array]]:
+        """Groups of one size, the squared singular values of what each shows besides what is out
+        ``(scales, groups, size)``, and squared what the residual has along them, times those.
+        """
+        inside, met = self._besides(outs)
         for size, members in self._by_size.items():
             at = self._columns(size)
             out = inside[:, :, at].transpose(0, 2, 3, 1)

@@ -1,0 +1,70 @@
+"""Pairs of causes of one coefficient each that stand out together: all of them, in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.geometry import Array
+
+_NEAR, _MOST = 4.0, 40  # log odds of pairs that are looked at closely, and their number
+_FAR = 8.0  # log odds of scales of theirs that do not count
+
+
+def likely_pairs(
+    seen: Array, met: Array, logs: Array, cost: Array, slabs: Sequence[float]
+) -> Iterator[tuple[int, float, int, float, Array]]:
+    """The pairs that explain readings nearly as well as the best, each with its scales.
+
+    Args:
+        seen: products of the columns of causes ``(scales, n, n)``.
+        met: of columns and residual ``(scales, n)``.
+        logs: log weights without them, by scale of the background ``(scales,)``.
+        cost: log odds against each one's standing out ``(n,)``; infinite for those left out.
+        slabs: scales that each may have.
+
+    Yields:
+        One and its scale, the other and its scale, and their log weights ``(scales,)``.
+    """
+    allowed = np.flatnonzero(np.isfinite(cost))
+    first, second = (allowed[k] for k in np.triu_indices(len(allowed), 1))
+    if not len(first):
+        return
+    # At one scale for both first: that is off by no more than some log odds.
+    table = np.stack([gains(seen, met, (first, second), (tau, tau)) for tau in slabs])
+    pooled = _pooled(table + logs[:, None]) - cost[first] - cost[second]
+    order = np.argsort(-pooled, kind="stable")[:_MOST]
+    order = order[pooled[order] > pooled[order[0]] - _NEAR]
+    near = first[order], second[order]
+    base = logs[:, None] - cost[near[0]] - cost[near[1]]
+    both = list(product(slabs, slabs))
+    found = [base + gains(seen, met, near, taus) for taus in both]
+    least = max(float(f.max()) for f in found) - _FAR
+    for (tau, other), weights in zip(both, found, strict=True):
+        for k in np.flatnonzero(weights.max(axis=0) > least):
+            yield int(near[0][k]), tau, int(near[1][k]), other, weights[:, k]
+
+
+def gains(
+    seen: Array,
+    met: Array,
+    pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
+    taus: tuple[float, float],
+) -> Array:
+    """Log weight that pairs add by standing out, at their scales ``(scales, k)``."""
+    (i, j), (tau, other) = pairs, taus
+    one, two = 1 + tau**2 * seen[:, i, i], 1 + other**2 * seen[:, j, j]
+    cross = tau * other * seen[:, i, j]
+    x, y = tau * met[:, i], other * met[:, j]
+    det = np.maximum(one * two - cross**2, 1.0)
+    return np.asarray(((x**2 * two + y**2 * one - 2 * x * y * cross) / det - np.log(det)) / 2)
+
+
+def _pooled(logs: Array) -> Array:
+    """Log sum over all axes but the last."""
+    flat = logs.reshape(-1, logs.shape[-1])
+    top = flat.max(axis=0)
+    return np.asarray(top + np.log(np.exp(flat - top).sum(axis=0)))
