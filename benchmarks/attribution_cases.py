@@ -40,7 +40,8 @@ OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "
            "carriage_yaw", "loosening_bar", "platform_play", "dial_curve")  # fmt: skip
 SWEEPS = ("sweep", "fine-sweep", "two-gauges")
 FAULTS = ("outlier", "knocked_stand", "swapped_sign", "swapped_labels", "wrong_unit", "stuck_dial")
-SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60}
+SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside": 180, "fault": 60,
+          "three": 60}  # fmt: skip
 """Campaigns of each kind in a full table."""
 
 FIRST_SIZE = 1e-4
@@ -52,8 +53,8 @@ class Case:
     """One campaign to simulate.
 
     Attributes:
-        kind: nothing, effect, structured, pair, outside or fault.
-        what: family, or kind of fault; two families for a pair.
+        kind: nothing, effect, structured, pair, three, outside or fault.
+        what: family, or kind of fault; families joined by + where there are several.
         protocol: of the readings.
         rms: wanted size, in sigmas of averaged readings.
         round: distinguishes cases that are otherwise alike.
@@ -108,13 +109,14 @@ def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
         return [(f, p, rms) for f in OUTSIDE for p in SWEEPS for rms in (6.0, 12.0)]
     if kind == "fault":
         return [(f, p, 0.0) for f in FAULTS for p in PROTOCOLS]
-    rng = np.random.default_rng([crc32(b"pair"), number])
-    pairs = []
-    for protocol in PROTOCOLS[1:]:
-        for rms in (6.0, 15.0):
-            one, other = rng.choice([f for f in FAMILIES if not _conditions(f)], 2, replace=False)
-            pairs.append((f"{one}+{other}", protocol, rms))
-    return pairs
+    count, sizes = (3, (10.0, 30.0)) if kind == "three" else (2, (6.0, 15.0))
+    rng = np.random.default_rng([crc32(kind.encode()), number])
+    plain = [f for f in FAMILIES if not _conditions(f)]
+    return [
+        ("+".join(rng.choice(plain, count, replace=False)), protocol, rms)
+        for protocol in PROTOCOLS[1:]
+        for rms in sizes
+    ]
 
 
 def _conditions(family: str) -> bool:

@@ -15,6 +15,7 @@ from benchmarks.attribution_asked import (
     classes,
     clear,
     fault_found,
+    holds,
     holds_alone,
     misnamed,
     misplaced,
@@ -88,7 +89,8 @@ def requirements(records: Sequence[Record]) -> Table:
     """What is required, and what was found."""
     done = well(records)
     kinds = {
-        k: [r for r in done if r["kind"] == k] for k in ("nothing", "pair", "outside", "fault")
+        k: [r for r in done if r["kind"] == k]
+        for k in ("nothing", "pair", "three", "outside", "fault")
     }
     single = singles(records)
     strong = [r for r in single if clear(r["truth"][0])]
@@ -116,6 +118,9 @@ def requirements(records: Sequence[Record]) -> Table:
         ("second effect added for a single cause", "<= 5 %",
          share(single, lambda r: len(r["effects"]) > 1)),
         ("clear pairs: both found", "", share(both, both_found)),
+        ("three at once: causes that are clear beside the others, named alone or in a class", "",
+         _found_beside(kinds["three"])),
+        ("  sets named that hold none of the three", "<= 5 %", _strange(kinds["three"])),
         ("outside the catalogue, seen: class of the true place located", ">= 90 %",
          share(outside, placed)),
         ("  or a known shape of it named", "", share(outside, lambda r: placed(r) or shaped(r))),
@@ -144,6 +149,18 @@ def _covered(records: Sequence[Record]) -> str:
     return f"{100 * np.mean(errors <= 1.96):.1f} % of {len(errors)}" if len(errors) else "-"
 
 
+def _found_beside(records: Sequence[Record]) -> str:
+    """Clear causes of machines with several that a set holds."""
+    held = [any(holds(e, t) for e in r["effects"]) for r in records for t in r["truth"] if clear(t)]
+    return f"{100 * np.mean(held):.1f} % ({sum(held)}/{len(held)})" if held else "-"
+
+
+def _strange(records: Sequence[Record]) -> str:
+    """Sets that hold nothing of what is wrong, of all that are named."""
+    none = [not any(holds(e, t) for t in r["truth"]) for r in records for e in r["effects"]]
+    return f"{100 * np.mean(none):.1f} % ({sum(none)}/{len(none)})" if none else "-"
+
+
 def _inside(records: Sequence[Record]) -> str:
     inside = [r["tcp"]["inside"] for r in _trusted(records)]
     return f"{100 * np.mean(inside):.1f} %" if inside else "-"
@@ -151,7 +168,7 @@ def _inside(records: Sequence[Record]) -> str:
 
 def _trusted(records: Sequence[Record]) -> list[Record]:
     """Campaigns whose verdict stands by its intervals: what is left is described."""
-    kinds = ("nothing", "effect", "structured", "pair")
+    kinds = ("nothing", "effect", "structured", "pair", "three")
     return [r for r in records if r["kind"] in kinds]
 
 
@@ -168,7 +185,8 @@ def words(records: Sequence[Record]) -> Table:
         "crash",
     )
     groups = [("nothing", "nothing"), ("clear effect", "effect"), ("fainter effect", "effect"),
-              ("pair", "pair"), *[(f"outside: {o}", "outside") for o in OUTSIDE],
+              ("pair", "pair"), ("three at once", "three"),
+              *[(f"outside: {o}", "outside") for o in OUTSIDE],
               *[(f"fault: {f}", "fault") for f in FAULTS]]  # fmt: skip
     rows: list[Sequence[str]] = [("", *columns, "fault found")]
     for title, kind in groups:
@@ -311,6 +329,7 @@ def accuracy(records: Sequence[Record]) -> Table:
         "clear effects, named": [r for r in singles(records) if clear(r["truth"][0]) and named(r)],
         "all single effects": singles(records),
         "pairs": [r for r in well(records) if r["kind"] == "pair"],
+        "three at once": [r for r in well(records) if r["kind"] == "three"],
         "outside the catalogue": [r for r in well(records) if r["kind"] == "outside"],
         "data faults": [r for r in well(records) if r["kind"] == "fault"],
     }
