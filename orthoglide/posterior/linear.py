@@ -155,7 +155,7 @@ class Scale:
         self.basis, self.share = basis, share
         self.free_share, self.rough = basis.free_share, basis.rough
         self.spike = basis.linear.spike(share, basis.free_share)
-        self._weight = 1 / np.sqrt(1 + share**2 * basis.grows)
+        self.weight = 1 / np.sqrt(1 + share**2 * basis.grows)
         self.rare = (share > 1) + (basis.rough > 0)
         square, count, visits = basis.linear.beyond
         wide = 1 + basis.rough**2 * visits
@@ -164,23 +164,30 @@ class Scale:
             - 0.5 * (square / wide + count * float(np.log(wide)))
             - 0.5 * float(self.residual @ self.residual)
             - 0.5 * basis.log_det
-            + float(np.log(self._weight).sum())
+            + float(np.log(self.weight).sum())
         )
 
     @property
     def columns(self) -> Array:
         """By coefficient ``(m, C)``."""
-        return self.basis.columns * self._weight[:, None]
+        return self.basis.columns * self.weight[:, None]
+
+    def along(self, rows: Array) -> Array:
+        """What rows ``(..., m)`` have along the columns of all coefficients ``(..., C)``."""
+        return np.asarray((rows * self.weight) @ self.basis.columns)
 
     @property
     def residual(self) -> Array:
         """Of the readings ``(m,)``."""
-        return self.basis.residual * self._weight
+        return self.basis.residual * self.weight
 
-    @property
-    def by_group(self) -> Array:
-        """What readings see of all groups side by side ``(m, K)``."""
-        return self.basis.by_group * self._weight[:, None]
+    def of_groups(self, at: NDArray[np.intp]) -> Array:
+        """Some columns of those of all groups side by side ``(m, k)``."""
+        return self.basis.by_group[:, at] * self.weight[:, None]
+
+    def along_groups(self, rows: Array) -> Array:
+        """What rows ``(..., m)`` have along the columns of all groups ``(..., K)``."""
+        return np.asarray((rows * self.weight) @ self.basis.by_group)
 
 
 def scales(linear: Linear) -> tuple[Scale, ...]:

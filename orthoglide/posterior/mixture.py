@@ -77,7 +77,7 @@ class Mixture(Search):
         """The likeliest state with another group in the place of one of the best state."""
         if other == member:
             return self.best
-        having = [s for s in self._probable if self._stands_for(s).get(member) == other]
+        having = [s for s, found in self._places.items() if found.get(member) == other]
         return max(having, key=lambda s: self._probable[s], default=None) or self.child(
             self.without(member), other
         )
@@ -111,20 +111,28 @@ class Mixture(Search):
         for state, weight in self._probable.items():
             more = {g for g, _ in state} - {g for g, _ in rest}
             if len(more) + len(rest) > len(state) or (len(more) > 1 and member not in more):
-                others[self._stands_for(state).get(member, -1)] += weight
+                others[self._places[state].get(member, -1)] += weight
         return np.asarray((1 - others.sum()) * found + others)
 
     @cached_property
     def _probable(self) -> dict[State, float]:
-        """States that count, with their weights."""
-        pooled = {state: float(weight.sum()) for state, weight in self.weights.items()}
+        """What stands out together that counts, at its likeliest scales, with its weight."""
+        alike: dict[frozenset[int], list[tuple[float, State]]] = {}
+        for state, weight in self.weights.items():
+            groups = frozenset(g for g, _ in state)
+            alike.setdefault(groups, []).append((float(weight.sum()), state))
+        pooled = {max(each)[1]: sum(w for w, _ in each) for each in alike.values()}
         return {state: weight for state, weight in pooled.items() if weight > _COUNTS}
 
-    def _stands_for(self, state: State) -> dict[int, int]:
-        """Which group of a state is in the place of each of the best state.
+    @cached_property
+    def _places(self) -> dict[State, dict[int, int]]:
+        """Which group of such a state is in the place of each of the best state.
 
         The same, or that which shows most like it; an effect whole may stand for several.
         """
+        return {state: self._matched(state) for state in self._probable}
+
+    def _matched(self, state: State) -> dict[int, int]:
         ours, theirs = [g for g, _ in self.best], [g for g, _ in state]
         found = {g: g for g in ours if g in theirs}
         lost = [g for g in ours if g not in theirs]
@@ -132,9 +140,8 @@ class Mixture(Search):
         if lost and gained:
             one, other = self._shows(self.best, lost), self._shows(state, gained)
             alike = np.abs(one @ other.T)
-            found |= {
-                lost[i]: gained[j] for i, j in zip(*linear_sum_assignment(-alike), strict=True)
-            }
+            pairs = zip(*linear_sum_assignment(-alike), strict=True)
+            found |= {lost[i]: gained[j] for i, j in pairs}
             for i, group in enumerate(lost):
                 nearest = gained[int(np.argmax(alike[i]))]
                 if group not in found and self.linear.groups[nearest].size > 1:
@@ -243,7 +250,7 @@ class Mixture(Search):
     def _mean(self, state: State, scale: Scale) -> Array:
         """Mean of all coefficients in a state ``(C,)``."""
         out, spread = self._out(scale, state), self._spread(state)
-        along = scale.columns.T @ whitened(whitened(scale.residual, *out), *out)
+        along = scale.along(whitened(whitened(scale.residual, *out), *out))
         return np.asarray(scale.spike * along + spread @ (spread.T @ along))
 
     def _covariance(self, state: State, scale: Scale, at: NDArray[np.intp]) -> Array:

@@ -49,6 +49,7 @@ class Search:
         self._given_names = frozenset(given)
         self.scales = scales(linear)
         ends = np.cumsum([0, *(seen.shape[1] for seen in linear.seen)])
+        self._first = ends[:-1]
         self._span = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
         for k, span in enumerate(self._span):
@@ -123,8 +124,8 @@ class Search:
         if len(state) + 2 > _MOST:
             return []
         self._best_child(state)
-        inside, met = self._besides([self._out(scale, state) for scale in self.scales])
-        at = [int(self._span[k][0]) for k in self._ones]
+        inside, met, _ = self._besides([self._out(scale, state) for scale in self.scales])
+        at = self._first[self._ones]
         inside, met = inside[:, :, at], met[:, at]
         seen = self._crossed - inside.transpose(0, 2, 1) @ inside
         out = np.isin(self._ones, [*but, *(g for g, _ in state)])
@@ -175,10 +176,18 @@ class Search:
             ) - sum(self.cost[g] for g, _ in state)
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
         table = np.full(shape, -np.inf)
-        for members, values, square in self._decomposed(outs):
+        inside, met, square = self._besides(outs)
+        for size, members in self._by_size.items():
+            at = np.array([self._span[g] for g in members])
+            out = inside[:, :, at].transpose(0, 2, 3, 1)
+            inner = self._inner(size, at)
+            left = inner - out @ out.transpose(0, 1, 3, 2)
+            # Where what is out shows the same, rounding may leave less than nothing.
+            left[..., range(size), range(size)] += (
+                1e-13 * np.trace(inner, axis1=2, axis2=3)[..., None]
+            )
             for t, tau in enumerate(self.linear.slabs):
-                grown = 1 + tau**2 * values
-                table[:, members, t] = (tau**2 * square / grown - np.log(grown)).sum(axis=2) / 2
+                table[:, members, t] = gained(left, met[:, at], square[:, None], tau)
         table += self.visited[state][:, None, None] - self.cost[:, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
@@ -192,46 +201,27 @@ class Search:
     @cached_property
     def _crossed(self) -> Array:
         """Products of the columns of causes of one coefficient ``(scales, ones, ones)``."""
-        at = [int(self._span[k][0]) for k in self._ones]
-        each = (s.by_group[:, at] for s in self.scales)
+        at = self._first[self._ones]
+        each = (s.of_groups(at) for s in self.scales)
         return np.stack([columns.T @ columns for columns in each])
 
-    def _besides(self, outs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-        """Along what is out ``(scales, q, K)``, and what besides it the residual has along each
-        column ``(scales, K)``.
+    def _besides(self, outs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
+        """Along what is out ``(scales, q, K)``; besides it, what the residual has along each
+        column ``(scales, K)`` and its square ``(scales,)``.
         """
-        along, across = [], []
+        along, across, square = [], [], []
         for scale, (left, shrink) in zip(self.scales, outs, strict=True):
-            by_group, residual = scale.by_group, scale.residual
             taken = np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T
-            along.append(taken @ by_group)
-            across.append(by_group.T @ residual - along[-1].T @ (taken @ residual))
-        return np.stack(along), np.stack(across)
+            met, residual = taken @ scale.residual, scale.residual
+            along.append(scale.along_groups(taken))
+            across.append(scale.along_groups(residual) - met @ along[-1])
+            square.append(residual @ residual - met @ met)
+        return np.stack(along), np.stack(across), np.array(square)
 
-    def _decomposed(
-        self, outs: Sequence[tuple[Array, Array]]
-    ) -> Iterator[tuple[list[int], Array, Array]]:
-        """Groups of one size, the squared singular values of what each shows besides what is out
-        ``(scales, groups, size)``, and squared what the residual has along them, times those.
-        """
-        inside, met = self._besides(outs)
-        for size, members in self._by_size.items():
-            at = self._columns(size)
-            out = inside[:, :, at].transpose(0, 2, 3, 1)
-            inner = self._inner(size) - out @ out.transpose(0, 1, 3, 2)
-            values, vectors = np.linalg.eigh(inner)
-            turned = vectors.transpose(0, 1, 3, 2) @ met[:, at, None]
-            yield members, np.maximum(values, 0.0), turned[..., 0] ** 2
-
-    def _columns(self, size: int) -> NDArray[np.intp]:
-        """Where the columns of all groups of a size stand ``(groups, size)``."""
-        return np.array([self._span[g] for g in self._by_size[size]])
-
-    def _inner(self, size: int) -> Array:
+    def _inner(self, size: int, at: NDArray[np.intp]) -> Array:
         """Products of the columns of each group of a size ``(scales, groups, size, size)``."""
         if size not in self._products:
-            at = self._columns(size)
-            each = (s.by_group[:, at].transpose(1, 2, 0) for s in self.scales)
+            each = (s.of_groups(at.ravel()).T.reshape(*at.shape, -1) for s in self.scales)
             self._products[size] = np.stack([b @ b.transpose(0, 2, 1) for b in each])
         return self._products[size]
 
@@ -242,8 +232,7 @@ class Search:
         """
         if not state:
             return np.zeros((len(scale.residual), 0)), np.zeros(0)
-        by_group = scale.by_group
-        columns = np.hstack([by_group[:, self._span[g]] * tau for g, tau in state])
+        columns = np.hstack([scale.of_groups(self._span[g]) * tau for g, tau in state])
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
@@ -252,6 +241,25 @@ class Search:
         along = left.T @ scale.residual
         gain = along @ ((1 - (1 - shrink) ** 2) * along)
         return scale.log_z + 0.5 * float(gain) + float(np.log1p(-shrink).sum())
+
+
+def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
+    """Log weight that groups add by standing out ``(...)``.
+
+    Args:
+        inner: products of their columns ``(..., k, k)``.
+        met: of these and the residual ``(..., k)``.
+        square: of the residual, broadcast to ``(...)``; no group explains more.
+        tau: scale.
+    """
+    count = met.shape[-1]
+    bordered = np.zeros((*met.shape[:-1], count + 1, count + 1))
+    bordered[..., :count, :count] = tau**2 * inner + np.eye(count)
+    bordered[..., count, :count] = tau * met
+    bordered[..., count, count] = square + 1.0
+    root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
+    explained = square + 1.0 - root[..., count] ** 2
+    return np.asarray(explained / 2 - np.log(root[..., :count]).sum(axis=-1))
 
 
 def whitened(rows: Array, left: Array, shrink: Array) -> Array:
