@@ -149,11 +149,13 @@ class Mixture(Search):
         return found
 
     def _shows(self, state: State, groups: list[int]) -> Array:
-        """What groups of a state show of the readings, of unit length ``(groups, m)``."""
-        logs = self.weights[state]
-        mean = self._mean(state, self.scales[int(np.argmax(logs))])
+        """What groups of a state show beside all that is off anyway, zeros and lengths first, of
+        unit length ``(groups, m)``.
+        """
+        mean = self._mean(state, self.scales[int(np.argmax(self.weights[state]))])
+        columns = self.scales[int(np.argmax(self.weights[self.best]))].columns
         places = [self.linear.groups[g].places for g in groups]
-        shown = np.stack([self.linear.columns[:, at] @ mean[at] for at in places])
+        shown = np.stack([columns[:, at] @ mean[at] for at in places])
         return np.asarray(shown / np.maximum(np.linalg.norm(shown, axis=1), 1e-300)[:, None])
 
     @cached_property
