@@ -12,14 +12,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.linear import SOUND, Scale
 from orthoglide.posterior.search import Search, State, whitened
 
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
-_COUNTS = 1e-3  # weight of a state that probabilities of causes are read from
 _KEPT = 60  # of them at most
 _LIKELY, _ASKED = 0.05, 8  # weight of explanations over that of the likeliest, and their number
 
@@ -51,7 +49,7 @@ class Mixture(Search):
         logs: dict[State, Array] = dict(self.visited)
         for state, table in self.children.items():
             pooled = table.max(axis=0)
-            for group, tau in zip(*np.nonzero(pooled > self._total(self.best) - 12), strict=True):
+            for group, tau in zip(*np.nonzero(pooled > self.total(self.best) - 12), strict=True):
                 child = tuple(sorted((*state, (int(group), self.linear.slabs[tau]))))
                 logs.setdefault(child, table[:, group, tau])
         logs = {s: v for s, v in logs.items() if self._known <= {g for g, _ in s}}
@@ -73,90 +71,14 @@ class Mixture(Search):
         """The best state without one of its groups."""
         return tuple(s for s in self.best if s[0] != member)
 
-    def _with(self, member: int, other: int) -> State:
-        """The likeliest state with another group in the place of one of the best state."""
-        if other == member:
-            return self.best
-        having = [s for s, found in self._places.items() if found.get(member) == other]
-        return max(having, key=lambda s: self._probable[s], default=None) or self.child(
-            self.without(member), other
-        )
-
     @cached_property
     def strongest(self) -> tuple[int, ...]:
         """Groups of the best state, that first without which readings are explained worst."""
         left = {}
         for member, _ in self.best:
-            self._best_child(rest := self.without(member))
-            left[member] = self._total(rest)
+            self.table(rest := self.without(member))
+            left[member] = self.total(rest)
         return tuple(sorted(left, key=lambda member: left[member]))
-
-    def alternatives(self, member: int) -> Array:
-        """Probability of each group ``(groups,)`` in one place of the best state.
-
-        With the rest of the best state given, one group against another; where a state that
-        differs by more explains the readings, too, what it has in that place.
-
-        The last entry, behind the groups, is that of nothing.
-        """
-        rest = self.without(member)
-        self._best_child(rest)
-        table = self.children[rest]
-        nothing = self._total(rest)
-        top = max(float(table.max()), nothing)
-        by_group = np.exp(table - top).sum(axis=(0, 2))
-        found = np.append(by_group, np.exp(nothing - top))
-        found /= found.sum()
-        others = np.zeros(len(found))
-        for state, weight in self._probable.items():
-            more = {g for g, _ in state} - {g for g, _ in rest}
-            if len(more) + len(rest) > len(state) or (len(more) > 1 and member not in more):
-                others[self._places[state].get(member, -1)] += weight
-        return np.asarray((1 - others.sum()) * found + others)
-
-    @cached_property
-    def _probable(self) -> dict[State, float]:
-        """What stands out together that counts, at its likeliest scales, with its weight."""
-        alike: dict[frozenset[int], list[tuple[float, State]]] = {}
-        for state, weight in self.weights.items():
-            groups = frozenset(g for g, _ in state)
-            alike.setdefault(groups, []).append((float(weight.sum()), state))
-        pooled = {max(each)[1]: sum(w for w, _ in each) for each in alike.values()}
-        return {state: weight for state, weight in pooled.items() if weight > _COUNTS}
-
-    @cached_property
-    def _places(self) -> dict[State, dict[int, int]]:
-        """Which group of such a state is in the place of each of the best state.
-
-        The same, or that which shows most like it; an effect whole may stand for several.
-        """
-        return {state: self._matched(state) for state in self._probable}
-
-    def _matched(self, state: State) -> dict[int, int]:
-        ours, theirs = [g for g, _ in self.best], [g for g, _ in state]
-        found = {g: g for g in ours if g in theirs}
-        lost = [g for g in ours if g not in theirs]
-        gained = [g for g in theirs if g not in ours]
-        if lost and gained:
-            one, other = self._shows(self.best, lost), self._shows(state, gained)
-            alike = np.abs(one @ other.T)
-            pairs = zip(*linear_sum_assignment(-alike), strict=True)
-            found |= {lost[i]: gained[j] for i, j in pairs}
-            for i, group in enumerate(lost):
-                nearest = gained[int(np.argmax(alike[i]))]
-                if group not in found and self.linear.groups[nearest].size > 1:
-                    found[group] = nearest
-        return found
-
-    def _shows(self, state: State, groups: list[int]) -> Array:
-        """What groups of a state show beside all that is off anyway, zeros and lengths first, of
-        unit length ``(groups, m)``.
-        """
-        mean = self._mean(state, self.scales[int(np.argmax(self.weights[state]))])
-        columns = self.scales[int(np.argmax(self.weights[self.best]))].columns
-        places = [self.linear.groups[g].places for g in groups]
-        shown = np.stack([columns[:, at] @ mean[at] for at in places])
-        return np.asarray(shown / np.maximum(np.linalg.norm(shown, axis=1), 1e-300)[:, None])
 
     @cached_property
     def shares(self) -> tuple[float, float, float]:
@@ -194,9 +116,8 @@ class Mixture(Search):
 
     def over_sound_machine(self) -> Array:
         """Log Bayes factor of each group alone, on a sound machine, by tau ``(groups, taus)``."""
-        self._best_child(())
         return np.asarray(
-            self.children[()][self._sound].max(axis=0) - self.visited[()][self._sound].max()
+            self.table(())[self._sound].max(axis=0) - self.visited[()][self._sound].max()
         )
 
     def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -208,9 +129,8 @@ class Mixture(Search):
 
     def next_odds(self) -> Array:
         """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
-        self._best_child(self.best)
-        table = self.children[self.best]
-        top = self._total(self.best)
+        table = self.table(self.best)
+        top = self.total(self.best)
         with np.errstate(divide="ignore"):
             pooled = np.log(np.exp(table - top).sum(axis=(0, 2)))
         return np.asarray(pooled + self.cost)
@@ -235,10 +155,6 @@ class Mixture(Search):
             part[g.places] = g.weights * tau
             spread = np.hstack([spread, part])
         return spread
-
-    def instead(self, member: int, other: int, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Mean and covariance with another group in the place of one of the best state."""
-        return self.likeliest(self._with(member, other), at)
 
     def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""

@@ -27,6 +27,7 @@ from orthoglide.posterior.causes import (
     Outstanding,
 )
 from orthoglide.posterior.everything import FullPosterior
+from orthoglide.posterior.instead import Alternatives
 from orthoglide.posterior.linear import Group
 from orthoglide.prediction import Conditions
 
@@ -68,13 +69,17 @@ class _Reader:
         return self.posterior.mixture.linear.groups
 
     @cached_property
+    def instead(self) -> Alternatives:
+        return Alternatives(self.posterior.mixture)
+
+    @cached_property
     def nuisance(self) -> Nuisances:
         return self.posterior.before.nuisance
 
     def set_of(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """The credible set in the place of one group of the best state; ``None``: no claim."""
-        mixture, known = self.posterior.mixture, self.groups[member].name in given
-        odds = mixture.alternatives(member)
+        known = self.groups[member].name in given
+        odds = self.instead.of(member)
         there = 1.0 - odds[-1]
         if known:
             odds, there = np.eye(len(odds))[member], 1.0
@@ -157,7 +162,7 @@ class _Reader:
         return [replace(e, probability=one.probability / len(found)) for e in found]
 
     def _explanation(self, member: int, k: int, probability: float) -> Explanation:
-        found = self.posterior.mixture.instead(member, k, self.groups[k].places)
+        found = self.instead.moments(member, k, self.groups[k].places)
         return self._told(k, probability, *found)
 
     def _told(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
@@ -229,7 +234,7 @@ class _Reader:
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
         about, group = self.posterior.about, self.groups[k]
-        mean, spread = self.posterior.mixture.instead(member, k, group.places)
+        mean, spread = self.instead.moments(member, k, group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
         if not place.loses:  # else its level may belong to the zeros
@@ -248,7 +253,7 @@ class _Reader:
         """What came nearest to standing out, most probable first."""
         mixture, found = self.posterior.mixture, dict[int, float]()
         for member, _ in mixture.best:
-            odds = mixture.alternatives(member)
+            odds = self.instead.of(member)
             for k, p in enumerate(odds[:-1]):
                 if p > 0:
                     score = float(np.log(p) - np.log(max(odds[-1], 1e-300)) + mixture.cost[k])

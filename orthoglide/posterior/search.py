@@ -82,8 +82,8 @@ class Search:
     def _better(self, state: State) -> State | None:
         """A state of more weight: the best by one group, or else the best by two."""
         for reach in (self._by_one, self._by_two):
-            best = max(reach(state), key=self._total, default=state)
-            if self._total(best) > self._total(state) + 1e-9:
+            best = max(reach(state), key=self.total, default=state)
+            if self.total(best) > self.total(state) + 1e-9:
                 return best
         return None
 
@@ -116,14 +116,20 @@ class Search:
 
     def _more(self, state: State) -> list[State]:
         """The best state with one more group out, if there may be one."""
-        child = self._best_child(state) if len(state) < _MOST else None
-        return [] if child is None else [child]
+        if len(state) >= _MOST:
+            return []
+        table = self.table(state)
+        if not np.isfinite(table).any():
+            return []
+        pooled = np.exp(table - table.max()).sum(axis=0)
+        group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
+        return [self._child(state, int(group), int(tau))]
 
     def _pair(self, state: State, but: Sequence[int]) -> list[State]:
         """The best state with two more causes out, of one coefficient each, without some."""
         if len(state) + 2 > _MOST:
             return []
-        self._best_child(state)
+        self.table(state)
         inside, met, _ = self._besides([self._out(scale, state) for scale in self.scales])
         at = self._first[self._ones]
         inside, met = inside[:, :, at], met[:, at]
@@ -137,29 +143,23 @@ class Search:
             pair = (int(self._ones[i]), tau), (int(self._ones[j]), other)
             found.append(tuple(sorted((*state, *pair))))
             self.visited[found[-1]] = logs
-        return sorted(found, key=self._total)[-1:]
+        return sorted(found, key=self.total)[-1:]
 
-    def _total(self, state: State) -> float:
+    def total(self, state: State) -> float:
+        """Log weight of a state that was visited, over all scales."""
         weights = self.visited[state]
         top = weights.max()
         return float(top + np.log(np.exp(weights - top).sum()))
 
-    def _best_child(self, state: State) -> State | None:
-        """Let one more group out: all of them at all scales, the best returned."""
+    def table(self, state: State) -> Array:
+        """Log weights ``(scales, groups, taus)`` of a state with one more group out."""
         if state not in self.children:
             self.children[state] = self._expand(state)
-        table = self.children[state]  # (scales, groups, taus)
-        if not np.isfinite(table).any():
-            return None
-        top = table.max()
-        pooled = np.exp(table - top).sum(axis=0)
-        group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
-        return self._child(state, int(group), int(tau))
+        return self.children[state]
 
     def child(self, state: State, group: int) -> State:
         """The state with one more group out, at its likeliest scale."""
-        self._best_child(state)
-        table = self.children[state][:, group]
+        table = self.table(state)[:, group]
         return self._child(state, group, int(np.argmax(np.exp(table - table.max()).sum(axis=0))))
 
     def _child(self, state: State, group: int, tau: int) -> State:
@@ -168,7 +168,6 @@ class Search:
         return child
 
     def _expand(self, state: State) -> Array:
-        """Log weights ``(scales, groups, taus)`` of the state with one more group out."""
         outs = [self._out(scale, state) for scale in self.scales]
         if state not in self.visited:
             self.visited[state] = np.array(

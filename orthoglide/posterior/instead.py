@@ -1,0 +1,103 @@
+"""What may be in the place of a cause: another group, or what a whole other state has there."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from orthoglide.geometry import Array
+from orthoglide.posterior.mixture import Mixture
+from orthoglide.posterior.search import State
+
+_COUNTS = 1e-3  # weight of a state that probabilities of causes are read from
+
+
+class Alternatives:
+    """What may be in each place of the best state, and how probably."""
+
+    def __init__(self, mixture: Mixture) -> None:
+        self.mixture = mixture
+
+    def of(self, member: int) -> Array:
+        """Probability of each group ``(groups + 1,)`` in one place of the best state.
+
+        With the rest of the best state given, one group against another; where a state that
+        differs by more explains the readings, too, what it has in that place.
+
+        The last entry, behind the groups, is that of nothing.
+        """
+        mixture, rest = self.mixture, self.mixture.without(member)
+        table, nothing = mixture.table(rest), mixture.total(rest)
+        top = max(float(table.max()), nothing)
+        by_group = np.exp(table - top).sum(axis=(0, 2))
+        found = np.append(by_group, np.exp(nothing - top))
+        found /= found.sum()
+        others = np.zeros(len(found))
+        for state, weight in self._probable.items():
+            more = {g for g, _ in state} - {g for g, _ in rest}
+            if len(more) + len(rest) > len(state) or (len(more) > 1 and member not in more):
+                others[self._places[state].get(member, -1)] += weight
+        return np.asarray((1 - others.sum()) * found + others)
+
+    def moments(self, member: int, other: int, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Mean ``(C,)``, and covariance ``(k, k)`` of some coefficients, with a group in the place
+        of one of the best state.
+        """
+        return self.mixture.likeliest(self._state(member, other), at)
+
+    def _state(self, member: int, other: int) -> State:
+        """The likeliest state with another group in the place of one of the best state."""
+        if other == member:
+            return self.mixture.best
+        having = [s for s, found in self._places.items() if found.get(member) == other]
+        if having:
+            return max(having, key=lambda s: self._probable[s])
+        return self.mixture.child(self.mixture.without(member), other)
+
+    @cached_property
+    def _probable(self) -> dict[State, float]:
+        """What stands out together that counts, at its likeliest scales, with its weight."""
+        alike: dict[frozenset[int], list[tuple[float, State]]] = {}
+        for state, weight in self.mixture.weights.items():
+            groups = frozenset(g for g, _ in state)
+            alike.setdefault(groups, []).append((float(weight.sum()), state))
+        pooled = {max(each)[1]: sum(w for w, _ in each) for each in alike.values()}
+        return {state: weight for state, weight in pooled.items() if weight > _COUNTS}
+
+    @cached_property
+    def _places(self) -> dict[State, dict[int, int]]:
+        """Which group of such a state is in the place of each of the best state.
+
+        The same, or that which shows most like it; an effect whole may stand for several.
+        """
+        return {state: self._matched(state) for state in self._probable}
+
+    def _matched(self, state: State) -> dict[int, int]:
+        best, groups = self.mixture.best, self.mixture.linear.groups
+        ours, theirs = [g for g, _ in best], [g for g, _ in state]
+        found = {g: g for g in ours if g in theirs}
+        lost = [g for g in ours if g not in theirs]
+        gained = [g for g in theirs if g not in ours]
+        if lost and gained:
+            alike = np.abs(self._shows(best, lost) @ self._shows(state, gained).T)
+            pairs = zip(*linear_sum_assignment(-alike), strict=True)
+            found |= {lost[i]: gained[j] for i, j in pairs}
+            for i, group in enumerate(lost):
+                nearest = gained[int(np.argmax(alike[i]))]
+                if group not in found and groups[nearest].size > 1:
+                    found[group] = nearest
+        return found
+
+    def _shows(self, state: State, groups: list[int]) -> Array:
+        """What groups of a state show beside all that is off anyway, zeros and lengths first, of
+        unit length ``(groups, m)``.
+        """
+        mixture = self.mixture
+        mean = mixture.likeliest(state, np.zeros(0, dtype=np.intp))[0]
+        columns = mixture.scales[int(np.argmax(mixture.weights[mixture.best]))].columns
+        places = [mixture.linear.groups[g].places for g in groups]
+        shown = np.stack([columns[:, at] @ mean[at] for at in places])
+        return np.asarray(shown / np.maximum(np.linalg.norm(shown, axis=1), 1e-300)[:, None])
