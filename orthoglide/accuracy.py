@@ -46,7 +46,7 @@ def without_place(field: Array) -> Array:
     return field - field.mean(axis=0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Map:
     """The predicted TCP over a set of commands.
 

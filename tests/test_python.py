@@ -179,6 +179,20 @@ def test_what_is_shown_of_a_campaign(campaign: og.Campaign) -> None:
     assert len(repr(points)) < 200
 
 
+def test_what_a_verdict_holds_is_shown_in_a_few_lines(verdict: og.Verdict) -> None:
+    """Its causes alone were 70 000 characters, with the catalogue and every array in them."""
+    assert repr(verdict.effects[0]).startswith("<Cause backlash.x: drive x has 0.0")
+    assert repr(verdict.effects[0].chosen).startswith("<backlash.x, probability 0.")
+    catalogue = verdict.machine.catalogue
+    assert repr(catalogue["backlash"]).startswith("<Effect backlash: ")
+    for held in (
+        verdict.effects, verdict.located, verdict.changed, verdict.budget[0], verdict.posterior,
+        verdict.before.problem, verdict.after.nuisance, verdict.view, verdict.workspace,
+        verdict.map, verdict.picture, catalogue, verdict.machine.posterior,
+    ):  # fmt: skip
+        assert len(repr(held)) < 600
+
+
 @pytest.mark.parametrize("kind", ["standard", "sweep"])
 def test_the_frame_of_a_campaign_reads_back(kind: Any) -> None:
     filled = og.simulate(og.Machine.nominal().with_parameters(ERRORS), kind, seed=2)

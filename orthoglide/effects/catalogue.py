@@ -20,7 +20,7 @@ from orthoglide.layout import Layout, LegNames, Orthoglide
 from orthoglide.parameters import Parameter, setup_parts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Catalogue(Mapping[str, Effect]):
     """Effects by name, in the order of tables. Immutable; equal where the effects are.
 
@@ -40,6 +40,9 @@ class Catalogue(Mapping[str, Effect]):
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"two effects are called {name!r}: rename one")
+
+    def __repr__(self) -> str:
+        return f"<Catalogue of {len(self)} effects: {', '.join(self)}>"
 
     @cached_property
     def by_name(self) -> Mapping[str, Effect]:

@@ -37,7 +37,7 @@ Shape = Callable[[Any, Any], Any]
 Held = Literal["zero", "scale", "backlash", "bar_length", "place"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Effect:
     """A physical cause with its parameters, one entry of the catalogue.
 
@@ -89,6 +89,9 @@ class Effect:
             raise InputError(f"{self.name}: unit is one like MM, and members are once(...)")
         if not self.tolerance > 0:
             raise InputError(f"{self.name}: the tolerance must be above 0, not {self.tolerance}")
+
+    def __repr__(self) -> str:
+        return f"<Effect {self.name}: {self.sentence}>"
 
     @property
     def of_dial(self) -> bool:

@@ -20,7 +20,7 @@ SIGNIFICANT = 3.0
 """Sigmas beyond which what is left after a change is an error of its own."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Change:
     """A parameter of the machine that is not what it was in an earlier file.
 
@@ -49,6 +49,9 @@ class Change:
     sigma: float = float("nan")
     sigma_after: float = float("nan")
     sizes: tuple[float, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Change of {self.parameter}: {self.message}>"
 
     @property
     def unit(self) -> Unit:

@@ -18,7 +18,7 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Linearised:
     """Predicted rows around one point.
 
@@ -54,7 +54,7 @@ def predict(problem: Problem, x: Array) -> Array:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Nuisances:
     """Columns that the rows contain besides the model.
 

@@ -26,7 +26,7 @@ _QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of
 _FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Noise:
     """Standard deviation of every reading.
 

@@ -89,7 +89,7 @@ def rows_about(
     return matrix, root @ known.mean[chosen], spoken
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem:
     """An identification, ready to be solved by any of the methods.
 

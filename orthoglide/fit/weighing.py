@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orthoglide.geometry import Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Weighing:
     """The inverse root of the covariance of rows.
 

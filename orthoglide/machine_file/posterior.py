@@ -19,7 +19,7 @@ from orthoglide.text import shown
 _CONTENT = ("names", "mean", "covariance", "sha256")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Posterior:
     """What is known of parameters, as a Gaussian.
 

@@ -14,7 +14,7 @@ from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Explanation:
     """One cause of the catalogue, all else that was found given.
 
@@ -37,6 +37,9 @@ class Explanation:
     machine: Mapping[str, float]
     shown: Array
     catalogue: Catalogue
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, probability {self.probability:.2f}: {self.words}>"
 
     @property
     def unit(self) -> str:
@@ -68,7 +71,7 @@ class Explanation:
         return self.values[name] / si, self.sigmas[name] / si
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Cause:
     """One cause that stands out, with its credible set.
 
@@ -81,6 +84,10 @@ class Cause:
     chosen: Explanation
     rivals: tuple[Explanation, ...]
     same: tuple[Explanation, ...]
+
+    def __repr__(self) -> str:
+        others = ", ".join(self.indistinguishable_from)
+        return f"<Cause {self.name}: {self.chosen.words}{others and f'; or {others}'}>"
 
     @property
     def name(self) -> str:
@@ -113,7 +120,7 @@ class Cause:
         return tuple(one.name for one in (*self.same, *self.rivals))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Curve:
     """A place and the free function found there.
 
@@ -133,6 +140,9 @@ class Curve:
     value: Array
     sigma: Array
     shown: Array
+
+    def __repr__(self) -> str:
+        return f"<{self.place.name}, probability {self.probability:.2f}: {self.size_words}>"
 
     @property
     def size(self) -> float:
@@ -156,7 +166,7 @@ class Curve:
         return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if self.place.loses else ' rms'}"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Located:
     """Something without a name: a class of places of which it is one.
 
@@ -169,6 +179,9 @@ class Located:
     members: tuple[Curve, ...]
     resembling: tuple[str, ...]
     probability: float
+
+    def __repr__(self) -> str:
+        return f"<Located {', '.join(map(repr, self.members))}>"
 
     @property
     def name(self) -> str:
@@ -193,7 +206,7 @@ class CandidateScore:
     evidence: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Outstanding:
     """Everything that stands out of the background.
 

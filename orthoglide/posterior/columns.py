@@ -42,7 +42,7 @@ _VISIBLE = 0.3
 """A cause is weighed if one tolerance lifts it this far above the noise, in all."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Everything:
     """All that could be wrong, with what the readings say of it about one point.
 

@@ -41,7 +41,7 @@ SLABS = (0.3, 1.0, 3.0, 10.0)
 """Scales of what stands out."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Group:
     """Coefficients that stand out together, or not.
 
@@ -63,7 +63,7 @@ class Group:
         return self.weights.shape[1]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Linear:
     """Readings about a machine, linear in everything that could be wrong.
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from orthoglide.result.result import Result
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Picture:
     """A drawing of what was found.
 

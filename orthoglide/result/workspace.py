@@ -14,7 +14,7 @@ from orthoglide.machine import Machine
 _MOST_NAMED = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Workspace:
     """The TCP over the workspace, best translation removed, metres.
 

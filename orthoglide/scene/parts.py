@@ -12,7 +12,7 @@ from orthoglide.geometry import Array, Geometry
 Part = Literal["drive", "rail", "carriage", "bar", "link", "platform", "dial", "plate"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Posed:
     """A machine in one closed posture.
 

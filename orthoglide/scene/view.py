@@ -16,7 +16,7 @@ MOST_WAYS = 10
 """Switches of one view."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Way:
     """What one cause does to a machine over its workspace.
 
@@ -31,7 +31,7 @@ class Way:
     p: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class View:
     """A machine in postures along a way through its workspace, and what may be wrong with it.
 
