@@ -211,8 +211,12 @@ class Mixture(Search):
             known: the first so many coefficients have their covariance in any case, others where
                 their group stands out with some probability.
         """
-        likely = [g.places for g, p in zip(self.linear.groups, self.inclusion, strict=True)
-                  if p > LEAST_SHARE]  # fmt: skip
+        best = {g for g, _ in self.best}
+        likely = [
+            g.places
+            for k, (g, p) in enumerate(zip(self.linear.groups, self.inclusion, strict=True))
+            if p > LEAST_SHARE or k in best
+        ]
         at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
         size = len(self.linear.fixed)
         second, prior = np.zeros((size, size)), np.zeros((size, size))

@@ -80,8 +80,8 @@ class Search:
         return state
 
     def _better(self, state: State) -> State | None:
-        """A state of more weight: the best by one group, or else the best by two."""
-        for reach in (self._by_one, self._by_two):
+        """A state of more weight: the best by one group, by two, or else of all come across."""
+        for reach in (self._by_one, self._by_two, self._met):
             best = max(reach(state), key=self.total, default=state)
             if self.total(best) > self.total(state) + 1e-9:
                 return best
@@ -108,6 +108,12 @@ class Search:
         for count in (1, 2):
             for rest in self._fewer(state, count):
                 yield from self._pair(rest, [g for g, _ in state])
+
+    def _met(self, _: State) -> Iterator[State]:
+        """The best children of all states that were looked at on the way."""
+        for state in list(self.children):
+            if self._known <= {g for g, _ in state}:
+                yield from self._more(state)
 
     def _fewer(self, state: State, count: int) -> list[State]:
         """The states with so many groups less, of those that need not be out."""
