@@ -18,11 +18,11 @@ NONE = np.zeros(0, dtype=np.intp)
 def claimed(odds: list[float], free: list[bool]) -> Any:
     """What is claimed of groups with these probabilities, the last that of nothing."""
     groups = tuple(Group(f"g{k}", NONE, np.zeros((0, 1)), f) for k, f in enumerate(free))
-    mixture = SimpleNamespace(
-        alternatives=lambda _: np.array(odds), linear=SimpleNamespace(groups=groups)
-    )
+    mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
     class Told(_Reader):
+        instead = SimpleNamespace(of=lambda _: np.array(odds))
+
         def _cause(self, member, odds):
             return "cause", [k for k, _ in odds]
 
@@ -85,6 +85,7 @@ def test_the_covariance_has_what_explanations_differ_by() -> None:
     one = Mixture.__new__(Mixture)
     groups = tuple(Group(f"g{k}", np.array([k]), np.eye(1), False) for k in range(2))
     one.linear = SimpleNamespace(groups=groups, fixed=np.zeros(2))
+    one.best = ()
     one.scales = [SimpleNamespace(spike=np.array([0.25, 4.0]))]
     vars(one)["weights"] = {s: np.array([w]) for s, w in zip(states, weights, strict=True)}
 

@@ -1,0 +1,133 @@
+"""The search for what stands out, against the evidence of every state written out in full."""
+
+from __future__ import annotations
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+
+from orthoglide.geometry import Array
+from orthoglide.posterior.instead import Alternatives
+from orthoglide.posterior.linear import Group, Linear, whole
+from orthoglide.posterior.mixture import Mixture
+from orthoglide.posterior.search import Search, State, gained
+
+ROWS = 24
+SLABS = (0.3, 1.0, 3.0)
+SHARES = (0.01, 0.1, 1.0)
+
+
+def made_up(columns: Array, truth: Array, seed: int) -> Linear:
+    """Readings of a made-up machine: the first two coefficients are its base; then causes of one
+    coefficient; last a family of three, and a free function of six that shows in two ways only.
+    """
+    rng = np.random.default_rng(seed)
+    count, last = columns.shape[1], columns.shape[1] - 9
+    groups = [Group(f"g{k}", np.array([k]), np.eye(1), False) for k in range(2, last)]
+    groups += [whole("family", range(last, last + 3), free=False)]
+    groups += [whole("place", range(last + 3, count), free=True)]
+    free = np.arange(count) >= last + 3
+    fixed = np.where(np.arange(count) < 2, 1.0, np.nan)
+    return Linear(
+        columns, columns @ truth + rng.standard_normal(ROWS), fixed, free, np.zeros(count, bool),
+        tuple(groups), np.eye(ROWS), SHARES, SLABS,
+    )  # fmt: skip
+
+
+def drawn(seed: int, causes: int = 6) -> Array:
+    rng = np.random.default_rng(seed)
+    columns = 20 * rng.standard_normal((ROWS, 2 + causes + 9))
+    columns[:, -6:] = rng.standard_normal((ROWS, 2)) @ rng.standard_normal((2, 6))
+    return columns
+
+
+def written_out(search: Search, state: State) -> Array:
+    """Log weights of a state by scale ``(scales,)``, from its covariance."""
+    linear, found = search.linear, []
+    for scale in search.scales:
+        cov = np.eye(ROWS) * (1 + scale.rough**2)
+        cov += (linear.columns * linear.spike(scale.share, scale.free_share)) @ linear.columns.T
+        for group, tau in state:
+            shown = linear.columns[:, linear.groups[group].places] * tau
+            cov += shown @ shown.T
+        square = linear.residual @ np.linalg.solve(cov, linear.residual)
+        prior = -3.0 * ((scale.share > 1) + (scale.rough > 0))
+        found.append(prior - (square + np.linalg.slogdet(cov)[1]) / 2)
+    return np.array(found) - sum(search.cost[g] for g, _ in state)
+
+
+def pooled(logs: Array) -> float:
+    return float(logs.max() + np.log(np.exp(logs - logs.max()).sum()))
+
+
+@pytest.mark.parametrize("state", [(), ((1, 1.0),), ((0, 0.3), (7, 3.0)), ((2, 3.0), (6, 1.0))])
+def test_states_with_one_group_more_have_their_evidence(state: State) -> None:
+    truth = np.zeros(17)
+    truth[[3, 4]] = 2.0, -1.0
+    search = Search(made_up(drawn(1), truth, 2))
+    table = search.table(state)
+    out = {g for g, _ in state}
+    for group, (t, tau) in product(range(len(search.linear.groups)), enumerate(SLABS)):
+        if group in out:
+            assert np.all(table[:, group, t] == -np.inf)
+        else:
+            full = written_out(search, (*state, (group, tau)))
+            assert table[:, group, t] == pytest.approx(full, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_best_of_all_states_of_two_is_found(seed: int) -> None:
+    """Three causes that nearly show what two others do: one at a time goes astray there."""
+    rng = np.random.default_rng(seed)
+    columns, truth = drawn(seed), np.zeros(17)
+    columns[:, 4] = columns[:, 2] + columns[:, 3] + rng.standard_normal(ROWS)
+    columns[:, 5] = columns[:, 2] - columns[:, 3] + rng.standard_normal(ROWS)
+    truth[rng.choice([2, 3, 4, 5], 2, replace=False)] = rng.choice([-1, 1], 2) * (0.4, 0.5)
+    search = Search(made_up(columns, truth, seed))
+    groups = range(len(search.linear.groups))
+    states: list[State] = [()] + [((g, t),) for g, t in product(groups, SLABS)]
+    states += [
+        ((one, t), (other, u))
+        for one, other in combinations(groups, 2)
+        for t, u in product(SLABS, repeat=2)
+    ]
+    best = max(pooled(written_out(search, s)) for s in states)
+    assert search.total(search.best) >= best - 1e-6
+    assert search.total(search.best) == pytest.approx(pooled(written_out(search, search.best)))
+
+
+def test_what_shows_nothing_of_a_group_is_left_out() -> None:
+    linear = made_up(drawn(3), np.zeros(17), 3)
+    assert [seen.shape[1] for seen in linear.seen] == [1] * 6 + [3, 2]
+    for group, seen in zip(linear.groups, linear.seen, strict=True):
+        all_of_it, kept = linear.columns[:, group.places], linear.columns[:, group.places] @ seen
+        assert kept @ kept.T == pytest.approx(all_of_it @ all_of_it.T)
+
+
+def test_two_that_show_what_two_others_do_are_in_each_others_sets() -> None:
+    """The second pair was never met by exchanging one at a time: it had no probability."""
+    columns, truth = drawn(5), np.zeros(17)
+    columns[:, 4] = (columns[:, 2] + columns[:, 3]) / np.sqrt(2)
+    columns[:, 5] = (columns[:, 2] - columns[:, 3]) / np.sqrt(2)
+    truth[[2, 3]] = 1.0, 0.4  # the others are out by 0.99 and 0.42, none of the four alone
+    mixture = Mixture(made_up(columns, truth, 5))
+    held = {g for g, _ in mixture.best}
+    assert held in ({0, 1}, {2, 3}, {0, 2}, {1, 2}, {0, 3}, {1, 3})
+    alternatives = Alternatives(mixture)
+    for member in held:
+        odds = alternatives.of(member)
+        assert odds.sum() == pytest.approx(1.0)
+        assert odds[-1] < 1e-3
+        assert odds[list({0, 1, 2, 3} - held)].sum() > 0.2
+    both = mixture.inclusion[:4]
+    assert both.sum() == pytest.approx(2.0, abs=0.2)
+    assert np.all(both > 0.15)
+
+
+def test_a_group_that_shows_what_is_out_already_adds_no_more_than_nothing() -> None:
+    inner = np.array([[1.0, 1.0], [1.0, 1.0]]) * 1e8
+    met = np.array([3e4, 3e4])
+    full = np.eye(2) + 9.0 * inner
+    by_hand = 9.0 * met @ np.linalg.solve(full, met) / 2 - np.linalg.slogdet(full)[1] / 2
+    assert gained(inner, met, np.array(1e3), 3.0) == pytest.approx(by_hand, rel=1e-6)
