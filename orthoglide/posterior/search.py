@@ -75,6 +75,7 @@ class Search:
         state: State = ()
         for group in sorted(self._known):
             state = self.child(state, group)
+        # Weights once given stay, whatever rounding says of another way there: this ends.
         while better := self._better(state):
             state = better
         return state
@@ -148,7 +149,7 @@ class Search:
         ):
             pair = (int(self._ones[i]), tau), (int(self._ones[j]), other)
             found.append(tuple(sorted((*state, *pair))))
-            self.visited[found[-1]] = logs
+            self.visited.setdefault(found[-1], logs)
         return sorted(found, key=self.total)[-1:]
 
     def total(self, state: State) -> float:
@@ -170,7 +171,7 @@ class Search:
 
     def _child(self, state: State, group: int, tau: int) -> State:
         child = tuple(sorted((*state, (group, self.linear.slabs[tau]))))
-        self.visited[child] = self.children[state][:, group, tau]
+        self.visited.setdefault(child, self.children[state][:, group, tau])
         return child
 
     def _expand(self, state: State) -> Array:
