@@ -131,3 +131,12 @@ def test_a_group_that_shows_what_is_out_already_adds_no_more_than_nothing() -> N
     full = np.eye(2) + 9.0 * inner
     by_hand = 9.0 * met @ np.linalg.solve(full, met) / 2 - np.linalg.slogdet(full)[1] / 2
     assert gained(inner, met, np.array(1e3), 3.0) == pytest.approx(by_hand, rel=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e4, 1e7])
+def test_misfits_of_millions_of_sigmas_are_searched(size: float) -> None:
+    truth = np.zeros(17)
+    truth[[3, 9]] = size, -size
+    mixture = Mixture(made_up(drawn(8), truth, 8))
+    assert np.all(np.isfinite(mixture.mean))
+    assert {1, 6} <= {g for g, _ in mixture.best}

@@ -28,7 +28,6 @@ from orthoglide.posterior.pairs import likely_pairs
 
 _MOST = 6  # groups that stand out together
 
-
 State = tuple[tuple[int, float], ...]
 """Groups that stand out, by place, each with its tau."""
 
@@ -137,7 +136,7 @@ class Search:
         if len(state) + 2 > _MOST:
             return []
         self.table(state)
-        inside, met, _ = self._besides([self._out(scale, state) for scale in self.scales])
+        inside, met = self._besides([self._out(scale, state) for scale in self.scales])
         at = self._first[self._ones]
         inside, met = inside[:, :, at], met[:, at]
         seen = self._crossed - inside.transpose(0, 2, 1) @ inside
@@ -182,7 +181,8 @@ class Search:
             ) - sum(self.cost[g] for g, _ in state)
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
         table = np.full(shape, -np.inf)
-        inside, met, square = self._besides(outs)
+        inside, met = self._besides(outs)
+        square = np.array([[s.residual @ s.residual] for s in self.scales])
         for size, members in self._by_size.items():
             at = np.array([self._span[g] for g in members])
             out = inside[:, :, at].transpose(0, 2, 3, 1)
@@ -193,7 +193,7 @@ class Search:
                 1e-13 * np.trace(inner, axis1=2, axis2=3)[..., None]
             )
             for t, tau in enumerate(self.linear.slabs):
-                table[:, members, t] = gained(left, met[:, at], square[:, None], tau)
+                table[:, members, t] = gained(left, met[:, at], square, tau)
         table += self.visited[state][:, None, None] - self.cost[:, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
@@ -211,18 +211,17 @@ class Search:
         each = (s.of_groups(at) for s in self.scales)
         return np.stack([columns.T @ columns for columns in each])
 
-    def _besides(self, outs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
-        """Along what is out ``(scales, q, K)``; besides it, what the residual has along each
-        column ``(scales, K)`` and its square ``(scales,)``.
+    def _besides(self, outs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+        """Along what is out ``(scales, q, K)``, and what besides it the residual has along each
+        column ``(scales, K)``.
         """
-        along, across, square = [], [], []
+        along, across = [], []
         for scale, (left, shrink) in zip(self.scales, outs, strict=True):
             taken = np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T
-            met, residual = taken @ scale.residual, scale.residual
             along.append(scale.along_groups(taken))
-            across.append(scale.along_groups(residual) - met @ along[-1])
-            square.append(residual @ residual - met @ met)
-        return np.stack(along), np.stack(across), np.array(square)
+            met = taken @ scale.residual
+            across.append(scale.along_groups(scale.residual) - met @ along[-1])
+        return np.stack(along), np.stack(across)
 
     def _inner(self, size: int, at: NDArray[np.intp]) -> Array:
         """Products of the columns of each group of a size ``(scales, groups, size, size)``."""
@@ -234,7 +233,7 @@ class Search:
     def _out(self, scale: Scale, state: State) -> tuple[Array, Array]:
         """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
 
-        :func:`_whitened` whitens what is out as well.
+        :func:`whitened` whitens what is out as well.
         """
         if not state:
             return np.zeros((len(scale.residual), 0)), np.zeros(0)
@@ -255,16 +254,16 @@ def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
     Args:
         inner: products of their columns ``(..., k, k)``.
         met: of these and the residual ``(..., k)``.
-        square: of the residual, broadcast to ``(...)``; no group explains more.
+        square: no less than that of the residual, broadcast to ``(...)``: no group explains more.
         tau: scale.
     """
     count = met.shape[-1]
     bordered = np.zeros((*met.shape[:-1], count + 1, count + 1))
     bordered[..., :count, :count] = tau**2 * inner + np.eye(count)
     bordered[..., count, :count] = tau * met
-    bordered[..., count, count] = square + 1.0
+    bordered[..., count, count] = edge = 2.0 * square + 1.0  # positive, whatever rounding does
     root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
-    explained = square + 1.0 - root[..., count] ** 2
+    explained = edge - root[..., count] ** 2
     return np.asarray(explained / 2 - np.log(root[..., :count]).sum(axis=-1))
 
 
