@@ -185,10 +185,6 @@ class Scale:
         """Some columns of those of all groups side by side ``(m, k)``."""
         return self.basis.by_group[:, at] * self.weight[:, None]
 
-    def along_groups(self, rows: Array) -> Array:
-        """What rows ``(..., m)`` have along the columns of all groups ``(..., K)``."""
-        return np.asarray((rows * self.weight) @ self.basis.by_group)
-
 
 def scales(linear: Linear) -> tuple[Scale, ...]:
     """The grid of scales."""

@@ -15,7 +15,12 @@ _FAR = 8.0  # log odds of scales of theirs that do not count
 
 
 def likely_pairs(
-    seen: Array, met: Array, logs: Array, cost: Array, slabs: Sequence[float]
+    seen: Array,
+    met: Array,
+    logs: Array,
+    cost: Array,
+    slabs: Sequence[float],
+    coarse: Sequence[int],
 ) -> Iterator[tuple[int, float, int, float, Array]]:
     """The pairs that explain readings nearly as well as the best, each with its scales.
 
@@ -25,6 +30,7 @@ def likely_pairs(
         logs: log weights without them, by scale of the background ``(scales,)``.
         cost: log odds against each one's standing out ``(n,)``; infinite for those left out.
         slabs: scales that each may have.
+        coarse: scales of the background at which all pairs are compared.
 
     Yields:
         One and its scale, the other and its scale, and their log weights ``(scales,)``.
@@ -33,9 +39,10 @@ def likely_pairs(
     first, second = (allowed[k] for k in np.triu_indices(len(allowed), 1))
     if not len(first):
         return
-    # At one scale for both first: that is off by no more than some log odds.
-    table = np.stack([gains(seen, met, (first, second), (tau, tau)) for tau in slabs])
-    pooled = _pooled(table + logs[:, None]) - cost[first] - cost[second]
+    # At one scale for both and few of the background first: off by no more than some log odds.
+    few, some = seen[coarse], met[coarse]
+    table = np.stack([gains(few, some, (first, second), (tau, tau)) for tau in slabs])
+    pooled = _pooled(table + logs[coarse, None]) - cost[first] - cost[second]
     order = np.argsort(-pooled, kind="stable")[:_MOST]
     order = order[pooled[order] > pooled[order[0]] - _NEAR]
     near = first[order], second[order]

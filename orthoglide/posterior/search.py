@@ -136,15 +136,14 @@ class Search:
         if len(state) + 2 > _MOST:
             return []
         self.table(state)
-        inside, met = self._besides([self._out(scale, state) for scale in self.scales])
-        at = self._first[self._ones]
-        inside, met = inside[:, :, at], met[:, at]
+        outs = [self._out(scale, state) for scale in self.scales]
+        inside, met = self._besides(outs, self._first[self._ones])
         seen = self._crossed - inside.transpose(0, 2, 1) @ inside
         out = np.isin(self._ones, [*but, *(g for g, _ in state)])
         cost = np.where(out, np.inf, self.cost[self._ones])
         found = []
         for i, tau, j, other, logs in likely_pairs(
-            seen, met, self.visited[state], cost, self.linear.slabs
+            seen, met, self.visited[state], cost, self.linear.slabs, self._coarse
         ):
             pair = (int(self._ones[i]), tau), (int(self._ones[j]), other)
             found.append(tuple(sorted((*state, *pair))))
@@ -181,7 +180,7 @@ class Search:
             ) - sum(self.cost[g] for g, _ in state)
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
         table = np.full(shape, -np.inf)
-        inside, met = self._besides(outs)
+        inside, met = self._besides(outs, np.arange(self._across.shape[1]))
         square = np.array([[s.residual @ s.residual] for s in self.scales])
         for size, members in self._by_size.items():
             at = np.array([self._span[g] for g in members])
@@ -199,6 +198,13 @@ class Search:
         return table
 
     @cached_property
+    def _coarse(self) -> list[int]:
+        """Scales of which every background is near one: with and without errors of stations."""
+        least = min(s.free_share for s in self.scales)
+        rough = sorted({s.rough for s in self.scales})[::2]
+        return [k for k, s in enumerate(self.scales) if s.free_share == least and s.rough in rough]
+
+    @cached_property
     def _ones(self) -> NDArray[np.intp]:
         """Causes of one coefficient."""
         alone = [g.size == 1 and not g.free for g in self.linear.groups]
@@ -211,17 +217,36 @@ class Search:
         each = (s.of_groups(at) for s in self.scales)
         return np.stack([columns.T @ columns for columns in each])
 
-    def _besides(self, outs: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-        """Along what is out ``(scales, q, K)``, and what besides it the residual has along each
-        column ``(scales, K)``.
+    def _besides(
+        self, outs: Sequence[tuple[Array, Array]], at: NDArray[np.intp]
+    ) -> tuple[Array, Array]:
+        """Along what is out ``(scales, q, k)``, and what besides it the residual has along some
+        columns of the groups ``(scales, k)``.
         """
-        along, across = [], []
-        for scale, (left, shrink) in zip(self.scales, outs, strict=True):
-            taken = np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T
-            along.append(scale.along_groups(taken))
-            met = taken @ scale.residual
-            across.append(scale.along_groups(scale.residual) - met @ along[-1])
-        return np.stack(along), np.stack(across)
+        taken = [np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T for left, shrink in outs]
+        met = np.stack([t @ s.residual for t, s in zip(taken, self.scales, strict=True)])
+        along = self._along(taken, at)
+        return along, self._across[:, at] - (met[:, None] @ along)[:, 0]
+
+    @cached_property
+    def _across(self) -> Array:
+        """What the residual has along the columns of all groups ``(scales, K)``."""
+        residuals = [s.residual[None] for s in self.scales]
+        return self._along(residuals, np.arange(sum(map(len, self._span))))[:, 0]
+
+    def _along(self, rows: Sequence[Array], at: NDArray[np.intp]) -> Array:
+        """What rows ``(q, m)`` of each scale have along some columns ``(scales, q, k)``.
+
+        Scales of one basis together: its columns are large, and read once.
+        """
+        found = np.empty((len(rows), len(rows[0]), len(at)))
+        for basis in dict.fromkeys(s.basis for s in self.scales):
+            own = [k for k, s in enumerate(self.scales) if s.basis is basis]
+            every = len(at) == basis.by_group.shape[1]
+            columns = basis.by_group if every else basis.by_group[:, at]
+            weighed = np.concatenate([rows[k] * self.scales[k].weight for k in own])
+            found[own] = (weighed @ columns).reshape(len(own), -1, len(at))
+        return found
 
     def _inner(self, size: int, at: NDArray[np.intp]) -> Array:
         """Products of the columns of each group of a size ``(scales, groups, size, size)``."""
