@@ -13,6 +13,7 @@ from orthoglide.posterior.mixture import Mixture
 from orthoglide.posterior.search import State
 
 _COUNTS = 1e-3  # weight of a state that probabilities of causes are read from
+_ALONE = 0.01  # probability of a group in a place by itself
 
 
 class Alternatives:
@@ -36,9 +37,11 @@ class Alternatives:
         found = np.append(by_group, np.exp(nothing - top))
         found /= found.sum()
         others = np.zeros(len(found))
+        alone = set(np.flatnonzero(found[:-1] > _ALONE))
         for state, weight in self._probable.items():
             more = {g for g, _ in state} - {g for g, _ in rest}
-            if len(more) + len(rest) > len(state) or (len(more) > 1 and member not in more):
+            # Further causes beside one that may be there by itself tell nothing of that place.
+            if len(more) + len(rest) > len(state) or (len(more) > 1 and not more & alone):
                 others[self._places[state].get(member, -1)] += weight
         return np.asarray((1 - others.sum()) * found + others)
 

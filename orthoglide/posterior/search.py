@@ -206,9 +206,9 @@ class Search:
 
     @cached_property
     def _ones(self) -> NDArray[np.intp]:
-        """Causes of one coefficient."""
-        alone = [g.size == 1 and not g.free for g in self.linear.groups]
-        return np.flatnonzero(alone)
+        """Causes of one coefficient that the readings see."""
+        each = zip(self.linear.groups, self._span, strict=True)
+        return np.flatnonzero([g.size == len(span) == 1 and not g.free for g, span in each])
 
     @cached_property
     def _crossed(self) -> Array:
@@ -245,7 +245,7 @@ class Search:
             every = len(at) == basis.by_group.shape[1]
             columns = basis.by_group if every else basis.by_group[:, at]
             weighed = np.concatenate([rows[k] * self.scales[k].weight for k in own])
-            found[own] = (weighed @ columns).reshape(len(own), -1, len(at))
+            found[own] = (weighed @ columns).reshape(len(own), *found.shape[1:])
         return found
 
     def _inner(self, size: int, at: NDArray[np.intp]) -> Array:
