@@ -94,13 +94,18 @@ class Alternatives:
                     found[group] = nearest
         return found
 
+    @cached_property
+    def _columns(self) -> Array:
+        """By coefficient ``(m, C)``, at the likeliest scale of the best state."""
+        logs = self.mixture.weights[self.mixture.best]
+        return self.mixture.scales[int(np.argmax(logs))].columns
+
     def _shows(self, state: State, groups: list[int]) -> Array:
         """What groups of a state show beside all that is off anyway, zeros and lengths first, of
         unit length ``(groups, m)``.
         """
         mixture = self.mixture
-        mean = mixture.likeliest(state, np.zeros(0, dtype=np.intp))[0]
-        columns = mixture.scales[int(np.argmax(mixture.weights[mixture.best]))].columns
+        mean = mixture.likeliest_mean(state)
         places = [mixture.linear.groups[g].places for g in groups]
-        shown = np.stack([columns[:, at] @ mean[at] for at in places])
+        shown = np.stack([self._columns[:, at] @ mean[at] for at in places])
         return np.asarray(shown / np.maximum(np.linalg.norm(shown, axis=1), 1e-300)[:, None])

@@ -158,8 +158,15 @@ class Mixture(Search):
 
     def likeliest(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)``, and covariance ``(k, k)`` of some, in a state at its likeliest scales."""
+        return self.moments(state, self._likeliest(state), at)
+
+    def likeliest_mean(self, state: State) -> Array:
+        """Mean ``(C,)`` of the same."""
+        return self._mean(state, self._likeliest(state))
+
+    def _likeliest(self, state: State) -> Scale:
         logs = self.visited[state] if state in self.visited else self.weights[state]
-        return self.moments(state, self.scales[int(np.argmax(logs))], at)
+        return self.scales[int(np.argmax(logs))]
 
     def moments(self, state: State, scale: Scale, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Mean ``(C,)`` of all coefficients in a state, and covariance ``(k, k)`` of some."""

@@ -42,7 +42,8 @@ def likely_pairs(
     # At one scale for both and few of the background first: off by no more than some log odds.
     few, some = seen[coarse], met[coarse]
     table = np.stack([gains(few, some, (first, second), (tau, tau)) for tau in slabs])
-    pooled = _pooled(table + logs[coarse, None]) - cost[first] - cost[second]
+    pooled = np.logaddexp.reduce(table + logs[coarse, None], axis=(0, 1))
+    pooled -= cost[first] + cost[second]
     order = np.argsort(-pooled, kind="stable")[:_MOST]
     order = order[pooled[order] > pooled[order[0]] - _NEAR]
     near = first[order], second[order]
@@ -68,10 +69,3 @@ def gains(
     x, y = tau * met[:, i], other * met[:, j]
     det = np.maximum(one * two - cross**2, 1.0)
     return np.asarray(((x**2 * two + y**2 * one - 2 * x * y * cross) / det - np.log(det)) / 2)
-
-
-def _pooled(logs: Array) -> Array:
-    """Log sum over all axes but the last."""
-    flat = logs.reshape(-1, logs.shape[-1])
-    top = flat.max(axis=0)
-    return np.asarray(top + np.log(np.exp(flat - top).sum(axis=0)))

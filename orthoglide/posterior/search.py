@@ -127,7 +127,7 @@ class Search:
         table = self.table(state)
         if not np.isfinite(table).any():
             return []
-        pooled = np.exp(table - table.max()).sum(axis=0)
+        pooled = np.logaddexp.reduce(table, axis=0)
         group, tau = np.unravel_index(int(np.argmax(pooled)), pooled.shape)
         return [self._child(state, int(group), int(tau))]
 
@@ -152,9 +152,7 @@ class Search:
 
     def total(self, state: State) -> float:
         """Log weight of a state that was visited, over all scales."""
-        weights = self.visited[state]
-        top = weights.max()
-        return float(top + np.log(np.exp(weights - top).sum()))
+        return float(np.logaddexp.reduce(self.visited[state]))
 
     def table(self, state: State) -> Array:
         """Log weights ``(scales, groups, taus)`` of a state with one more group out."""
@@ -164,8 +162,8 @@ class Search:
 
     def child(self, state: State, group: int) -> State:
         """The state with one more group out, at its likeliest scale."""
-        table = self.table(state)[:, group]
-        return self._child(state, group, int(np.argmax(np.exp(table - table.max()).sum(axis=0))))
+        pooled = np.logaddexp.reduce(self.table(state)[:, group], axis=0)
+        return self._child(state, group, int(np.argmax(pooled)))
 
     def _child(self, state: State, group: int, tau: int) -> State:
         child = tuple(sorted((*state, (group, self.linear.slabs[tau]))))
