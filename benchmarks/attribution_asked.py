@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from typing import TypeVar
 
 from benchmarks.attribution_run import Record, accepted
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.places import Place, Session, places
+
+T = TypeVar("T")
 
 STRONG, APART = 3.0, 5.0
 """An effect should be named: rms past the base, and distance to the nearest other class."""
@@ -126,7 +129,7 @@ def upper_bound(hits: int, count: int) -> float:
     return 1.0 if hits >= count else float(betaincinv(hits + 1, count - hits, 0.95))
 
 
-def share(records: Sequence[Record], test: Callable[[Record], bool]) -> str:
+def share(records: Sequence[T], test: Callable[[T], bool]) -> str:
     """Percentage and counts."""
     hits = sum(map(test, records))
     return f"{100 * hits / len(records):.1f} % ({hits}/{len(records)})" if records else "-"

@@ -152,13 +152,13 @@ def _covered(records: Sequence[Record]) -> str:
 def _found_beside(records: Sequence[Record]) -> str:
     """Clear causes of machines with several that a set holds."""
     held = [any(holds(e, t) for e in r["effects"]) for r in records for t in r["truth"] if clear(t)]
-    return f"{100 * np.mean(held):.1f} % ({sum(held)}/{len(held)})" if held else "-"
+    return share(held, bool)
 
 
 def _strange(records: Sequence[Record]) -> str:
     """Sets that hold nothing of what is wrong, of all that are named."""
     none = [not any(holds(e, t) for t in r["truth"]) for r in records for e in r["effects"]]
-    return f"{100 * np.mean(none):.1f} % ({sum(none)}/{len(none)})" if none else "-"
+    return share(none, bool)
 
 
 def _inside(records: Sequence[Record]) -> str:

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from benchmarks import attribution_cases as ac
+from benchmarks.attribution_asked import share as share_of
 from benchmarks.attribution_cases import Cause
 from benchmarks.attribution_run import campaign, machine
 from benchmarks.whole_machines import FAMILIES, SHARES, Record, arguments, records, rig_of
@@ -122,8 +123,6 @@ def table(found: Sequence[Record]) -> Iterator[str]:
 
 def _row(rows: Sequence[Record]) -> str:
     clear = [r for r in rows if r["seen"] >= CLEAR]
-    named = [r for r in clear if any(map(any, r["sets"]))]
-    alone = [r for r in clear if r["sets"] and r["sets"][0] == [True]]
     sets = [s for r in rows for s in r["sets"]]
     stated = [p for r in rows for p in r["stated"]]
     sizes = [len(s) for s in sets if any(s)]
@@ -131,19 +130,15 @@ def _row(rows: Sequence[Record]) -> str:
         (
             str(len(rows)),
             str(len(clear)),
-            _of(len(named), len(clear)),
-            _of(sum(r["oracle"] for r in clear), len(clear)),
-            _of(len(alone), len(clear)),
-            _of(sum(map(any, sets)), len(sets)),
+            share_of(clear, lambda r: any(map(any, r["sets"]))),
+            share_of(clear, lambda r: r["oracle"]),
+            share_of(clear, lambda r: r["sets"][:1] == [[True]]),
+            share_of(sets, any),
             f"{100 * np.mean(stated):.1f} %" if stated else "-",
             f"{np.mean(sizes):.2f}" if sizes else "-",
             str(sum(len(r["located"]) for r in rows)),
         )
     )
-
-
-def _of(hits: int, count: int) -> str:
-    return f"{100 * hits / count:.1f} % ({hits}/{count})" if count else "-"
 
 
 def main() -> None:
