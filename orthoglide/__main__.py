@@ -22,6 +22,8 @@ def main() -> None:
     os.close(opened)
     for asked in (signal.SIGINT, signal.SIGTERM):
         signal.signal(asked, _leave)
+    # Matrices are small: on several cores their parts wait for each other longer than they work.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from orthoglide.cli import main as run
 
     try:

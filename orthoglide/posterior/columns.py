@@ -25,7 +25,7 @@ from orthoglide.posterior.twins import tool_slopes, translations, twins
 _UNTIED = 1e3
 """Tolerances: the prior of a coefficient that rows of its own speak of."""
 
-_UNNOTICED = 1e-3
+_UNNOTICED = 1e-2
 """Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
 _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
@@ -97,10 +97,18 @@ class Everything:
         """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
         linearisation.
         """
-        at = (mean * self.scale)[: self.known]
-        linear = self.value + self.rows[:, : self.known] @ (mean[: self.known])
-        off = before.nuisance.project(predict(self.problem, at) - linear)
-        return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
+        predicted = predict(self.problem, (mean * self.scale)[: self.known])
+        linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
+        return _rms(before.nuisance.project(predicted - linear), len(linear))
+
+    def moved(self, mean: Array, earlier: Array, before: Estimate) -> float:
+        """The same of the linear prediction from an earlier mean to this one."""
+        change = self.rows[:, : self.known] @ (mean - earlier)[: self.known]
+        return _rms(before.nuisance.project(change), len(change))
+
+
+def _rms(off: Array, count: int) -> float:
+    return float(np.sqrt(np.mean(off[:count] ** 2)))
 
 
 def with_everything(problem: Problem) -> Problem:

@@ -27,7 +27,8 @@ from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
 _LINEARISATIONS = 4
 _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
-linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
+linearisation, or move from one to the next: a hundredth of a chi2 a reading, next to nothing of
+any cause."""
 
 TOLERANCES, _SHOWN = 3.0, 3.0
 """What shows less than three sigmas of all readings together at three tolerances is invisible."""
@@ -175,19 +176,30 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     Raises:
         SolverError: where the mean does not settle.
     """
-    at = None
-    for _ in range(_LINEARISATIONS):
-        try:
-            about = everything(before, at)
-            mixture = Mixture(about.linear, given)
-            found = FullPosterior(before, about, mixture)
-            at = (found.mean * about.scale)[: about.known]
-            apart = about.distance(found.mean, before)
-        except ClosureError as error:
-            raise SolverError(_unreached(before)) from error
-        if apart < _SETTLED:
-            return replace(found, about=replace(about, apart=apart))
-    return replace(found, about=replace(about, apart=apart))
+    try:
+        found = _about(before, given)
+        for _ in range(_LINEARISATIONS - 1):
+            if found.about.apart < _SETTLED:
+                break
+            last, found = found, _about(before, given, found)
+            if found.about.moved(found.mean, last.mean, before) < _SETTLED:
+                break
+    except ClosureError as error:
+        raise SolverError(_unreached(before)) from error
+    return found
+
+
+def _about(
+    before: Estimate, given: Sequence[str], last: FullPosterior | None = None
+) -> FullPosterior:
+    """The posterior of readings linearised at the fit of the base, or at the last mean."""
+    if last is None:
+        about = everything(before)
+    else:
+        about = everything(before, (last.mean * last.about.scale)[: last.about.known])
+    start = () if last is None else last.mixture.standing
+    found = FullPosterior(before, about, Mixture(about.linear, given, start))
+    return replace(found, about=replace(about, apart=about.distance(found.mean, before)))
 
 
 def _unreached(before: Estimate) -> str:

@@ -6,7 +6,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.mixture import Mixture
@@ -85,6 +84,8 @@ class Alternatives:
         lost = [g for g in ours if g not in theirs]
         gained = [g for g in theirs if g not in ours]
         if lost and gained:
+            from scipy.optimize import linear_sum_assignment
+
             alike = np.abs(self._shows(best, lost) @ self._shows(state, gained).T)
             pairs = zip(*linear_sum_assignment(-alike), strict=True)
             found |= {lost[i]: gained[j] for i, j in pairs}

@@ -107,6 +107,8 @@ class Linear:
         return tuple(g.weights @ self._seen_of(g) for g in self.groups)
 
     def _seen_of(self, group: Group) -> Array:
+        if group.size == 1:
+            return np.eye(1)
         shown = self.columns[:, group.places] @ group.weights
         _, size, turn = np.linalg.svd(shown, full_matrices=False)
         return turn[: max(1, int((size * max(self.slabs) > _UNSEEN).sum()))].T
@@ -134,13 +136,13 @@ class Basis:
         if rough > 0:
             cov += rough**2 * linear.stations @ linear.stations.T
         cov[np.diag_indices_from(cov)] += 1.0
-        values, vectors = np.linalg.eigh(cov)
-        self.log_det = float(np.log(values).sum())
-        half = (vectors / np.sqrt(values)).T
-        background = half @ A[:, linear.spike(1.0, 0.0) - linear.spike(0.0, 0.0) > 0]
+        root = np.linalg.cholesky(cov)
+        self.log_det = 2 * float(np.log(np.diag(root)).sum())
+        both = np.linalg.solve(root, np.column_stack([A, linear.residual]))
+        background = both[:, np.flatnonzero(linear.spike(1.0, 0.0) > linear.spike(0.0, 0.0))]
         grows, turn = np.linalg.eigh(background @ background.T)
         self.grows = np.maximum(grows, 0.0)
-        both = (turn.T @ half) @ np.column_stack([A, linear.residual])
+        both = turn.T @ both
         self.columns, self.residual = both[:, :-1], both[:, -1]
         none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
         both_of = zip(linear.groups, linear.seen, strict=True)

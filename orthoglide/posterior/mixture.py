@@ -53,10 +53,9 @@ class Mixture(Search):
                 child = tuple(sorted((*state, (int(group), self.linear.slabs[tau]))))
                 logs.setdefault(child, table[:, group, tau])
         logs = {s: v for s, v in logs.items() if self._known <= {g for g, _ in s}}
-        top = max(float(v.max()) for v in logs.values())
-        raw = {s: np.exp(v - top) for s, v in logs.items()}
-        total = sum(float(v.sum()) for v in raw.values())
-        return {s: v / total for s, v in raw.items()}
+        every = np.stack(list(logs.values()))
+        raw = np.exp(every - every.max())
+        return dict(zip(logs, raw / raw.sum(), strict=True))
 
     @cached_property
     def inclusion(self) -> Array:
@@ -190,15 +189,11 @@ class Mixture(Search):
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
         """States and scales that means are averaged over, with their weights."""
-        flat = [
-            (float(w), state, self.scales[k])
-            for state, weights in self.weights.items()
-            for k, w in enumerate(weights)
-            if w > _NEGLIGIBLE
-        ]
-        flat.sort(key=lambda entry: -entry[0])
-        total = sum(w for w, _, _ in flat[:_KEPT])
-        return tuple((w / total, state, scale) for w, state, scale in flat[:_KEPT])
+        states, every = list(self.weights), np.stack(list(self.weights.values()))
+        order = np.argsort(-every, axis=None, kind="stable")[:_KEPT]
+        at = [divmod(int(k), len(self.scales)) for k in order if every.flat[k] > _NEGLIGIBLE]
+        total = sum(float(every[k]) for k in at)
+        return tuple((float(every[k]) / total, states[k[0]], self.scales[k[1]]) for k in at)
 
     @cached_property
     def _means(self) -> list[Array]:

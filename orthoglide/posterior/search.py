@@ -15,7 +15,7 @@ be better than a wide background, and each other pair that shows the same is as 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import combinations, pairwise
 
@@ -35,6 +35,11 @@ State = tuple[tuple[int, float], ...]
 class Search:
     """States and how well each explains the readings.
 
+    Args:
+        linear: the readings.
+        given: groups that stand out whatever they say.
+        start: what stood out of nearly the same readings, with its taus.
+
     Attributes:
         scales: of the background.
         cost: log odds against each group's standing out, at one tau ``(groups,)``.
@@ -43,7 +48,12 @@ class Search:
         best: the likeliest state.
     """
 
-    def __init__(self, linear: Linear, given: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        linear: Linear,
+        given: Sequence[str] = (),
+        start: Iterable[tuple[str, float]] = (),
+    ) -> None:
         self.linear = linear
         self._given_names = frozenset(given)
         self.scales = scales(linear)
@@ -60,7 +70,7 @@ class Search:
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self._products: dict[int, Array] = {}
-        self.best = self._search()
+        self.best = self._search(start)
         self._products.clear()  # large, and hardly needed again
         self.__dict__.pop("_crossed", None)
 
@@ -70,10 +80,19 @@ class Search:
         names = [g.name for g in self.linear.groups]
         return frozenset(names.index(n) for n in self._given_names if n in names)
 
-    def _search(self) -> State:
+    @cached_property
+    def standing(self) -> tuple[tuple[str, float], ...]:
+        """The best state, each group by its name."""
+        return tuple((self.linear.groups[k].name, tau) for k, tau in self.best)
+
+    def _search(self, start: Iterable[tuple[str, float]]) -> State:
         state: State = ()
         for group in sorted(self._known):
             state = self.child(state, group)
+        place = {g.name: k for k, g in enumerate(self.linear.groups)}
+        earlier = tuple(sorted((place[name], tau) for name, tau in start if name in place))
+        self.table(earlier)
+        state = max(state, earlier, key=self.total)
         # Weights once given stay, whatever rounding says of another way there: this ends.
         while better := self._better(state):
             state = better
