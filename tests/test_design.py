@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,7 +46,7 @@ from orthoglide.planning.repeats import sigma_by_repeats
 from orthoglide.planning.rivals import inseparable_groups
 from orthoglide.planning.wording import detectable_rows, repeats_row
 from tests.rig import Rig
-from tests.rig_campaigns import APPROACH, read_csv, simulate, write_csv
+from tests.rig_campaigns import APPROACH, protocol_rows, read_csv, simulate, write_csv
 
 RIG = Path(__file__).parent / "data" / "rig"
 TEXT = {"setup", "leg", "direction", "posture", "bar", "kind"}
@@ -504,6 +505,34 @@ def test_a_mount_tilt_is_a_bar_mismatch_to_every_dial(machine):
     assert [s.aim for s in found] == ["separate", "none"]
     assert "rail_bow.z.x" in found[0].reason
     assert "tell bar_mismatch.z and mount_tilt.z.b apart" in found[1].reason
+
+
+def test_rivals_for_one_cause_are_not_told_from_rivals_for_another(machine, ambiguous):
+    _, fits = ambiguous
+    two = [(f"{name} of {which}", fit) for which in ("one", "two") for name, fit in fits.items()]
+    (found,) = next_measurements(
+        fits[RIVALS[0]], two, machine, pairs=[(0, 1), (2, 3)], count=16, directions=()
+    )
+    assert found.aim == "separate"
+    for which, other in (("one", "two"), ("two", "one")):
+        both = f"{RIVALS[0]} of {which} from {RIVALS[1]} of {which}"
+        assert both in found.reason
+        assert f"of {which} from {RIVALS[1]} of {other}" not in found.reason
+    assert not next_measurements(fits[RIVALS[0]], two, machine, pairs=[], directions=())
+
+
+def test_readings_are_proposed_to_tell_each_cause_from_its_own_rivals(machine):
+    errors = {"bar_mismatch.x": 5e-4, "axis_offset.z.y": 1e-3, "gauge_scale.xz-0.35": 0.13}
+    rig = Rig(errors=errors | {"joint_offset.x": 3e-3, "joint_offset.y": -3e-3})
+    found = og.close_loop([measured(machine, rig, protocol_rows("two-gauges"), 5)], machine)
+    sets = [{c.name, *(r.name for r in c.rivals)} for c in found.effects if c.rivals]
+    assert len(sets) == 2
+    reasons = [s.reason for s in found.next_measurements if s.aim in ("separate", "none")]
+    assert reasons
+    for reason in reasons:
+        for said in reason.split(";")[:-1] or [reason]:
+            names = {n for n in set.union(*sets) if n in re.split(r"[\s,]+", said)}
+            assert any(names <= one for one in sets), said
 
 
 def test_a_weak_direction_narrows_as_predicted(machine):

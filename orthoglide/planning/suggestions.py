@@ -121,6 +121,7 @@ def next_measurements(
     rivals: Rivals = (),
     machine: Machine | None = None,
     *,
+    pairs: Sequence[tuple[int, int]] | None = None,
     count: int = 12,
     directions: Sequence[WeakDirection] | None = None,
     pool: Campaign | None = None,
@@ -136,6 +137,7 @@ def next_measurements(
         rivals: explanations between which these cannot decide: names with all parameters of the
             machine as it is now, SI, or with their fits.
         machine: where the readings will be taken; the fit's where absent.
+        pairs: of rivals that are to be told apart, by place; all where absent.
         count: readings to propose, at most, for each purpose.
         directions: to pin down; the fit's weakest two where absent, none where empty.
         pool: readings to choose from; all within reach where absent.
@@ -154,10 +156,11 @@ def next_measurements(
     total = fit.problem.noise.typical * scale
     readings = LinearReadings.around(machine, choice, at.jacobian, at.slopes[:, 0], total)
     found: list[Suggestion] = []
-    if len(several) > 1:
+    every = [*combinations(range(len(several)), 2)] if pairs is None else pairs
+    if every:
         predicted = [machine.model.readings(e.values, choice) for e in several]
         both = readings.with_columns(np.column_stack([at.jacobian, *predicted]))
-        found += _to_separate(machine, both, names, several, count)
+        found += _to_separate(machine, both, names, several, every, count)
     for direction in weak:
         found.append(_to_narrow(readings, names, own, fit, direction, count))
     return tuple(found)
@@ -176,6 +179,7 @@ def _to_separate(
     readings: LinearReadings,
     names: tuple[str, ...],
     several: Sequence[Rival],
+    pairs: Sequence[tuple[int, int]],
     count: int,
 ) -> list[Suggestion]:
     """Readings between rivals, and the groups of rivals that none tells apart.
@@ -185,10 +189,11 @@ def _to_separate(
         readings: by elementary parameters, then as each rival predicts them.
         names: of the elementary parameters.
         several: the rivals.
+        pairs: of them that are to be told apart.
         count: readings at most.
     """
     spread = np.stack([e.spread(names) for e in several])
-    every = RivalSeparation.between(spread, np.array([*combinations(range(len(several)), 2)]))
+    every = RivalSeparation.between(spread, np.array(pairs))
     most = replace(every, information=readings.information()).sigmas
     never = {pair: sigmas for pair, sigmas in most.items() if sigmas < _NEVER}
     rows, end, weak = _for_pairs(readings, spread, [p for p in most if p not in never], count)

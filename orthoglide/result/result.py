@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, combinations, pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 from orthoglide.accuracy import Map, tcp_map
@@ -323,10 +324,12 @@ class Result(Framed):
         again = () if self.stands or not self.rest_of_tool else (repeating(self.rest_of_tool[0]),)
         if not geometry.dialled:
             return (*deciding_instruments(self.after, self.effects, self.machine), *again)
-        rivals = [
-            (e.name, e.machine) for c in self.effects if c.rivals for e in (c.chosen, *c.rivals)
-        ] or [(e.name, e.machine) for e in self.alone[:_MOST_RIVALS]]
-        apart = next_measurements(self.after, rivals, count=_PROPOSED, directions=())
+        sets = [(c.chosen, *c.rivals) for c in self.effects if c.rivals]
+        sets = sets or [tuple(self.alone[:_MOST_RIVALS])]
+        rivals = [(e.name, e.machine) for each in sets for e in each]
+        first = [0, *accumulate(map(len, sets))]
+        pairs = [p for a, b in pairwise(first) for p in combinations(range(a, b), 2)]
+        apart = next_measurements(self.after, rivals, pairs=pairs, count=_PROPOSED, directions=())
         more = next_measurements(self.before, count=_PROPOSED)
         trace = again if self.stands or not self.rest else (tracing(self.rest[0], geometry),)
         return (*trace, *apart, *more)
