@@ -14,6 +14,9 @@ from orthoglide.closing import Verdict, close_loop
 from orthoglide.effects import CATALOGUE
 from orthoglide.fit import identify
 from orthoglide.judging import tcp_errors
+from orthoglide.observations import Campaign
+from tests.rig import Rig
+from tests.rig_campaigns import protocol_rows, simulate
 
 RIG = Path(__file__).parent / "data" / "rig"
 KEYS = json.loads((RIG / "keys.json").read_text(encoding="utf-8"))
@@ -124,3 +127,21 @@ def test_few_readings_carry_few_parameters() -> None:
 
 def test_what_the_readings_cannot_show_is_called_invisible(verdicts: dict[str, Verdict]) -> None:
     assert any(n.startswith("mount_tilt") for n in verdicts["rig-3"].invisible)
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_a_dials_scale_is_that_of_the_machine_found(seed: int, machine: og.Machine) -> None:
+    """What a dial magnifies depends on all that is wrong besides: it was said twice as large."""
+    errors = {"joint_offset.x": 1e-3, "joint_offset.y": -1.2e-3, "joint_offset.z": 0.8e-3}
+    true = {"gauge_scale.xz-0.65": 0.06, "axis_offset.y.z": 1.5e-3}
+    rig = Rig(errors=errors | true | {"gauge_direction.zx-0.65": 0.09})
+    rows = simulate(rig, protocol_rows("two-gauges"), np.random.default_rng(seed))
+    verdict = close_loop(Campaign.from_frame({k: [r[k] for r in rows] for k in rows[0]}), machine)
+    assert {"axis_offset.y.z", "gauge_scale.xz-0.65", "gauge_direction.zx-0.65"} <= {
+        name for cause in verdict.effects for name in (cause.name, *cause.indistinguishable_from)
+    }
+    (told,) = (c.chosen for c in verdict.effects if c.name == "gauge_scale.xz-0.65")
+    off = told.values[told.name] - true[told.name]
+    assert abs(off) < 3 * told.sigmas[told.name] < 0.04
+    assert verdict.posterior is not None
+    assert verdict.posterior.about.apart < 0.1

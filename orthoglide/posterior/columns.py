@@ -99,16 +99,8 @@ class Everything:
         """
         predicted = predict(self.problem, (mean * self.scale)[: self.known])
         linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
-        return _rms(before.nuisance.project(predicted - linear), len(linear))
-
-    def moved(self, mean: Array, earlier: Array, before: Estimate) -> float:
-        """The same of the linear prediction from an earlier mean to this one."""
-        change = self.rows[:, : self.known] @ (mean - earlier)[: self.known]
-        return _rms(before.nuisance.project(change), len(change))
-
-
-def _rms(off: Array, count: int) -> float:
-    return float(np.sqrt(np.mean(off[:count] ** 2)))
+        off = before.nuisance.project(predicted - linear)
+        return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
 
 
 def with_everything(problem: Problem) -> Problem:
@@ -137,14 +129,14 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     free = len(problem.unknowns)
     start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - free)])
     x = start if at is None else at
-    if at is not None:
-        # A dial that magnifies everything found so far would be one coefficient in place of many:
-        # what dials do is taken at the base fit, where it cannot stand in for the machine.
-        of_dial = [problem.machine.catalogue.effect_of(n).of_dial for n in wide.names]
-        x = np.where(of_dial, 0.0, x)
     here = linearise(wide, x)
     if at is not None:
-        here.jacobian[:, of_dial] = linearise(wide, start).jacobian[:, of_dial]
+        # A dial that magnifies everything found so far would be one coefficient in place of many:
+        # what a dial does that does not stand out is taken at the base fit, where it cannot stand
+        # in for the machine.
+        of_dial = [problem.machine.catalogue.effect_of(n).of_dial for n in wide.names]
+        resting = np.array(of_dial) & (x == 0)
+        here.jacobian[:, resting] = linearise(wide, start).jacobian[:, resting]
     project, sd = estimate.nuisance.project, wide.tolerance
     free_rows, found = curves(wide, x)
     of_dials, dials = curves_of_dials(wide, here.value)

@@ -24,11 +24,10 @@ from orthoglide.parameters import Parameter
 from orthoglide.posterior.columns import Everything, everything
 from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
 
-_LINEARISATIONS = 4
+_LINEARISATIONS = 3
 _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
-linearisation, or move from one to the next: a hundredth of a chi2 a reading, next to nothing of
-any cause."""
+linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
 
 TOLERANCES, _SHOWN = 3.0, 3.0
 """What shows less than three sigmas of all readings together at three tolerances is invisible."""
@@ -52,6 +51,18 @@ class FullPosterior:
     def mean(self) -> Array:
         """Of all coefficients, in their units ``(C,)``."""
         return self.mixture.mean
+
+    @property
+    def next_point(self) -> Array:
+        """Parameters about which readings are linearised again ``(P,)``, SI: the mean, but dials
+        that do not stand out do nothing.
+        """
+        known, effect_of = self.about.known, self.before.problem.machine.catalogue.effect_of
+        of_dial = np.array([effect_of(n).of_dial for n in self.about.problem.names])
+        groups = self.mixture.linear.groups
+        out = [groups[k].places for k, _ in self.mixture.best]
+        of_dial[np.concatenate([np.zeros(0, dtype=int), *(p[p < known] for p in out)])] = False
+        return np.where(of_dial, 0.0, (self.mean * self.about.scale)[:known])
 
     @cached_property
     def known(self) -> Averaged:
@@ -181,9 +192,7 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
         for _ in range(_LINEARISATIONS - 1):
             if found.about.apart < _SETTLED:
                 break
-            last, found = found, _about(before, given, found)
-            if found.about.moved(found.mean, last.mean, before) < _SETTLED:
-                break
+            found = _about(before, given, found)
     except ClosureError as error:
         raise SolverError(_unreached(before)) from error
     return found
@@ -193,11 +202,8 @@ def _about(
     before: Estimate, given: Sequence[str], last: FullPosterior | None = None
 ) -> FullPosterior:
     """The posterior of readings linearised at the fit of the base, or at the last mean."""
-    if last is None:
-        about = everything(before)
-    else:
-        about = everything(before, (last.mean * last.about.scale)[: last.about.known])
-    start = () if last is None else last.mixture.standing
+    at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)
+    about = everything(before, at)
     found = FullPosterior(before, about, Mixture(about.linear, given, start))
     return replace(found, about=replace(about, apart=about.distance(found.mean, before)))
 
