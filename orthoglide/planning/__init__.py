@@ -24,6 +24,7 @@ from orthoglide.planning.repeats import (
     Repeats as Repeats,
     repeats_needed as repeats_needed,
 )
+from orthoglide.planning.rivals import pairs_within as pairs_within
 from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,
     deciding_instruments as deciding_instruments,

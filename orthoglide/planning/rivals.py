@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate, combinations, pairwise
 
 import numpy as np
 
@@ -109,6 +110,16 @@ def _value(parts: Mapping[str, float], values: Values) -> float:
     weight = np.array(list(parts.values()))
     given = np.array([values.get(p, 0.0) for p in parts])
     return float(weight @ given / (weight @ weight)) if len(weight) else 0.0
+
+
+def pairs_within(sizes: Iterable[int]) -> list[tuple[int, int]]:
+    """Pairs of rivals of the same set, where sets stand one after the other.
+
+    Args:
+        sizes: of the sets.
+    """
+    ends = [0, *accumulate(sizes)]
+    return [pair for a, b in pairwise(ends) for pair in combinations(range(a, b), 2)]
 
 
 # -- rivals that no few readings tell apart --------------------------------------------------------

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, combinations, pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 from orthoglide.accuracy import Map, tcp_map
@@ -48,7 +47,6 @@ Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unex
 
 _HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
 _MOST_RIVALS = 6  # between which readings are proposed
-_PROPOSED = 12
 """Readings that are proposed for each purpose."""
 
 
@@ -316,7 +314,8 @@ class Result(Framed):
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide.planning import deciding_instruments, next_measurements, repeating, tracing
+        from orthoglide.planning import deciding_instruments, next_measurements, pairs_within
+        from orthoglide.planning import repeating, tracing
 
         if not self.request.searches:
             return ()
@@ -327,10 +326,9 @@ class Result(Framed):
         sets = [(c.chosen, *c.rivals) for c in self.effects if c.rivals]
         sets = sets or [tuple(self.alone[:_MOST_RIVALS])]
         rivals = [(e.name, e.machine) for each in sets for e in each]
-        first = [0, *accumulate(map(len, sets))]
-        pairs = [p for a, b in pairwise(first) for p in combinations(range(a, b), 2)]
-        apart = next_measurements(self.after, rivals, pairs=pairs, count=_PROPOSED, directions=())
-        more = next_measurements(self.before, count=_PROPOSED)
+        pairs = pairs_within(map(len, sets))
+        apart = next_measurements(self.after, rivals, pairs=pairs, directions=())
+        more = next_measurements(self.before)
         trace = again if self.stands or not self.rest else (tracing(self.rest[0], geometry),)
         return (*trace, *apart, *more)
 
