@@ -314,23 +314,23 @@ class Result(Framed):
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide.planning import deciding_instruments, next_measurements, pairs_within
-        from orthoglide.planning import repeating, tracing
+        from orthoglide import planning
 
         if not self.request.searches:
             return ()
         geometry = self.request.machine.geometry
-        again = () if self.stands or not self.rest_of_tool else (repeating(self.rest_of_tool[0]),)
+        again = tuple(map(planning.repeating, () if self.stands else self.rest_of_tool[:1]))
         if not geometry.dialled:
-            return (*deciding_instruments(self.after, self.effects, self.machine), *again)
+            known = self.after, self.effects, self.machine
+            return (*planning.deciding_instruments(*known), *again)
         sets = [(c.chosen, *c.rivals) for c in self.effects if c.rivals]
         sets = sets or [tuple(self.alone[:_MOST_RIVALS])]
         rivals = [(e.name, e.machine) for each in sets for e in each]
-        pairs = pairs_within(map(len, sets))
-        apart = next_measurements(self.after, rivals, pairs=pairs, directions=())
-        more = next_measurements(self.before)
-        trace = again if self.stands or not self.rest else (tracing(self.rest[0], geometry),)
-        return (*trace, *apart, *more)
+        pairs = planning.pairs_within(map(len, sets))
+        apart = planning.next_measurements(self.after, rivals, pairs=pairs, directions=())
+        more = planning.next_measurements(self.before)
+        trace = () if self.stands else tuple(planning.tracing(r, geometry) for r in self.rest[:1])
+        return (*(trace or again), *apart, *more)
 
     @cached_property
     def next_sheet(self) -> Campaign | None:
