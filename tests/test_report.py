@@ -486,6 +486,17 @@ def opened(page: str, width: int, folder: Path) -> SimpleNamespace:
     return SimpleNamespace(**browsed(folder / "frame.html", "1400,900", 3000))
 
 
+def printed(page: Path) -> int:
+    """Sheets of paper that a page takes."""
+    paper = page.with_suffix(".pdf")
+    command = [
+        browser(), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+        f"--user-data-dir={page.parent / 'profile'}", f"--print-to-pdf={paper}", f"file://{page}",
+    ]  # fmt: skip
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    return len(re.findall(rb"/Type\s*/Page[^s]", paper.read_bytes()))
+
+
 def browsed(page: Path, size: str, budget: int) -> dict[str, Any]:
     """What a page has written into its title after some virtual milliseconds in a browser."""
     command = [

@@ -16,6 +16,7 @@ from orthoglide.cli import cli
 from orthoglide.report.sheet import sheet_page
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, Row, approaches, read_csv, simulate
+from tests.test_report import printed
 from tests.test_report_verdict import files_of
 
 CELL = re.compile(r"<td[^>]*class=\"([^\"]*)\"[^>]*>(.*?)</td>|<td>(.*?)</td>", re.S)
@@ -27,6 +28,15 @@ def written(folder: Path, *words: str) -> Path:
     assert result.exit_code == 0, result.output
     assert "sheet.html: the same rows to print" in result.output or "--quiet" in words
     return path
+
+
+@pytest.mark.parametrize("size", ["A4", "letter"])
+@pytest.mark.parametrize("kind", ["standard", "sweep"])
+def test_every_mounting_prints_on_one_page(tmp_path: Path, kind: str, size: str) -> None:
+    page = written(tmp_path, "protocol", "--kind", kind).with_suffix(".html")
+    text = page.read_text(encoding="utf-8")
+    page.write_text(text.replace("@page {", f"@page {{ size: {size};"), encoding="utf-8")
+    assert printed(page) == 1 + text.count('<section class="mounting')
 
 
 def steps(page: str) -> list[tuple[list[int], bool, list[float], list[bool]]]:
