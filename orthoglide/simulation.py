@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 
 from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import commands as commands_of
-from orthoglide.observations import Campaign, TcpPoints, protocol
+from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign, protocol
 from orthoglide.observations.protocols import Kind
 
 __all__ = ["TCP_POINTS", "lacks", "simulate", "simulate_tcp", "unshown"]
@@ -30,9 +32,10 @@ _ABSURD = 100.0  # tolerances: so large is a value in another unit
 Seed = int | np.random.Generator
 
 _BETWEEN = 4  # points of the workspace between which a point is drawn
-_DATUM = 1e-3  # metres: where a dial's zero may lie
+_DATUM = 1e-3  # metres or radians: where an instrument's zero, or its frame, may lie
 
 
+@overload
 def simulate(
     machine: Machine,
     sheet: Campaign | Kind = "standard",
@@ -40,15 +43,37 @@ def simulate(
     noise: float | None = None,
     seed: Seed = 0,
     exact: bool = False,
-) -> Campaign:
-    """Fill in a measuring sheet with what dials on this machine would show.
+) -> Campaign: ...
 
-    Each dial has its own datum and stands up to some placement error off its place; readings are
-    noisy and rounded to the dial's resolution.
+
+@overload
+def simulate(
+    machine: Machine,
+    sheet: ToolCampaign,
+    *,
+    noise: float | None = None,
+    seed: Seed = 0,
+    exact: bool = False,
+) -> ToolCampaign: ...
+
+
+def simulate(
+    machine: Machine,
+    sheet: Readings | Kind = "standard",
+    *,
+    noise: float | None = None,
+    seed: Seed = 0,
+    exact: bool = False,
+) -> Readings:
+    """Fill in a measuring sheet with what instruments on this machine would show.
+
+    Each dial has its own datum and stands up to some placement error off its place; each instrument
+    at the tool has its own datum, frame, plane or scale. Readings are noisy and rounded to the
+    instrument's resolution.
 
     Args:
         machine: with its errors as parameters.
-        sheet: a campaign whose readings do not count, or a kind of protocol.
+        sheet: readings whose values do not count, or a kind of protocol for dials.
         noise: standard deviation of one reading, metres; the machine file's where absent, else
             the published one.
         seed: of all random draws, or where to draw from.
@@ -58,6 +83,8 @@ def simulate(
         InputError: for a noise that is no standard deviation, a negative seed, or an error so large
             that it must be in another unit.
     """
+    if isinstance(sheet, ToolCampaign):
+        return _at_the_tool(machine, sheet, noise, seed, exact)
     if isinstance(sheet, str):
         sheet = protocol(sheet, machine.geometry)
     draw, sd = _draws(seed), _noise(machine, noise)
@@ -72,6 +99,29 @@ def simulate(
     shown = shown + draw.uniform(-_DATUM, _DATUM, count)[sheet.setup]
     shown = shown + draw.normal(scale=sd, size=len(sheet))
     return sheet.with_readings(np.round(_rounded(shown, dial.resolution), 12))
+
+
+def _at_the_tool(
+    machine: Machine, sheet: ToolCampaign, noise: float | None, seed: Seed, exact: bool
+) -> ToolCampaign:
+    """A sheet of the tool's readings filled in; arguments as of :func:`simulate`."""
+    blank, bare = replace(sheet, reading=np.nan_to_num(sheet.reading)), machine.with_only({})
+    with _closing(machine):
+        factor = ToolReadings.of(blank, machine)
+        at = factor.linearise(machine.model, machine.values, ())
+    if exact:
+        return replace(blank, reading=at.value)
+    draw = _draws(seed)
+    if noise is not None:
+        check_noise(noise, 0.0)
+    nominal = replace(blank, reading=factor.predict(bare.model, {}))
+    level = ToolReadings.of(nominal, bare).sigma if noise is None else noise
+    block = factor.nuisances(at.slopes)
+    off = draw.normal(scale=np.minimum(block.sd, _DATUM))
+    shown = at.value + block.columns @ off + draw.normal(scale=level, size=len(sheet))
+    own = machine.spec.instruments
+    steps = np.array([(own[k].resolution or 0.0) if k in own else 0.0 for k in sheet.kind])
+    return replace(blank, reading=np.round(_rounded(shown, steps), 12))
 
 
 def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:
@@ -113,7 +163,7 @@ def lacks(needs: Collection[str]) -> str:
     return f"the sheet does not vary {' and '.join(columns)}"
 
 
-def unshown(machine: Machine, sheet: Campaign) -> dict[str, str]:
+def unshown(machine: Machine, sheet: Readings) -> dict[str, str]:
     """Parameters of a machine that change no reading of a sheet, each with what is missing."""
     given = {"approach"}
     given |= set() if machine.spec.screw_pitch is None else {"pitch"}
@@ -147,8 +197,8 @@ def _closing(machine: Machine) -> Iterator[None]:
         ) from None
 
 
-def _rounded(shown: Array, resolution: float) -> Array:
-    return np.round(shown / resolution) * resolution if resolution > 0 else shown
+def _rounded(shown: Array, steps: Array | float) -> Array:
+    return np.where(np.greater(steps, 0), np.round(shown / np.maximum(steps, 1e-12)) * steps, shown)
 
 
 def _noise(machine: Machine, noise: float | None) -> float:

@@ -19,6 +19,7 @@ from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
+from orthoglide.observations import read_readings
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.mixed import mixed_sheet, whitened
 from orthoglide.planning.owning import sheet_of
@@ -100,9 +101,13 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     assert sheet.read_text().count("\n") == 1 + 29 + 26
     told = run("close-loop", sheet, "--machine", machine, "--out", tmp_path / "o", code=2)
     assert "the reading is empty" in told
-    for whose in (("--machine", machine), ()):
-        told = run("rehearse", "--sheet", sheet, "--campaigns", 1, *whose, code=2)
-        assert "design --owns tcp,ballbar --machine FILE tells" in told
+    told = run("rehearse", "--sheet", sheet, "--campaigns", 2, "--jobs", 1, "--machine", machine)
+    assert "2 campaigns of 55 readings on machines like 'electrocally'" in told
+    run("rehearse", "--sheet", sheet, "--campaigns", 1, code=2)  # of an Orthoglide
+    made_of = ("--sheet", sheet, "--machine", machine, "--error", "axis_tilt.a.tangential=8e-3")
+    run("simulate", *made_of, "--out", tmp_path / "made.csv")
+    (made,) = read_readings(tmp_path / "made.csv", Machine.load(machine).spec)
+    assert (len(made), np.isfinite(made.reading).all()) == (55, True)
     assert "is one of leg, tcp" in run("design", "--owns", "ruler", "--machine", machine, code=2)
     assert "linear-delta" in run("design", "--owns", "leg", "--machine", machine, code=2)
 

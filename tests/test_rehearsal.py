@@ -18,12 +18,25 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
+from orthoglide.klipper import import_printer
 from orthoglide.parameters import Parameter
-from orthoglide.rehearsal.drawing import EFFECT, KINDS, NOTHING, OUTSIDE, TURNS, WHOLE, Scope, draw
+from orthoglide.planning.owning import sheet_of
+from orthoglide.rehearsal.drawing import (
+    EFFECT,
+    KINDS,
+    NOTHING,
+    OUTSIDE,
+    TURNS,
+    WHOLE,
+    Drawn,
+    Scope,
+    draw,
+)
 from orthoglide.rehearsal.outcome import Outcome, outcome_of
 from orthoglide.rehearsal.scoring import claims, is_cause
 from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.rehearsal.weak_spots import weak_spots
+from tests.klipper_files import DATA
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
 
@@ -153,7 +166,8 @@ def test_weak_spots_say_what_a_sheet_lacks(scope: Scope) -> None:
 
 
 def test_a_sheet_read_from_one_side_is_told_to_be_blind_to_lost_motion(scope: Scope) -> None:
-    sheet = scope.sheet
+    (sheet,) = scope.sheets
+    assert isinstance(sheet, og.Campaign)
     one_sided = replace(sheet, approach=np.ones_like(sheet.approach))
 
     def unseen(campaign: og.Campaign) -> set[str]:
@@ -306,3 +320,61 @@ def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_pa
 
 def _end_this_process(*_: Any) -> None:
     os._exit(1)
+
+
+# --- instruments at the tool ----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def delta() -> og.Machine:
+    return og.Machine(import_printer(DATA / "electrocally.cfg").machine)
+
+
+def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -> None:
+    found = og.rehearse(delta, campaigns=27, owns=["plate", "incline"], seed=3, jobs=2)
+    assert not any(t.failed for t in found.campaigns), found
+    assert found.readings == 55
+    assert not any(t.false for t in found.of(NOTHING))
+    effects = found.of(EFFECT)
+    assert sum(bool(t.named) for t in effects) > len(effects) / 2
+    inside = [t.inside for t in found.of(NOTHING) + effects]
+    assert np.mean(inside) > 0.9
+    assert not re.search(r"\bdials?\b", str(found))
+    again = og.rehearse(delta, campaigns=2, owns=["plate", "incline"], seed=3)
+    assert [t.named for t in again.campaigns] == [t.named for t in found.campaigns[:2]]
+
+
+def test_a_plate_shows_no_place_and_is_what_a_delta_is_rehearsed_with(delta: og.Machine) -> None:
+    found = og.rehearse(delta, campaigns=3)
+    assert found.readings == len(sheet_of(delta, "plate"))
+    assert not found.of(OUTSIDE)
+    assert not any(t.failed for t in found.campaigns), found
+
+
+def test_a_sheet_and_what_one_owns_exclude_each_other(delta: og.Machine) -> None:
+    with pytest.raises(og.InputError, match="exclude each other"):
+        og.rehearse(delta, sheet_of(delta, "tcp"), owns=["plate"], campaigns=1)
+
+
+def test_what_a_plate_has_for_itself_is_there_by_its_plain_name(delta: og.Machine) -> None:
+    scope = Scope.of(delta, sheet_of(delta, "plate"), sheet_of(delta, "incline"))
+    name = "plate_trefoil.plate.cos"
+    drawn = Drawn(EFFECT, delta.with_only({name: 4e-4}), {name: 4.0}, name, 4.0)
+    made = [og.simulate(drawn.machine, one, seed=1) for one in scope.sheets]
+    named, _, false = claims(og.close_loop(made, delta), drawn)
+    assert named
+    assert not false
+    assert "@" in named[0]
+
+
+@pytest.mark.parametrize("kind", ["tcp", "plate", "distance", "ballbar", "incline"])
+def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, kind: str) -> None:
+    """About the exact ones, but for datums, and no two alike."""
+    sheet = sheet_of(delta, kind)
+    assert isinstance(sheet, og.ToolCampaign)
+    exact = og.simulate(delta, sheet, exact=True)
+    one, two = (og.simulate(delta, sheet, seed=seed) for seed in (1, 2))
+    assert not np.array_equal(one.reading, two.reading)
+    assert np.abs(one.reading - exact.reading).max() < 1e-2
+    fit = og.identify([one], delta, ["joint_offset"])
+    assert 0.4 < fit.scores.chi2 / fit.scores.dof < 2

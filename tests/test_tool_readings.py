@@ -13,10 +13,13 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.fit.surface import roughness
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Geometry
+from orthoglide.klipper import import_printer
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Campaign, ToolCampaign, csv_text, read_readings, tool_rows
+from orthoglide.planning.owning import sheet_of
+from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
 
 RIG = DeltaRig()
@@ -347,3 +350,39 @@ def test_a_slip_of_an_exact_instrument_is_told(kind: str, size: float, tmp_path:
         InputError, match=rf"tool.csv, line 10: {size * 1e3:.1g}\d* mm off what all"
     ):
         og.close_loop([replace(campaign, reading=wrong)], MACHINE)
+
+
+# --- a tracker on a machine far from nominal ------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tracked() -> tuple[Machine, ToolCampaign]:
+    machine = Machine(import_printer(DATA / "v400-april.cfg").machine).with_only({})
+    sheet = sheet_of(machine, "tcp")
+    assert isinstance(sheet, ToolCampaign)
+    return machine, sheet
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.01, 2.5])
+def test_a_trackers_frame_is_turned_to_the_machine_found(
+    tracked: tuple[Machine, ToolCampaign], turn: float
+) -> None:
+    """Towers a millimetre off turn the machine by milliradians, whose square is no noise."""
+    machine, sheet = tracked
+    tangential = {f"axis_offset.{leg}.tangential": 1.2e-3 for leg in "abc"}
+    offsets = tangential | {"joint_offset.b": -2.6e-3, "joint_offset.c": -2.2e-3}
+    exact = og.simulate(machine.with_parameters(offsets), sheet, exact=True)
+    p = exact.reading.reshape(-1, 3)
+    moved = p @ Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix().T
+    seen = replace(exact, reading=moved.reshape(-1))
+    found = og.identify([seen], machine, list(machine.catalogue.base))
+    assert found.scores.chi2 < 1.0  # of 10 um; squares of turns left more than a hundred
+
+
+def test_what_the_base_cannot_explain_settles(tracked: tuple[Machine, ToolCampaign]) -> None:
+    """Steps end in the rounding of a chi2 of many millions."""
+    machine, sheet = tracked
+    scaled = machine.with_parameters({"encoder_scale.c": 9.4e-3, "joint_offset.a": 2.9e-3})
+    found = og.identify([og.simulate(scaled, sheet, seed=1)], machine, list(machine.catalogue.base))
+    assert found.scores.chi2 > 1e6
+    assert found.optimality < 1e-2 * found.scores.chi2**0.5

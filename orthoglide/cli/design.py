@@ -122,7 +122,7 @@ def _of_owned(
     quiet: bool,
 ) -> None:
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
-    from orthoglide.observations import csv_text, tool_rows
+    from orthoglide.observations import readings_text
     from orthoglide.planning import INSTRUMENTS, owned_instruments
     from orthoglide.planning.wording import detectable_rows
 
@@ -135,14 +135,11 @@ def _of_owned(
         lines += [f"- {gain}." for gain in found.gains]
         if out is not None:
             sheets = found.to_fill_in()
-            rows = [row for sheet in sheets for row in tool_rows(sheet, machine.spec)]
-            if not rows:
+            if not sheets:
                 raise InputError("dials alone have sheets of their own: orthoglide protocol")
-            names = dict.fromkeys(name for row in rows for name in row)
-            filled = [{name: row.get(name, "") for name in names} for row in rows]
-            write_texts({out: csv_text(filled)})
-            lines += ["", f"{click.format_filename(out)}: {len(rows)} readings of the tool, to be "
-                          f"filled in"]  # fmt: skip
+            write_texts({out: readings_text(sheets, machine.spec)})
+            lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "
+                          f"tool, to be filled in"]  # fmt: skip
     hidden = len(found.tells.invisible)
     line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)

@@ -18,7 +18,11 @@ from orthoglide.errors import InputError
 @click.command()
 @opt.machine
 @click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
-              help="Measuring sheet; the protocol sweep where absent.")  # fmt: skip
+              help="Measuring sheet; the protocol sweep where absent, or a probe on a plate where "
+                   "no dial stands on a leg.")  # fmt: skip
+@click.option("--owns", type=opt.Names(), default=(), metavar="KIND,...",
+              help="In place of a sheet, readings you can take: leg (dials), tcp, plate, distance, "
+                   "ballbar, incline.")  # fmt: skip
 @click.option("--campaigns", type=int, default=90, show_default=True, help="How many to simulate.")
 @opt.seed
 @click.option("--jobs", type=int, metavar="N",
@@ -31,6 +35,7 @@ from orthoglide.errors import InputError
 def rehearse(
     machine_path: Path | None,
     sheet: Path | None,
+    owns: tuple[str, ...],
     campaigns: int,
     seed: int,
     jobs: int | None,
@@ -54,7 +59,7 @@ def rehearse(
         keep_on_interrupt(f"{name} keeps what was finished, and the same command goes on")
     with progress(quiet) as step, _workers(dask):
         found = run(
-            machine, sheet or "sweep", campaigns, seed=seed, out=out, progress=step,
+            machine, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step,
             jobs=-1 if jobs is None and dask is None else jobs,
         )  # fmt: skip
     tell(str(found), found.line, quiet, out is not None)

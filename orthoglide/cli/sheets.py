@@ -38,6 +38,8 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
               help="More errors of the machine, in the units of files.")  # fmt: skip
 @click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Campaign to write.")
 @_kind_option
+@click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
+              help="Rows to be read in place of a protocol's; of any instruments.")  # fmt: skip
 @opt.seed
 @opt.noise(least=0.0)
 @click.option("--exact", is_flag=True,
@@ -49,6 +51,7 @@ def simulate(
     errors: tuple[str, ...],
     out: Path,
     kind: str,
+    sheet: Path | None,
     seed: int,
     noise: float | None,
     exact: bool,
@@ -56,8 +59,8 @@ def simulate(
 ) -> None:
     """Measure a machine that exists as a file only: a campaign of its readings.
 
-    Each dial has its own datum and stands up to some placement error off its place; readings are
-    noisy and rounded to the dial's resolution.
+    Each dial has its own datum and stands up to some placement error off its place, each instrument
+    at the tool has its own datum and frame; readings are noisy and rounded to their resolution.
     """
     from dataclasses import replace
 
@@ -65,7 +68,8 @@ def simulate(
 
     from orthoglide import simulation
     from orthoglide.files import check_new
-    from orthoglide.observations import campaign_text, csv_text, tcp_rows
+    from orthoglide.observations import Readings, csv_text, read_readings, readings_text, tcp_rows
+    from orthoglide.observations.protocols import protocol as made_protocol
 
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
@@ -76,13 +80,20 @@ def simulate(
     added = opt.quantities("--error", errors)
     machine = opt.load_machine(machine_path).with_parameters(added)
     draw = np.random.default_rng(seed)
-    filled = simulation.simulate(machine, kind, noise=noise, seed=draw, exact=exact)  # type: ignore[arg-type]
-    texts = {out: campaign_text(filled)}
+    if sheet is None:
+        sheets: tuple[Readings, ...] = (made_protocol(kind, machine.geometry),)  # type: ignore[arg-type]
+    else:
+        sheets = read_readings(sheet, machine.spec, require_readings=False)
+    filled = [
+        simulation.simulate(machine, one, noise=noise, seed=draw, exact=exact) for one in sheets
+    ]
+    file = None if machine.geometry.dialled else machine.spec
+    texts = {out: readings_text(filled, file)}
     if tcp is not None:
         points = simulation.simulate_tcp(machine, seed=draw)
         texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9)), machine.spec))
     write_texts(texts)
-    for name, lacking in simulation.unshown(machine, filled).items():
+    for name, lacking in simulation.unshown(machine, filled[0]).items():
         say(f"warning: {name} changes no reading, as {lacking}", err=True)
     for path, text in texts.items():
         say(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
+from orthoglide.fit.instrument_frame import turned_near
 from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, Recorded, TcpPoints
@@ -197,6 +198,13 @@ class TcpReadings:
         silent = np.isin(np.arange(len(self.points)), self.point[rows])
         sigma = np.where(silent, SILENT * declared, declared)
         return replace(self, points=replace(self.points, sigma=sigma))
+
+    def turned_to(self, value: Array) -> TcpReadings:
+        """The same with the frame turned near what the machine has for the rows ``(n,)``."""
+        if self.frame != "rigid" or not self.known.all():
+            return self
+        near = turned_near(self.points.p, value.reshape(-1, 3))
+        return self if near is None else replace(self, points=replace(self.points, p=near))
 
     @property
     def stations(self) -> Array:

@@ -191,7 +191,8 @@ def _beside(
     p = machine.forward(points.command)
     if isinstance(points, ToolCampaign):
         check_meant(points, p, machine)
-        return ToolReadings.of(turned_back(points, p), machine, sigma)
+        value = points.sign * p[np.arange(len(points)), points.axis]
+        return ToolReadings.of(turned_back(points, value), machine, sigma)
     if len(points) < 3:
         raise InputError(
             f"{points.name}: these are too few TCP points to identify anything: measure three or "

@@ -14,7 +14,7 @@ from orthoglide.geometry import Array, moved_onto
 from orthoglide.observations import TcpPoints, ToolCampaign
 
 _FEWEST = 4  # points
-_SMALL = 0.003  # radians: the square of a smaller turn moves no more than micrometres
+_SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
@@ -29,25 +29,30 @@ def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
     return replace(points, p=moved_onto(points.p, points.p, p))
 
 
-def turned_back(points: ToolCampaign, p: Array) -> ToolCampaign:
+def turned_back(points: ToolCampaign, value: Array) -> ToolCampaign:
     """The same of the setups of a file that have all three coordinates of every point.
 
     Args:
         points: readings of the tool.
-        p: about where the machine has them ``(n, 3)``, metres.
+        value: about what the machine has for them ``(n,)``, metres.
     """
-    reading = points.reading.copy()
+    reading, changed = points.reading.copy(), False
     for k in range(len(points.setups)):
         rows = whole_points(points, k)
         if rows is None:
             continue
-        measured = (points.sign * points.reading)[rows]
-        near = moved_onto(measured, measured, p[rows[:, 0]])
-        centred = measured - measured.mean(axis=0)
-        turned = np.linalg.norm(near - near.mean(axis=0) - centred)
-        if turned > _SMALL * np.linalg.norm(centred):
-            reading[rows] = points.sign[rows] * near
-    return replace(points, reading=reading)
+        near = turned_near((points.sign * points.reading)[rows], (points.sign * value)[rows])
+        if near is not None:
+            reading[rows], changed = points.sign[rows] * near, True
+    return replace(points, reading=reading) if changed else points
+
+
+def turned_near(measured: Array, p: Array) -> Array | None:
+    """Points ``(m, 3)`` moved near others; ``None`` where no turn worth mention brings them."""
+    near = moved_onto(measured, measured, p)
+    centred = measured - measured.mean(axis=0)
+    turned = np.linalg.norm(near - near.mean(axis=0) - centred)
+    return near if turned > _SMALL * np.linalg.norm(centred) else None
 
 
 def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:

@@ -23,7 +23,7 @@ from orthoglide.geometry import Array
 
 _MOST_STEPS = 60
 _SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown
-_ROUNDING = 1e-5  # steps that no longer shrink are rounding of the closures
+_ROUNDING = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
 _SLOW = 0.1  # Gauss-Newton that shrinks its steps less than this wants second derivatives
 
 
@@ -53,7 +53,8 @@ def solve_nested(
         if size > _SETTLED and size > _SLOW * previous:
             step[free] = _newton_step(problem, nuisance, here, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
-        if size <= _SETTLED or previous / 2 <= size <= _ROUNDING:
+        misfit = max(1.0, float(np.sqrt(here.cost / len(problem.measured))))
+        if size <= _SETTLED or previous / 2 <= size <= _ROUNDING * misfit:
             return at, iteration
         at, previous = linearise(problem, _search(problem, nuisance, here, step)), size
     raise SolverError(

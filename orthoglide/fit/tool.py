@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile
+from orthoglide.fit.instrument_frame import turned_back
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -85,6 +86,11 @@ class ToolReadings(OfFile):
     def silenced(self, rows: NDArray[np.bool_]) -> ToolReadings:
         """The same with some rows ``(n,)`` without weight."""
         return replace(self, sigma=np.where(rows, SILENT * self.sigma, self.sigma))
+
+    def turned_to(self, value: Array) -> ToolReadings:
+        """The same with instruments' frames turned near what the machine has for rows ``(n,)``."""
+        points = turned_back(self.points, value)
+        return self if points is self.points else replace(self, points=points)
 
     @property
     def stations(self) -> Array:

@@ -11,6 +11,7 @@ from orthoglide.observations.campaign import (
 )
 from orthoglide.observations.exchange import (
     readings_rows as readings_rows,
+    readings_text as readings_text,
     write_campaign as write_campaign,
 )
 from orthoglide.observations.given import check_given as check_given

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,13 @@ def readings_rows(
     if isinstance(given, ToolCampaign):
         return tool_rows(given, machine_file)
     return campaign_rows(given, machine_file)
+
+
+def readings_text(given: Sequence[Readings], machine_file: MachineFile | None = None) -> str:
+    """The CSV text of one file of readings of several kinds; arguments as for `write_campaign`."""
+    rows = [row for one in given for row in readings_rows(one, machine_file)]
+    names = dict.fromkeys(name for row in rows for name in row)
+    return csv_text([{name: row.get(name, "") for name in names} for row in rows])
 
 
 def write_campaign(

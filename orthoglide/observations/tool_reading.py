@@ -41,13 +41,17 @@ _KIND = Column(choice({kind: kind for kind in ("leg", "move", *KINDS)}), "leg")
 
 
 def read_readings(
-    path: str | os.PathLike[str], machine_file: MachineFile | None = None
+    path: str | os.PathLike[str],
+    machine_file: MachineFile | None = None,
+    *,
+    require_readings: bool = True,
 ) -> tuple[Readings, ...]:
     """Reads a file of readings of any kind.
 
     Args:
         path: the CSV file, as for `read_campaign`.
         machine_file: whose layout, stroke and controller count; the nominal one if None.
+        require_readings: False: a sheet not yet filled in is welcome.
 
     Returns:
         A campaign of dial readings, readings of the tool, or both.
@@ -56,7 +60,7 @@ def read_readings(
         FileError: naming the line and what would be right.
     """
     table = read_table(path)
-    return readings_of_table(table, Path(table.file).stem, machine_file)
+    return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
 
 
 def readings_from_rows(
@@ -86,9 +90,12 @@ def readings_from_rows(
 
 
 def readings_of_table(
-    table: Table, name: str, machine_file: MachineFile | None
+    table: Table,
+    name: str,
+    machine_file: MachineFile | None,
+    require_readings: bool = True,
 ) -> tuple[Readings, ...]:
-    """Readings of any kind from a table of cells; arguments as for `readings_from_rows`."""
+    """Readings of any kind from a table of cells; arguments as for `read_readings`."""
     machine = machine_file or nominal_machine_file()
     kinds = table.values("kind", _KIND)
     of_tool = [k for k, kind in enumerate(kinds) if kind in KINDS]
@@ -104,14 +111,14 @@ def readings_of_table(
                 f"({', '.join(KINDS)})",
                 row,
             )
-        found.append(campaign_of_table(table.part(others), name, machine))
+        found.append(campaign_of_table(table.part(others), name, machine, require_readings))
     if of_tool:
         own = f"{name}-tool" if legs else name
-        found.append(_tool(table.part(of_tool), own, machine))
+        found.append(_tool(table.part(of_tool), own, machine, require_readings))
     return tuple(found)
 
 
-def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
+def _tool(table: Table, name: str, machine: MachineFile, require_readings: bool) -> ToolCampaign:
     legs = machine.geometry.leg_names
     names, approach = command_names(table, machine), by_leg(APPROACHED, legs)
     second = by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)
@@ -141,7 +148,8 @@ def _tool(table: Table, name: str, machine: MachineFile) -> ToolCampaign:
         warnings=warnings,
         **fields,
     )
-    check_tool(made, table.fail)
+    if require_readings or np.isfinite(made.reading).all():
+        check_tool(made, table.fail)
     return made
 
 

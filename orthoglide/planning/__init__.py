@@ -18,6 +18,7 @@ from orthoglide.planning.owning import (
     INSTRUMENTS as INSTRUMENTS,
     Owned as Owned,
     owned_instruments as owned_instruments,
+    sheets_of as sheets_of,
 )
 from orthoglide.planning.pool import reading_pool as reading_pool
 from orthoglide.planning.repeats import (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,7 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import check_list
-from orthoglide.fit import Estimate, assemble, solve
-from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
-from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit import Estimate, solve
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
@@ -168,22 +166,7 @@ def as_expected(
     machine: Machine, campaign: Campaign | Sequence[Readings], noise: float | None
 ) -> Estimate:
     """Zeros and lengths identified from the readings predicted for them."""
-    if not isinstance(campaign, Campaign):
-        spec = machine.spec
-        known = spec.dial.repeatability or PUBLISHED_REPEATABILITY
-        dial = replace(spec.dial, repeatability=known)
-        careful = replace(machine, spec=replace(spec, dial=dial))
-        several = [_predicted(machine, one) for one in campaign]
-        base = machine.catalogue.base
-        return solve(assemble(several, careful, base, noise=noise), method="nested")
     return solve(foreseen(machine, campaign, noise), method="nested")
-
-
-def _predicted(machine: Machine, one: Readings) -> Readings:
-    if isinstance(one, Campaign):
-        return one.with_readings(machine.readings(one))
-    factor = ToolReadings.of(one, machine)
-    return replace(one, reading=factor.predict(machine.model, machine.values))
 
 
 def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:

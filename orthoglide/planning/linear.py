@@ -16,11 +16,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.fit import Noise, Problem, build_problem, noise_of
+from orthoglide.fit import Noise, Problem, assemble, build_problem, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding, station_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, Readings
+from orthoglide.simulation import simulate
 
 _DATUM = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
 _LEAST = 0.1  # of a reading's sigma: what is left of it besides the rounding that repeats share
@@ -231,8 +232,18 @@ def expected_noise(machine: Machine, campaign: Campaign, declared: float | None 
     return noise_of([campaign], dial, declared)
 
 
-def foreseen(machine: Machine, sheet: Campaign, noise: float | None = None) -> Problem:
-    """Zeros and lengths to be identified from the readings predicted for a sheet."""
+def foreseen(
+    machine: Machine, sheet: Campaign | Sequence[Readings], noise: float | None = None
+) -> Problem:
+    """Zeros and lengths to be identified from the readings predicted for a sheet, or for several
+    of several instruments.
+    """
+    if not isinstance(sheet, Campaign):
+        dial = machine.spec.dial
+        known = replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
+        careful = replace(machine, spec=replace(machine.spec, dial=known))
+        several = [simulate(machine, one, exact=True) for one in sheet]
+        return assemble(several, careful, machine.catalogue.base, noise=noise)
     exact = sheet.with_readings(machine.readings(sheet))
     level = expected_noise(machine, exact, noise)
     return build_problem(machine, [exact], machine.catalogue.base, level)

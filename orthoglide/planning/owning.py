@@ -99,9 +99,7 @@ def owned_instruments(
         InputError: for a kind that there is not, or that this machine does not take; for a count
             that cannot be chosen.
     """
-    for kind in kinds:
-        check_word("instrument", kind, INSTRUMENTS)
-    sheets = {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
+    sheets = sheets_of(machine, kinds)
     if count is not None:
         of_tool = [s for s in sheets.values() if isinstance(s, ToolCampaign)]
         chosen = {s.name: s for s in mixed_sheet(machine, of_tool, count)}
@@ -138,6 +136,17 @@ def _gain(kind: str, before: Detectability, after: Detectability) -> Gain:
     named = {n: e for n, e in within(after, "nameable").items() if n in found}
     return Gain(kind, new(within(after, "detectable"), found),
                 new(named, within(before, "nameable")))  # fmt: skip
+
+
+def sheets_of(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings]:
+    """Readings that instruments would take of a machine, each by a sheet of its own.
+
+    Raises:
+        InputError: for a kind that there is not, or that this machine does not take.
+    """
+    for kind in kinds:
+        check_word("instrument", kind, INSTRUMENTS)
+    return {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
 
 
 def sheet_of(machine: Machine, kind: str) -> Readings:

@@ -12,7 +12,7 @@ from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
+from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
 from orthoglide.planning import foreseen
 from orthoglide.posterior import places_of, with_everything
@@ -54,31 +54,32 @@ class Scope:
     """What may be wrong with a machine as far as a sheet is concerned.
 
     Attributes:
-        machine: dimensions, tolerances and dial; without errors.
-        sheet: rows to be read.
-        parameters: of effects beyond zeros and lengths, those of the dials among them, whose
-            conditions the sheet varies.
-        places: that the sheet may show.
+        machine: dimensions, tolerances and instruments; without errors.
+        sheets: rows to be read, of dials and of instruments at the tool.
+        parameters: of effects beyond zeros and lengths, those of the dials and plates among them,
+            whose conditions the sheets vary.
+        places: that the sheets may show.
     """
 
     machine: Machine
-    sheet: Campaign
+    sheets: tuple[Readings, ...]
     parameters: tuple[Parameter, ...]
     places: tuple[Place, ...]
 
     @classmethod
-    def of(cls, machine: Machine, sheet: Campaign) -> Scope:
+    def of(cls, machine: Machine, *sheets: Readings) -> Scope:
         """What the posterior would weigh.
 
         Args:
             machine: its own parameters do not count: dimensions and tolerances do.
-            sheet: readings do not count.
+            sheets: readings do not count.
         """
         bare = machine.with_only({})
-        wide = with_everything(foreseen(bare, sheet))
+        wide = with_everything(foreseen(bare, sheets))
         beyond = (n.plain for n in wide.names if n.effect not in bare.catalogue.base)
-        kept = tuple(bare.catalogue.parameter(n, [s.name for s in sheet.setups]) for n in beyond)
-        return cls(bare, sheet, kept, tuple(p for p in places_of(wide) if p.in_model))
+        setups = [s.name for sheet in sheets for s in sheet.setups]
+        kept = tuple(bare.catalogue.parameter(n, setups) for n in beyond)
+        return cls(bare, sheets, kept, tuple(p for p in places_of(wide) if p.in_model))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +106,12 @@ class Drawn:
     def catalogue(self) -> Catalogue:
         """Of the machine."""
         return self.machine.catalogue
+
+
+def kind_of(scope: Scope, number: int) -> Kind:
+    """What is wrong in a campaign; an effect where the sheets show no place."""
+    kind = TURNS[number % len(TURNS)]
+    return EFFECT if kind == OUTSIDE and not scope.places else kind
 
 
 def draw(scope: Scope, kind: Kind, rng: np.random.Generator) -> Drawn:

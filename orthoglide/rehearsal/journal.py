@@ -11,7 +11,7 @@ from orthoglide import __version__
 from orthoglide.errors import FileError
 from orthoglide.files import read_bytes, sha256, write_whole, writing
 from orthoglide.machine_file.writing import machine_text
-from orthoglide.observations import campaign_text
+from orthoglide.observations import readings_text
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.outcome import Outcome
 from orthoglide.text import shown
@@ -29,7 +29,7 @@ def request_digests(scope: Scope, seed: int) -> dict[str, str]:
     return {
         "the version of orthoglide": __version__,
         "the machine file": sha256(machine.encode()),
-        "the sheet": sha256(campaign_text(scope.sheet).encode()),
+        "the sheet": sha256(readings_text(scope.sheets, scope.machine.spec).encode()),
         "the seed": str(seed),
     }
 

@@ -13,7 +13,7 @@ import numpy as np
 from orthoglide.accuracy import expected_error
 from orthoglide.closing import close_loop
 from orthoglide.errors import OrthoglideError
-from orthoglide.rehearsal.drawing import TURNS, Drawn, Scope, draw
+from orthoglide.rehearsal.drawing import Drawn, Scope, draw, kind_of
 from orthoglide.rehearsal.scoring import claims
 from orthoglide.simulation import simulate, simulate_tcp
 
@@ -84,11 +84,11 @@ def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
     """One campaign; a failure is a result like others.
 
     Args:
-        scope: machine and sheet.
+        scope: machine and sheets.
         number: of the campaign; with the seed it determines every draw.
         seed: of the rehearsal.
     """
-    kind, began = TURNS[number % len(TURNS)], time.perf_counter()
+    kind, began = kind_of(scope, number), time.perf_counter()
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     about: dict[str, Any] = {"number": number, "kind": kind.name}
     try:
@@ -105,9 +105,9 @@ def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
 
 
 def _closed(scope: Scope, drawn: Drawn, rng: np.random.Generator) -> dict[str, Any]:
-    measured = simulate(drawn.machine, scope.sheet, seed=rng)
+    measured = [simulate(drawn.machine, sheet, seed=rng) for sheet in scope.sheets]
     points = simulate_tcp(drawn.machine, seed=rng)
-    verdict = close_loop([measured], scope.machine, tcp=points)
+    verdict = close_loop(measured, scope.machine, tcp=points)
     named, located, false = claims(verdict, drawn)
     assert verdict.tcp is not None
     errors = verdict.tcp["translation"]

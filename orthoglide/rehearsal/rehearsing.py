@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import get_args
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, protocol, read_campaign
+from orthoglide.observations import Campaign, Readings, ToolCampaign, protocol, read_readings
 from orthoglide.observations.protocols import Kind
-from orthoglide.observations.table import Column, read_table
-from orthoglide.observations.tool import KINDS
+from orthoglide.planning import sheets_of
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.rehearsal.journal import Journal, request_digests
@@ -24,17 +24,13 @@ from orthoglide.rehearsal.weak_spots import weak_spots
 CAMPAIGNS = 90
 """Ten of each turn of :data:`orthoglide.rehearsal.drawing.TURNS`."""
 
-_AT_THE_TOOL = (
-    "a rehearsal simulates dials on the legs of an Orthoglide alone: what instruments at the tool "
-    "would find and name, orthoglide design --owns tcp,ballbar --machine FILE tells"
-)
-
 
 def rehearse(
     machine: Machine | None = None,
-    sheet: Campaign | str | os.PathLike[str] = "sweep",
+    sheet: Readings | str | os.PathLike[str] | None = None,
     campaigns: int = CAMPAIGNS,
     *,
+    owns: Sequence[str] = (),
     seed: int = 0,
     jobs: int | None = None,
     out: str | os.PathLike[str] | None = None,
@@ -47,9 +43,13 @@ def rehearse(
     that calibrates them: what no model of the package has, no rehearsal shows.
 
     Args:
-        machine: dimensions, tolerances and dial; nominal where absent. Its parameters do not count.
-        sheet: rows to be read, as campaign, file or kind of protocol; readings do not count.
+        machine: dimensions, tolerances and instruments; nominal where absent. Its parameters do not
+            count.
+        sheet: rows to be read, as campaign, file or kind of protocol; readings do not count. Where
+            absent the protocol sweep, or a probe on a plate where no dial stands on a leg.
         campaigns: how many; a larger rehearsal holds the smaller.
+        owns: in place of a sheet, kinds of readings that are taken together, each by a sheet of its
+            own: ``leg``, ``tcp``, ``plate``, ``distance``, ``ballbar``, ``incline``.
         seed: of every random draw; the same seed gives the same answer, whatever the jobs.
         jobs: processes, -1 for all processors; where absent as ``joblib.parallel_config`` says,
             which may be a cluster (``parallel_config(backend="dask")``), else one.
@@ -67,27 +67,31 @@ def rehearse(
     if jobs == 0:
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
     machine = (machine or Machine.nominal()).with_only({})
-    if not machine.geometry.dialled:
-        raise InputError(_AT_THE_TOOL)
     progress(Step("computing", "what the sheet can see"))
-    scope = Scope.of(machine, _sheet(machine, sheet))
+    scope = Scope.of(machine, *_sheets(machine, sheet, owns))
     kept = None if out is None else Journal(Path(out), request_digests(scope, seed))
     weak = weak_spots(scope, seed)
     tried = _all(scope, campaigns, seed, jobs, kept, progress)
-    found = Rehearsal(machine.spec.title, len(scope.sheet), seed, tried, weak)
+    readings = sum(len(sheet) for sheet in scope.sheets)
+    found = Rehearsal(machine.spec.title, readings, seed, tried, weak)
     if kept is not None:
         kept.conclude(f"{found}\n")
     return found
 
 
-def _sheet(machine: Machine, sheet: Campaign | str | os.PathLike[str]) -> Campaign:
-    if isinstance(sheet, Campaign):
-        return sheet
+def _sheets(
+    machine: Machine, sheet: Readings | str | os.PathLike[str] | None, owns: Sequence[str]
+) -> tuple[Readings, ...]:
+    if sheet is not None and owns:
+        raise InputError("a sheet and owns exclude each other: an instrument has its own sheet")
+    if sheet is None:
+        kinds = owns or (("leg",) if machine.geometry.dialled else ("plate",))
+        return tuple(sheets_of(machine, kinds).values())
+    if isinstance(sheet, Campaign | ToolCampaign):
+        return (sheet,)
     if sheet in get_args(Kind):
-        return protocol(sheet, machine.geometry)  # type: ignore[arg-type]
-    if any(kind in KINDS for kind in read_table(sheet).values("kind", Column(str, ""))):
-        raise InputError(f"{Path(sheet).name}: {_AT_THE_TOOL}")
-    return read_campaign(sheet, machine.spec, require_readings=False)
+        return (protocol(sheet, machine.geometry),)  # type: ignore[arg-type]
+    return read_readings(sheet, machine.spec, require_readings=False)
 
 
 def _all(

@@ -74,6 +74,8 @@ def claims(verdict: Verdict, drawn: Drawn) -> tuple[list[str], list[str], list[s
 
 
 def _is_there(name: str, parameters: Sequence[str], drawn: Drawn) -> bool:
+    # A machine is drawn whole: what a file has for itself goes by its plain name.
+    name, *parameters = (n.partition("@")[0] for n in (name, *parameters))
     if drawn.kind.extra == "effect":
         return is_cause(name, parameters, drawn.cause, drawn.catalogue.effect_of(drawn.cause).name)
     least = _BEYOND * drawn.kind.share

@@ -10,6 +10,7 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes, without_place
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.wording import cause_short, size_words
+from orthoglide.observations import Campaign
 from orthoglide.planning import SmallestEffect, smallest_effects
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.simulation import lacks
@@ -44,25 +45,27 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[WeakSpot, ...]:
     machine on which nothing else is wrong.
 
     Args:
-        scope: machine and sheet.
+        scope: machine and sheets.
         seed: of the draws of noise.
     """
-    seen = smallest_effects(scope.machine, scope.sheet, seed=seed)
+    seen = smallest_effects(scope.machine, scope.sheets, seed=seed)
     single = [s for s in seen.smallest if s.elementary]
     catalogue, of = scope.machine.catalogue, scope.machine.catalogue.effect_of
     return (
-        *_not_recorded(
-            catalogue, {of(n).name for n in (*seen.invisible, *(s.name for s in single))}
-        ),
+        *_not_recorded(scope, {of(n).name for n in (*seen.invisible, *(s.name for s in single))}),
         *_invisible(catalogue, seen.invisible),
         *_hardly(catalogue, single),
         *_confused(scope, single),
     )
 
 
-def _not_recorded(catalogue: Catalogue, judged: Collection[str]) -> Iterator[WeakSpot]:
+def _not_recorded(scope: Scope, judged: Collection[str]) -> Iterator[WeakSpot]:
+    catalogue = scope.machine.catalogue
+    dials = any(isinstance(sheet, Campaign) for sheet in scope.sheets)
     for effect in catalogue.values():
         if effect.name in (*catalogue.base, *judged) or effect.instead_of or effect.plate:
+            continue
+        if effect.of_dial and not dials:
             continue
         lacking = lacks(effect.needs)
         yield WeakSpot((effect.name,), f"not shown, as {lacking}: {_many(effect)}")
