@@ -64,6 +64,12 @@ degree. No cause in the machine is named for what they may draw, however well di
 towers. Where they are needed to explain what is left, the verdict is *partial* or *unexplained*,
 and says that the plate may be behind it. The rms *with what was found* is past such shapes.
 
+What your instruments would find on a machine like yours can be tried before anything is measured:
+
+```
+orthoglide rehearse --machine DIR/machine.toml --owns plate,incline
+```
+
 ## Real machines
 
 Printed by `python -m benchmarks.deltas` from numbers that owners stored for their own machines
