@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
 
-import numpy as np
-
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Kernel
@@ -206,7 +204,8 @@ def _command_of(leg: int, c: LegConditions) -> Any:
 def _time_between(start: float, end: float, c: LegConditions) -> Any:
     """Time within a session as -1 to 1, held outside it."""
     half = max((end - start) / 2, 1e-9)
-    return np.clip((c.time - start) / half - 1, -1.0, 1.0)
+    u = (c.time - start) / half - 1
+    return (abs(u + 1) - abs(u - 1)) / 2  # within -1 and 1, of symbols too
 
 
 _LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
