@@ -12,7 +12,7 @@ import numpy as np
 from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
-from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool import ToolReadings, expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import commands as commands_of
@@ -105,7 +105,7 @@ def _at_the_tool(
     machine: Machine, sheet: ToolCampaign, noise: float | None, seed: Seed, exact: bool
 ) -> ToolCampaign:
     """A sheet of the tool's readings filled in; arguments as of :func:`simulate`."""
-    blank, bare = replace(sheet, reading=np.nan_to_num(sheet.reading)), machine.with_only({})
+    blank = replace(sheet, reading=np.nan_to_num(sheet.reading))
     with _closing(machine):
         factor = ToolReadings.of(blank, machine)
         at = factor.linearise(machine.model, machine.values, ())
@@ -114,12 +114,11 @@ def _at_the_tool(
     draw = _draws(seed)
     if noise is not None:
         check_noise(noise, 0.0)
-    nominal = replace(blank, reading=factor.predict(bare.model, {}))
-    level = ToolReadings.of(nominal, bare).sigma if noise is None else noise
+    own = machine.spec.instruments
+    level = expected_sigma(sheet, own) if noise is None else noise
     block = factor.nuisances(at.slopes)
     off = draw.normal(scale=np.minimum(block.sd, _DATUM))
     shown = at.value + block.columns @ off + draw.normal(scale=level, size=len(sheet))
-    own = machine.spec.instruments
     steps = np.array([(own[k].resolution or 0.0) if k in own else 0.0 for k in sheet.kind])
     return replace(blank, reading=np.round(_rounded(shown, steps), 12))
 

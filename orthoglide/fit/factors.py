@@ -199,8 +199,8 @@ class TcpReadings:
         sigma = np.where(silent, SILENT * declared, declared)
         return replace(self, points=replace(self.points, sigma=sigma))
 
-    def turned_to(self, value: Array) -> TcpReadings:
-        """The same with the frame turned near what the machine has for the rows ``(n,)``."""
+    def about(self, value: Array, _: Array) -> TcpReadings:
+        """The same with the frame turned to where a machine has the rows ``(n,)``."""
         if self.frame != "rigid" or not self.known.all():
             return self
         near = turned_near(self.points.p, value.reshape(-1, 3))

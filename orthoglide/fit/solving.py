@@ -39,7 +39,7 @@ NLP_UNKNOWNS = 30
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
 
-_TURNS = 3
+_ROUNDS = 3
 _WIDENINGS, _WIDER = 8, 1.2  # rounds, and the growth of a value that asks for one more
 
 
@@ -54,20 +54,25 @@ def solve(
     value was bent by what the model lacks, and the tolerances hold. So they do with
     ``widen=False``, where readings are still in doubt themselves.
     """
-    first = _turned(_solve(problem, method, start), method)
-    wide = _turned(_widened(first, method), method) if widen and problem.priors else first
+    first = _about(_solve(problem, method, start), method)
+    wide = _about(_widened(first, method), method) if widen and problem.priors else first
     return wide if wide.sigma_scale == 1.0 else first
 
 
-def _turned(found: Estimate, method: Method) -> Estimate:
-    """A fit again with instruments' frames turned to the machine found: turns are fitted linearly,
-    and the square of some milliradians is more than a tracker's noise.
+def _about(found: Estimate, method: Method) -> Estimate:
+    """A fit again with instruments' frames and balls brought to the machine found.
+
+    Their turns and shifts are fitted linearly, and the squares of some milliradians or millimetres
+    are more than such instruments' noise.
     """
-    for _ in range(_TURNS):
+    for _ in range(_ROUNDS):
         problem = found.problem
         ends = np.cumsum([len(f.measured) for f in problem.factors])
         values = np.split(found.at.value, ends[:-1])[len(problem.campaigns) :]
-        points = tuple(f.turned_to(v) for f, v in zip(problem.points, values, strict=True))
+        slopes = found.at.slopes[len(problem.campaigns) :]
+        points = tuple(
+            f.about(v, s) for f, v, s in zip(problem.points, values, slopes, strict=True)
+        )
         if all(new is old for new, old in zip(points, problem.points, strict=True)):
             break
         found = _solve(replace(problem, points=points), method, found.x)

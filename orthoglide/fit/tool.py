@@ -33,6 +33,7 @@ SCALE_SD, OFFSET_SD = 0.01, 2e-4
 
 _FEWEST_REPEATS = 6
 _LEAST = 0.05
+_MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a micrometre
 _STEPS = 10
 
 
@@ -87,10 +88,21 @@ class ToolReadings(OfFile):
         """The same with some rows ``(n,)`` without weight."""
         return replace(self, sigma=np.where(rows, SILENT * self.sigma, self.sigma))
 
-    def turned_to(self, value: Array) -> ToolReadings:
-        """The same with instruments' frames turned near what the machine has for rows ``(n,)``."""
-        points = turned_back(self.points, value)
-        return self if points is self.points else replace(self, points=points)
+    def about(self, value: Array, slopes: Array) -> ToolReadings:
+        """The same with instruments' frames and balls brought to where a machine has them.
+
+        Args:
+            value: its rows ``(n,)``.
+            slopes: its places ``(n, 4)``.
+        """
+        points, ball = turned_back(self.points, value), self.ball.copy()
+        for k, setup in enumerate(points.setups):
+            if setup.kind == "ballbar":
+                rows = points.setup == k
+                ball[k] = centre_of(slopes[rows, :3], points.reading[rows])
+        if points is self.points and np.abs(ball - self.ball).max(initial=0.0) < _MOVED:
+            return self
+        return replace(self, points=points, ball=ball)
 
     @property
     def stations(self) -> Array:
@@ -264,6 +276,16 @@ def _sigma(
                 found[rows] = np.maximum(found[rows], rough)
     declared = campaign.sigma if noise is None else np.full(len(campaign), np.nan)
     return np.where(np.isfinite(declared), declared, found)
+
+
+def expected_sigma(campaign: ToolCampaign, instruments: Mapping[str, Instrument]) -> Array:
+    """Noise to reckon with before anything is read ``(n,)``: declared, or of the instruments."""
+    found = np.empty(len(campaign))
+    for kind in dict.fromkeys(campaign.kind):
+        own = instruments.get(kind, Instrument())
+        level = own.repeatability or REPEATABILITY[kind]
+        found[campaign.of_kind(kind)] = np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
+    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
 
 
 def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:

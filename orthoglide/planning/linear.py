@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.fit import Noise, Problem, assemble, build_problem, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding, station_table
+from orthoglide.fit.tool import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
@@ -242,8 +243,16 @@ def foreseen(
         dial = machine.spec.dial
         known = replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
         careful = replace(machine, spec=replace(machine.spec, dial=known))
-        several = [simulate(machine, one, exact=True) for one in sheet]
+        several = [_as_expected(machine, one) for one in sheet]
         return assemble(several, careful, machine.catalogue.base, noise=noise)
     exact = sheet.with_readings(machine.readings(sheet))
     level = expected_noise(machine, exact, noise)
     return build_problem(machine, [exact], machine.catalogue.base, level)
+
+
+def _as_expected(machine: Machine, sheet: Readings) -> Readings:
+    """Exact readings, with their noise declared: repeats that agree are no witnesses of it."""
+    exact = simulate(machine, sheet, exact=True)
+    if isinstance(exact, Campaign):
+        return exact
+    return replace(exact, sigma=expected_sigma(exact, machine.spec.instruments))

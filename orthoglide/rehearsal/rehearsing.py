@@ -83,7 +83,7 @@ def _sheets(
     machine: Machine, sheet: Readings | str | os.PathLike[str] | None, owns: Sequence[str]
 ) -> tuple[Readings, ...]:
     if sheet is not None and owns:
-        raise InputError("a sheet and owns exclude each other: an instrument has its own sheet")
+        raise InputError("sheet and owns exclude each other: each instrument has its own sheet")
     if sheet is None:
         kinds = owns or (("leg",) if machine.geometry.dialled else ("plate",))
         return tuple(sheets_of(machine, kinds).values())

@@ -129,7 +129,7 @@ def _told(catalogue: Catalogue, names: Sequence[str]) -> str:
     if len(names) == 1:
         return cause_short(catalogue, names[0])
     effect = catalogue.effect_of(names[0])
-    tails = ", ".join(n[len(effect.name) + 1 :] for n in names)
+    tails = ", ".join(n[len(effect.name) + 1 :].partition("@")[0] for n in names)
     return f"{_many(effect)} ({tails})"
 
 
