@@ -395,11 +395,13 @@ def test_a_ball_is_where_the_machine_found_has_it() -> None:
 
 
 @pytest.mark.parametrize("kind", ["tcp", "ballbar"])
-def test_what_an_instrument_would_tell_goes_by_its_noise(kind: str) -> None:
+def test_what_an_instrument_would_tell_goes_by_its_noise(
+    tracked: tuple[Machine, ToolCampaign], kind: str
+) -> None:
     """Exact readings that repeat had been taken for an instrument twenty times as good."""
-    machine = Machine.nominal()
+    machine, _ = tracked
     noisy = replace(
-        machine.spec, instruments={kind: Instrument(repeatability=8 * REPEATABILITY[kind])}
+        machine.spec, instruments={kind: Instrument(repeatability=4 * REPEATABILITY[kind])}
     )
     one, other = (
         {s.name: s.detectable for s in owned_instruments(m, [kind]).tells.smallest}
@@ -407,7 +409,7 @@ def test_what_an_instrument_would_tell_goes_by_its_noise(kind: str) -> None:
     )
     worse = [other[name] / one[name] for name in one if name in other]
     assert len(worse) > 3
-    assert 4 < np.median(worse) < 9
+    assert 1.5 < np.nanmedian(worse) < 4.5
 
 
 def test_what_the_base_cannot_explain_settles(tracked: tuple[Machine, ToolCampaign]) -> None:
