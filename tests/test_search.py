@@ -97,6 +97,31 @@ def test_the_best_of_all_states_of_two_is_found(seed: int) -> None:
     assert search.total(search.best) == pytest.approx(pooled(written_out(search, search.best)))
 
 
+@pytest.mark.parametrize("start", [(), ((3, 1.0),), ((0, 3.0), (2, 1.0))])
+def test_what_is_given_stands_out_whatever_the_readings_say(start: State) -> None:
+    """Wherever the search begins; it had ended without where nothing at all was likelier."""
+    truth = np.zeros(17)
+    truth[3] = 2.0
+    linear = made_up(drawn(4), truth, 4)
+    name = linear.groups[0].name
+    named = [(linear.groups[group].name, tau) for group, tau in start]
+    mixture = Mixture(linear, [name], named)
+    assert 0 in {group for group, _ in mixture.best}
+    assert mixture.inclusion[0] == pytest.approx(1.0)
+    assert mixture.total(mixture.best) == pytest.approx(Mixture(linear, [name]).total(mixture.best))
+
+
+@pytest.mark.parametrize("start", [((5, 1.0),), ((0, 3.0), (2, 1.0), (4, 0.3))])
+def test_where_a_search_begins_does_not_say_where_it_ends(start: State) -> None:
+    truth = np.zeros(17)
+    truth[[3, 4]] = 2.0, -1.0
+    linear = made_up(drawn(1), truth, 2)
+    fresh = Search(linear)
+    named = [(linear.groups[group].name, tau) for group, tau in start]
+    assert Search(linear, start=named).best == fresh.best
+    assert Search(linear, start=fresh.standing).best == fresh.best
+
+
 def test_what_shows_nothing_of_a_group_is_left_out() -> None:
     linear = made_up(drawn(3), np.zeros(17), 3)
     assert [seen.shape[1] for seen in linear.seen] == [1] * 6 + [3, 2]

@@ -91,8 +91,9 @@ class Search:
             state = self.child(state, group)
         place = {g.name: k for k, g in enumerate(self.linear.groups)}
         earlier = tuple(sorted((place[name], tau) for name, tau in start if name in place))
-        self.table(earlier)
-        state = max(state, earlier, key=self.total)
+        if self._known <= {g for g, _ in earlier}:
+            self.table(earlier)
+            state = max(state, earlier, key=self.total)
         # Weights once given stay, whatever rounding says of another way there: this ends.
         while better := self._better(state):
             state = better
