@@ -162,14 +162,14 @@ def lacks(needs: Collection[str]) -> str:
     return f"the sheet does not vary {' and '.join(columns)}"
 
 
-def unshown(machine: Machine, sheet: Readings) -> dict[str, str]:
-    """Parameters of a machine that change no reading of a sheet, each with what is missing."""
+def unshown(machine: Machine, *sheets: Readings) -> dict[str, str]:
+    """Parameters of a machine that change no reading of sheets, each with what is missing."""
     given = {"approach"}
     given |= set() if machine.spec.screw_pitch is None else {"pitch"}
-    given |= {"load"} if sheet.load.any() else set()
-    times, warming = sheet.time[np.isfinite(sheet.time)], sheet.temperature_rise
-    given |= {"time"} if times.any() else set()
-    given |= {"temperature"} if np.nan_to_num(warming).any() else set()
+    for sheet in sheets:
+        given |= {"load"} if sheet.load.any() else set()
+        given |= {"time"} if np.nan_to_num(sheet.time).any() else set()
+        given |= {"temperature"} if np.nan_to_num(sheet.temperature_rise).any() else set()
     of, found = machine.catalogue.effect_of, dict[str, str]()
     for name, value in machine.values.items():
         missing = of(name).needs - given

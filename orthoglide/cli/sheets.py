@@ -68,8 +68,7 @@ def simulate(
 
     from orthoglide import simulation
     from orthoglide.files import check_new
-    from orthoglide.observations import Readings, csv_text, read_readings, readings_text, tcp_rows
-    from orthoglide.observations.protocols import protocol as made_protocol
+    from orthoglide.observations import csv_text, protocol, read_readings, readings_text, tcp_rows
 
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
@@ -80,10 +79,11 @@ def simulate(
     added = opt.quantities("--error", errors)
     machine = opt.load_machine(machine_path).with_parameters(added)
     draw = np.random.default_rng(seed)
-    if sheet is None:
-        sheets: tuple[Readings, ...] = (made_protocol(kind, machine.geometry),)  # type: ignore[arg-type]
-    else:
-        sheets = read_readings(sheet, machine.spec, require_readings=False)
+    sheets = (
+        (protocol(kind, machine.geometry),)  # type: ignore[arg-type]
+        if sheet is None
+        else read_readings(sheet, machine.spec, require_readings=False)
+    )
     filled = [
         simulation.simulate(machine, one, noise=noise, seed=draw, exact=exact) for one in sheets
     ]
@@ -93,7 +93,7 @@ def simulate(
         points = simulation.simulate_tcp(machine, seed=draw)
         texts[tcp] = csv_text(tcp_rows(replace(points, p=np.round(points.p, 9)), machine.spec))
     write_texts(texts)
-    for name, lacking in simulation.unshown(machine, filled[0]).items():
+    for name, lacking in simulation.unshown(machine, *filled).items():
         say(f"warning: {name} changes no reading, as {lacking}", err=True)
     for path, text in texts.items():
         say(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")

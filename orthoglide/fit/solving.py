@@ -38,8 +38,7 @@ NLP_UNKNOWNS = 30
 
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
-
-_ROUNDS = 3
+_ROUNDS = 3  # of a fit about the instruments as the last one has them
 _WIDENINGS, _WIDER = 8, 1.2  # rounds, and the growth of a value that asks for one more
 
 
@@ -54,17 +53,18 @@ def solve(
     value was bent by what the model lacks, and the tolerances hold. So they do with
     ``widen=False``, where readings are still in doubt themselves.
     """
-    first = _about(_solve(problem, method, start), method)
-    wide = _about(_widened(first, method), method) if widen and problem.priors else first
+    first = _fitted(problem, method, start)
+    wide = _widened(first, method) if widen and problem.priors else first
     return wide if wide.sigma_scale == 1.0 else first
 
 
-def _about(found: Estimate, method: Method) -> Estimate:
-    """A fit again with instruments' frames and balls brought to the machine found.
+def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
+    """A fit, and again with instruments' frames and balls brought to the machine found.
 
     Their turns and shifts are fitted linearly, and the squares of some milliradians or millimetres
     are more than such instruments' noise.
     """
+    found = _solve(problem, method, start)
     for _ in range(_ROUNDS):
         problem = found.problem
         ends = np.cumsum([len(f.measured) for f in problem.factors])
@@ -97,7 +97,7 @@ def _widened(found: Estimate, method: Method) -> Estimate:
             for u, w, more in zip(problem.unknowns, size, wider, strict=True)
         ]
         try:
-            found = _solve(replace(problem, unknowns=tuple(unknowns)), method, found.x)
+            found = _fitted(replace(problem, unknowns=tuple(unknowns)), method, found.x)
         except NumericsError:
             break
     return found

@@ -265,9 +265,7 @@ def _sigma(
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
         rows = campaign.of_kind(kind)
-        own = instruments.get(kind, Instrument())
-        level = own.repeatability or _of_repeats(campaign, rows) or REPEATABILITY[kind]
-        found[rows] = noise or np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
+        found[rows] = noise or _level(kind, instruments, _of_repeats(campaign, rows))
     if noise is None:
         for k, setup in enumerate(campaign.setups):
             if setup.kind == "plate":
@@ -282,10 +280,15 @@ def expected_sigma(campaign: ToolCampaign, instruments: Mapping[str, Instrument]
     """Noise to reckon with before anything is read ``(n,)``: declared, or of the instruments."""
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
-        own = instruments.get(kind, Instrument())
-        level = own.repeatability or REPEATABILITY[kind]
-        found[campaign.of_kind(kind)] = np.hypot(level, (own.resolution or 0.0) / np.sqrt(12))
+        found[campaign.of_kind(kind)] = _level(kind, instruments)
     return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
+
+
+def _level(kind: str, instruments: Mapping[str, Instrument], repeats: float = 0.0) -> float:
+    """Noise of a kind: of its instrument, else of repeats where there are enough, else usual."""
+    own = instruments.get(kind, Instrument())
+    level = own.repeatability or repeats or REPEATABILITY[kind]
+    return float(np.hypot(level, (own.resolution or 0.0) / np.sqrt(12)))
 
 
 def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:

@@ -21,6 +21,7 @@ from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding, stati
 from orthoglide.fit.tool import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, Readings
 from orthoglide.simulation import simulate
 
@@ -227,10 +228,12 @@ def in_tolerances(
 
 def expected_noise(machine: Machine, campaign: Campaign, declared: float | None = None) -> Noise:
     """Noise to reckon with: declared, of the rows, of the machine file, or as published."""
-    dial = machine.spec.dial
-    if dial.repeatability is None:
-        dial = replace(dial, repeatability=PUBLISHED_REPEATABILITY)
-    return noise_of([campaign], dial, declared)
+    return noise_of([campaign], _known(machine.spec.dial), declared)
+
+
+def _known(dial: Dial) -> Dial:
+    """A dial with its repeatability, as published where the machine file says none."""
+    return replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
 
 
 def foreseen(
@@ -240,9 +243,7 @@ def foreseen(
     of several instruments.
     """
     if not isinstance(sheet, Campaign):
-        dial = machine.spec.dial
-        known = replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
-        careful = replace(machine, spec=replace(machine.spec, dial=known))
+        careful = replace(machine, spec=replace(machine.spec, dial=_known(machine.spec.dial)))
         several = [_as_expected(machine, one) for one in sheet]
         return assemble(several, careful, machine.catalogue.base, noise=noise)
     exact = sheet.with_readings(machine.readings(sheet))

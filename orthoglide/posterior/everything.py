@@ -59,9 +59,9 @@ class FullPosterior:
         """
         known, effect_of = self.about.known, self.before.problem.machine.catalogue.effect_of
         of_dial = np.array([effect_of(n).of_dial for n in self.about.problem.names])
-        groups = self.mixture.linear.groups
-        out = [groups[k].places for k, _ in self.mixture.best]
-        of_dial[np.concatenate([np.zeros(0, dtype=int), *(p[p < known] for p in out)])] = False
+        for group, _ in self.mixture.best:
+            places = self.mixture.linear.groups[group].places
+            of_dial[places[places < known]] = False
         return np.where(of_dial, 0.0, (self.mean * self.about.scale)[:known])
 
     @cached_property

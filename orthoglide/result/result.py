@@ -47,7 +47,6 @@ Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unex
 
 _HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
 _MOST_RIVALS = 6  # between which readings are proposed
-"""Readings that are proposed for each purpose."""
 
 
 @dataclass(frozen=True)
