@@ -35,7 +35,7 @@ class Change:
         after: value after the change, SI.
         sigma: standard deviation of the difference, SI.
         sigma_after: standard deviation of the value after the change, SI.
-        sizes: by how much each of ``members`` would have changed, SI; none since a calibration.
+        sizes: by how much each of ``members`` would have changed, SI.
     """
 
     parameter: Parameter
@@ -158,7 +158,8 @@ def summed_of(members: tuple[Parameter, ...], problem: Problem) -> tuple[Paramet
     """
     catalogue, of = problem.machine.catalogue, problem.machine.catalogue.effect_of
     first = of(members[0])
-    alike = tuple(name for name in members if of(name).unit == first.unit)
+    same = (members[0].leg, members[0].direction, first.unit)
+    alike = tuple(n for n in members if (n.leg, n.direction, of(n).unit) == same)
     return members[:1] if first.name in catalogue.base else alike
 
 

@@ -2,33 +2,30 @@
 
 The earlier calibration is a prior ``x ~ N(m, C)``. Of a parameter that changed since it says
 nothing any more: it was repaired, or broke, by as much as it likes. Which ones have is decided by
-the evidence of the new readings, one parameter after the other: ``C + (s tolerance)^2 e e^T`` with
-s of 1, 3 or 10 against ``C``.
+the evidence of the new readings (`fit.change_search`), all at once, and again at the fit that lets
+them go.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from orthoglide.fit.change import Change, summed_of
+from orthoglide.fit.change_search import WIDTHS, Found, Hypotheses, costs
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import normal
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
-from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter
 
-# One parameter in twenty changes between two visits: the log odds that a change must overcome,
-# and again the logarithm of the number of parameters that could have.
-_ODDS = 3.0
-_ALIKE = 2.0  # log Bayes factor within which two changes cannot be told apart
-_MOST = 12
-_SIZES = (1.0, 3.0, 10.0)  # tolerances by which something changes
+_ROUNDS = 4
+"""Fits, each about the changes that the one before let go, until these stay the same."""
 
 
 def earlier_of(machine: Machine) -> Posterior | None:
@@ -45,50 +42,81 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
             is none, or nothing has changed.
         method: to solve again with.
     """
-    found: list[tuple[tuple[Parameter, ...], float]] = []
-    now = estimate
-    while now.problem.earlier is not None and len(found) < _MOST:
-        change = _most_probable(now)
-        if change is None:
-            break
-        found.append(change)
-        now = solve(
-            _let_go(now.problem, change[0][0]),
-            method="nested" if method == "auto" else method,
-            start=now.x,
-        )
-    if not found:
+    first, now = estimate.problem, estimate
+    if first.earlier is None or not set(first.names) & set(first.earlier.names):
         return estimate
-    last = now.problem.factors[now.problem.last]
+    names: tuple[Parameter, ...] = ()
+    for _ in range(_ROUNDS):
+        again = _hypotheses(first, now).found()
+        if again is None:
+            return estimate
+        found, before = again, names
+        names = tuple(first.names[k] for k in found.places)
+        if set(names) == set(before):
+            break
+        now = solve(
+            _let_go(first, names), method="nested" if method == "auto" else method, start=now.x
+        )
+    return replace(now, changes=tuple(_changes(first, now, found)))
+
+
+def _hypotheses(problem: Problem, fit: Estimate) -> Hypotheses:
+    """What may have changed, weighed about a fit.
+
+    Args:
+        problem: with the whole of what was known earlier as its prior.
+        fit: of the same unknowns.
+    """
+    assert problem.earlier is not None
+    here, scale = normal(problem, fit.at, fit.nuisance), problem.tolerance
+    columns, root = here.jacobian * scale, np.linalg.inv(here.prior * scale)
+    # Readings less what the earlier calibration foretells, and what it leaves open of them.
+    residual = here.residual + columns @ (here.x / scale - root @ here.target)
+    open_to = columns @ root
+    data, along = columns.T @ columns, columns.T @ residual
+    met = open_to.T @ residual
+    taken = np.linalg.solve(
+        np.eye(len(scale)) + open_to.T @ open_to,
+        np.column_stack([open_to.T @ columns, met]),
+    )
+    known = [name in problem.earlier.names for name in problem.names]
+    return Hypotheses(
+        data - (columns.T @ open_to) @ taken[:, :-1],
+        along - (columns.T @ open_to) @ taken[:, -1],
+        np.where(known, costs(problem.names, problem.machine.catalogue), np.inf),
+        float(residual @ residual - met @ taken[:, -1]),
+        float(len(problem.measured) - fit.nuisance.free),
+    )
+
+
+def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
+    """The problem in which some parameters may be anything."""
+    assert problem.earlier is not None
+    wide = tuple(
+        replace(u, width=max(WIDTHS)) if u.name in names else u for u in problem.unknowns
+    )
+    return replace(problem, unknowns=wide, earlier=problem.earlier.without(names))
+
+
+def _changes(first: Problem, now: Estimate, found: Found) -> Iterator[Change]:
+    """What was found, with the values of both visits."""
+    last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
-    changes = []
-    for members, evidence in found:
+    names = first.names
+    for place, evidence, size, rivals in zip(
+        found.places, found.evidence, found.sizes, found.rivals, strict=True
+    ):
+        sizes = {place: float(size), **rivals}
+        members = tuple(names[k] for k in sizes)
         summed = summed_of(members, now.problem)
         places = [now.names.index(name) for name in summed]
+        before, apart = _before(first.earlier, now, summed)
         sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
-        before, apart = _before(estimate.problem.earlier, now, summed)
-        changes.append(
-            Change(
-                members[0],
-                members,
-                "",
-                (old, last.name),
-                evidence,
-                now.problem.machine.catalogue,
-                before,
-                float(now.x[places].sum()),
-                apart,
-                sigma,
-            )
-        )
-    return replace(now, changes=tuple(changes))
-
-
-def _let_go(problem: Problem, name: Parameter) -> Problem:
-    """The problem in which a parameter may be anything."""
-    assert problem.earlier is not None
-    wide = tuple(replace(u, width=max(_SIZES)) if u.name == name else u for u in problem.unknowns)
-    return replace(problem, unknowns=wide, earlier=problem.earlier.without([name]))
+        yield Change(
+            members[0], members, "", (old, last.name), float(evidence), catalogue,
+            before, float(now.x[places].sum()), apart, sigma,
+            tuple(v * first.tolerance[k] for k, v in sizes.items()),
+        )  # fmt: skip
 
 
 def _before(
@@ -117,52 +145,3 @@ def _before(
     alone = np.where(weights == 1.0, 1.0, 0.0)
     apart = alone @ now.covariance @ alone + known.covariance[np.ix_(at, at)].sum()
     return float(known.mean[at].sum()), float(np.sqrt(min(given, apart)))
-
-
-def _most_probable(
-    estimate: Estimate,
-) -> tuple[tuple[Parameter, ...], float] | None:
-    """The change that the readings speak for most, with those like it, and its evidence."""
-    problem = estimate.problem
-    assert problem.earlier is not None
-    here = normal(problem, estimate.at, estimate.nuisance)
-    scale = problem.tolerance
-    noise = estimate.sigma_scale**2
-    data = here.jacobian.T @ here.jacobian / noise * scale * scale[:, None]
-    root = np.linalg.inv(here.prior * scale)
-    spread: Array = root @ root.T
-    mean = np.linalg.solve(here.prior * scale, here.target)
-    along = here.jacobian.T @ here.residual / noise * scale + data @ (here.x / scale - mean)
-    known = [k for k, n in enumerate(problem.names) if n in problem.earlier.names]
-    plain = _evidence(data, spread, along)
-    if not known:
-        return None
-    gains = [
-        max(_evidence(data, _wider(spread, k, size), along) for size in _SIZES) - plain
-        for k in known
-    ]
-    best = int(np.argmax(gains))
-    evidence = gains[best] - np.log(len(_SIZES) * len(problem.names)) - _ODDS
-    if evidence <= 0:
-        return None
-    name = problem.names[known[best]]
-    near = [problem.names[k] for k, g in zip(known, gains, strict=True) if gains[best] - g < _ALIKE]
-    like = [n for n in near if (n.leg, n.direction) == (name.leg, name.direction)]
-    # A zero is entered in a minute, and nothing else of the machine changes as often.
-    zero = [problem.machine.catalogue.effect_of(n).controller == "zero" for n in like]
-    order = sorted(range(len(like)), key=lambda k: (not zero[k], like[k] != name))
-    return tuple(like[k] for k in order), float(evidence)
-
-
-def _wider(spread: Array, k: int, size: float) -> Array:
-    changed = spread.copy()
-    changed[k, k] += size**2
-    return changed
-
-
-def _evidence(data: Array, spread: Array, along: Array) -> float:
-    """Log marginal likelihood of data of information ``data`` and gradient ``along``."""
-    inner = np.eye(len(data)) + data @ spread
-    # (data + spread^-1)^-1 along = spread (1 + data spread)^-1 along
-    mean = spread @ np.linalg.solve(inner, along)
-    return float(along @ mean - np.linalg.slogdet(inner)[1]) / 2

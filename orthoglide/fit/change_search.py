@@ -1,0 +1,180 @@
+"""Which parameters changed, all at once: a search over sets of them.
+
+A change is a column in the readings after it, with a normal prior of one of a few widths, in
+tolerances; everything else that the readings leave open has been marginalised before. With a set
+and its widths all is Gaussian but for the size of the noise, which what is left tells: Student's
+form. Where several parameters changed, the best single one is often none of them, so each member
+of a set may be exchanged as long as the set's weight grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.geometry import Array
+from orthoglide.parameters import Parameter
+
+State = tuple[tuple[int, float], ...]
+"""What changed: places of hypotheses, each with its width."""
+
+WIDTHS = (1.0, 3.0, 10.0)
+"""Tolerances by which something changes, each less likely by as much as it is wider."""
+
+# One parameter in twenty changes between two visits: the log odds that a change must overcome,
+# and again the logarithm of the number of parameters that could have.
+_ODDS = 3.0
+_MOST = 12
+_CLASS_WIDTH = 4.0  # rise of chi2 within which two changes cannot be told apart (Wilks)
+
+_LIKELY = -np.log(np.array(WIDTHS) * np.sum(1 / np.array(WIDTHS)))
+
+
+def costs(names: Sequence[Parameter], catalogue: Catalogue) -> Array:
+    """Log odds against a change of each of some parameters ``(c,)``, before the readings."""
+    # A zero is entered in a minute, and nothing else of the machine changes as often.
+    zero = [catalogue.effect_of(name).controller == "zero" for name in names]
+    return _ODDS + np.where(zero, 0.0, np.log(max(len(names), 1)))
+
+
+@dataclass(frozen=True)
+class Found:
+    """What changed, most decisive first.
+
+    Attributes:
+        places: of the hypotheses.
+        evidence: log Bayes factor of each against the set without it ``(k,)``.
+        sizes: of each, in units of its column ``(k,)``.
+        rivals: for each, hypotheses that could stand in its place, with their sizes.
+        weight: log odds of the set against no change at all.
+    """
+
+    places: tuple[int, ...]
+    evidence: Array
+    sizes: Array
+    rivals: tuple[dict[int, float], ...]
+    weight: float
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Columns of what may have changed, past everything else that is open.
+
+    Attributes:
+        inner: their products, each at its tolerance ``(c, c)``.
+        met: of these and the residual ``(c,)``.
+        cost: log odds against each ``(c,)``.
+        chi2: square of the residual.
+        dof: what noise alone makes of it.
+        floor: least chi2 a degree of freedom.
+    """
+
+    inner: Array
+    met: Array
+    cost: Array
+    chi2: float
+    dof: float
+    floor: float = 1.0
+
+    def found(self) -> Found | None:
+        """The set of changes that the readings speak for most; ``None`` where for none."""
+        state, weight = self._best()
+        if not state:
+            return None
+        alone = np.array([weight - self._weight(_less(state, k)) for k in range(len(state))])
+        order = np.argsort(-alone, kind="stable")
+        state = tuple(state[k] for k in order)
+        return Found(
+            tuple(place for place, _ in state),
+            alone[order],
+            self._sizes(state),
+            tuple(self._rivals(state, k) for k in range(len(state))),
+            weight,
+        )
+
+    def _best(self) -> tuple[State, float]:
+        state: State = ()
+        weight = 0.0
+        while True:
+            tried = [(self._weight(s), s) for s in self._near(state)]
+            best, better = max(tried, default=(weight, state))
+            if best <= weight + 1e-6:
+                return state, weight
+            state, weight = better, best
+
+    def _near(self, state: State) -> Iterator[State]:
+        """One more, one less, one or two in place of one."""
+        yield from self._more(state)
+        for k in range(len(state)):
+            rest = _less(state, k)
+            yield rest
+            for one in self._more(rest):
+                yield one
+                yield from self._more(one)
+
+    def _more(self, state: State) -> list[State]:
+        """The best state with one more change."""
+        if len(state) >= _MOST:
+            return []
+        weights = self._weights(state)
+        place, width = np.unravel_index(int(np.argmax(weights)), weights.shape)
+        return [tuple(sorted((*state, (int(place), WIDTHS[width]))))]
+
+    def _weights(self, state: State) -> Array:
+        """Log weights ``(c, widths)`` of a state with one more."""
+        gain, occam, left, met = self._past(state)
+        square = np.square(WIDTHS)
+        spread = 1 + square * left[:, None]
+        found = self._evidence(self.chi2 - gain - square * met[:, None] ** 2 / spread)
+        found += _LIKELY - self.cost[:, None] - (occam + np.log(spread)) / 2 - self._paid(state)
+        found[[place for place, _ in state]] = -np.inf
+        return found
+
+    def _past(self, state: State) -> tuple[float, float, Array, Array]:
+        """Past a state's changes: what they explain, the logarithm of their determinant, and of
+        every other column its square and what it has of the residual.
+        """
+        at, width = [place for place, _ in state], np.array([width for _, width in state])
+        block = np.eye(len(at)) + width[:, None] * self.inner[np.ix_(at, at)] * width
+        root = np.linalg.cholesky(block)
+        across = np.linalg.solve(root, width[:, None] * self.inner[at])
+        along = np.linalg.solve(root, width * self.met[at])
+        left = np.maximum(np.diag(self.inner) - np.sum(across**2, axis=0), 0.0)
+        occam = 2 * float(np.log(np.diag(root)).sum())
+        return float(along @ along), occam, left, self.met - across.T @ along
+
+    def _weight(self, state: State) -> float:
+        gain, occam, _, _ = self._past(state)
+        return float(self._evidence(np.array(self.chi2 - gain)) - occam / 2 - self._paid(state))
+
+    def _paid(self, state: State) -> float:
+        return sum(float(self.cost[k] - _LIKELY[WIDTHS.index(w)]) for k, w in state)
+
+    def _evidence(self, left: Array) -> Array:
+        least = self.dof * self.floor
+        return np.asarray(
+            self.dof / 2 * np.log(max(self.chi2, least) / np.maximum(left, least))
+        )
+
+    def _sizes(self, state: State) -> Array:
+        at, width = [place for place, _ in state], np.array([width for _, width in state])
+        return np.linalg.solve(self.inner[np.ix_(at, at)] + np.diag(width**-2.0), self.met[at])
+
+    def _rivals(self, state: State, k: int) -> dict[int, float]:
+        """What could have changed in place of one, with its size, the likest first."""
+        rest = _less(state, k)
+        gain, _, left, met = self._past(rest)
+        square = max(WIDTHS) ** 2
+        chi2 = self.chi2 - gain - square * met**2 / (1 + square * left)
+        scale = max(self.floor, float(chi2[state[k][0]]) / self.dof)
+        near = chi2 <= chi2[state[k][0]] + _CLASS_WIDTH * scale
+        near[[place for place, _ in state]] = False
+        sizes = square * met / (1 + square * left)
+        return {int(j): float(sizes[j]) for j in np.flatnonzero(near)[np.argsort(chi2[near])]}
+
+
+def _less(state: State, k: int) -> State:
+    return state[:k] + state[k + 1 :]
