@@ -51,8 +51,10 @@ def drawn(count: int, rng: np.random.Generator) -> tuple[Errors, Errors]:
         errors[name] = machine().tolerance(name) * float(rng.uniform(3, 6) * rng.choice([-1, 1]))
     others = [n for n in names if n not in strong]
     zeros, bars = ([f"{e}.{leg}" for leg in "xyz"] for e in ("joint_offset", "leg_length"))
-    likely = {n: 4.0 for n in zeros} | {n: 4.0 for n in strong if abs(errors[n]) > 1.5 * machine().tolerance(n)}
-    likely |= {n: 0.3 for n in bars} | {n: 3.0 / len(others) for n in others}
+    likely = dict.fromkeys(zeros, 4.0) | {
+        n: 4.0 for n in strong if abs(errors[n]) > 1.5 * machine().tolerance(n)
+    }
+    likely |= dict.fromkeys(bars, 0.3) | {n: 3.0 / len(others) for n in others}
     weights = np.array(list(likely.values()))
     chosen = rng.choice(list(likely), count, replace=False, p=weights / weights.sum())
     changed = {}
@@ -112,8 +114,9 @@ def told(changes: Iterable[Change], truth: Errors) -> list[Record]:
 
 def table(found: Sequence[Record]) -> Iterator[str]:
     """The table, in Markdown."""
-    yield "| changed, and by which route | n | all told and nothing else | told | first of its set " + (
-        "| false | 95 % interval holds |"
+    yield (
+        "| changed, and by which route | n | all told and nothing else | told | first of its set "
+        + ("| false | 95 % interval holds |")
     )
     yield "|---" * 7 + "|"
     for route in ROUTES:
@@ -126,9 +129,7 @@ def table(found: Sequence[Record]) -> Iterator[str]:
 def _row(rows: Sequence[Record], route: str) -> str:
     said = [t for r in rows for t in r[route]]
     held = [
-        (name, any(name in t["right"] for t in r[route]))
-        for r in rows
-        for name in r["changed"]
+        (name, any(name in t["right"] for t in r[route])) for r in rows for name in r["changed"]
     ]
     whole = [
         all(t["right"] for t in r[route])

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.changes import Change, separated, visits
+from orthoglide.diagnosis.changes import Change, Changes, separated, visits
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
@@ -114,10 +114,11 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
         item = fit_fault(means, setups, found)
         if item is None:
             break
-        if isinstance(item, Change):
-            changes.append(item)
+        if isinstance(item, Changes):
+            changes += item.changes
         else:
             found.append(item)
+            changes = []  # found anew: what a fault does was not theirs to explain
         stale = True
     if len(found) < most and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)

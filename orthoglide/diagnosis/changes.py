@@ -4,9 +4,8 @@ Campaigns are those of dials, in their order; without dials the files of the too
 the same setups as the others.
 
 The hypothesis "this parameter changed" is a column of its own in the readings: what the parameter
-does to those of the later files, with the tolerance as the prior of the difference. Where the
-parameter is not free in the fit its common value is allowed as well. Changes are weighed like
-faults of the data, on the same station means and in the same form of evidence.
+does to those of the later files. All that stays is open beside it. Sets of changes are weighed
+(`fit.change_search`) on the same station means as faults of the data.
 """
 
 from __future__ import annotations
@@ -19,14 +18,12 @@ import numpy as np
 
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Change, Problem, with_free
+from orthoglide.fit.change_search import Found, Hypotheses, costs
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
-_LARGEST = 3.0
-"""Tolerances that a repair may take back where dials do not fix its size: what an instrument at the
-tool hardly shows is no less likely for that."""
-
-_CLASS_WIDTH = 4.0  # fall of chi2 within which two changes cannot be told apart (Wilks)
+_OPEN = 3.0
+"""Tolerances of the machine's other effects: what they are, they are at all visits."""
 
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
@@ -44,105 +41,115 @@ def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
 
 
 @dataclass(frozen=True)
-class _Hypothesis:
-    """A parameter that changed, and how well that explains a residual.
+class Changes:
+    """What changed, all at once.
 
     Attributes:
-        parameter: with the campaign from which it has another value.
-        gain: fall of chi2, the prior counted.
-        prior: part of the new chi2 that is the prior's.
-        occam: log det(S^T S + 1), S its columns at their tolerances.
-        size: by how much it changed, in what its columns stand for.
+        changes: without values, the most decisive first.
+        columns: readings ``(n, k)`` by each, as wide as is likely of it.
+        price: what their number and their priors take from their evidence.
     """
 
-    parameter: Parameter
-    gain: float
-    prior: float
-    occam: float
-    size: float
+    changes: tuple[Change, ...]
+    columns: Array
+    price: float
 
-    @classmethod
-    def of(cls, parameter: Parameter, columns: Array, residual: Array) -> _Hypothesis:
-        """Weigh columns at their tolerances ``(g, k)`` against a residual ``(g,)``."""
-        left, singular, right = np.linalg.svd(columns, full_matrices=False)
-        square, shown = singular**2, left.T @ residual
-        along = shown**2 * square / (1 + square)
-        prior, occam = np.sum(along / (1 + square)), np.sum(np.log1p(square))
-        size = right[:, -1] @ (shown * singular / (1 + square))
-        return cls(parameter, float(np.sum(along)), float(prior), float(occam), float(size))
+    def evidence(self, means: StationMeans) -> float:
+        """For all of them together, in the form of faults of the data."""
+        left = means.allowing(means.shown(self.columns)).chi2
+        return float(means.evidence(np.array(left))) - self.price
 
 
-def likeliest_change(means: StationMeans) -> Change | None:
-    """The change that explains a residual best, whatever its evidence.
+def likeliest_changes(means: StationMeans) -> Changes | None:
+    """The changes that explain a residual best; ``None`` where nothing speaks for any.
 
     Args:
-        means: of what a fit leaves.
-
-    Returns:
-        The change without values, or ``None`` where there is one campaign only.
+        means: of what a fit leaves, and all that may stand beside the changes.
     """
     problem, several = means.problem, visits(means.problem)
     if len(several) < 2:
         return None
-    tried = list(_hypotheses(means, several))
-    gain, prior, occam = np.array([(h.gain, h.prior, h.occam) for h in tried]).T
-    left = means.chi2 - gain
-    evidence = means.evidence(left) - occam / 2 - np.log(len(tried))
-    # Which one is it, once something changed: what is left makes the readings worse witnesses, not
-    # the tolerances wider.
-    scale = max(means.floor, float(left[np.argmax(evidence)]) / means.dof)
-    best = int(np.argmin(np.round((left - prior) / scale + prior + occam, 2)))
-    name, since = tried[best].parameter.plain, tried[best].parameter.campaign
-    near = [
-        k
-        for k in np.flatnonzero(left <= left[best] + _CLASS_WIDTH * scale)
-        if tried[k].parameter.campaign == since
-    ]
-    sizes = {name: float("nan")}
-    for k in near:
-        plain = tried[k].parameter.plain
-        sizes[plain] = tried[k].size * _scale(problem) * problem.machine.tolerance(plain)
-    members = tuple(sizes)
-    first = [stem for stem, _, _ in several].index(since)
-    before, after = (file for _, file, _ in several[first - 1 : first + 1])
-    return Change(
-        name, members, since, (before, after), float(evidence[near].max()),
-        problem.machine.catalogue,
-        sizes=tuple(sizes.values()),
-    )  # fmt: skip
+    names, readings = _columns(means, several)
+    columns = means.shown(readings)
+    found = Hypotheses(
+        columns.T @ columns,
+        columns.T @ means.residual,
+        costs(names, problem.machine.catalogue),
+        means.chi2,
+        means.dof,
+        means.floor,
+    ).found()
+    if found is None:
+        return None
+    wide = readings[:, list(found.places)] * found.widths
+    return Changes(tuple(_told(problem, several, names, found)), wide, found.price)
 
 
-def _hypotheses(
+def _told(
+    problem: Problem,
+    several: Sequence[tuple[str, str, int]],
+    names: Sequence[Parameter],
+    found: Found,
+) -> Iterator[Change]:
+    stems, files = [stem for stem, _, _ in several], [file for _, file, _ in several]
+    for place, evidence, size, rivals in zip(
+        found.places, found.evidence, found.sizes, found.rivals, strict=True
+    ):
+        since = names[place].campaign
+        sizes = {
+            names[k].plain: v * problem.machine.tolerance(names[k].plain)
+            for k, v in {place: float(size), **rivals}.items()
+            if names[k].campaign == since
+        }
+        first = stems.index(since)
+        yield Change(
+            names[place].plain, tuple(sizes), since, (files[first - 1], files[first]),
+            float(evidence), problem.machine.catalogue, sizes=tuple(sizes.values()),
+        )  # fmt: skip
+
+
+def everything_open(means: StationMeans) -> StationMeans:
+    """Means with every effect of the catalogue in the model, as wide as is likely at all."""
+    known, catalogue = means.signatures, means.problem.machine.catalogue
+    columns: dict[str, Array] = {}
+    for name, column in zip(known.names, (known.columns * known.tolerance).T, strict=True):
+        parameter = catalogue.parameter(name)
+        effect = catalogue.effect_of(parameter)
+        # A plate keeps its shape, whichever campaign it was probed in.
+        key = parameter.plain if effect.plate else name
+        alone = effect.of_dial and not effect.plate
+        columns[key] = columns.get(key, 0.0) + column * (1.0 if alone else _OPEN)
+    wide = means.allowing(np.stack([*columns.values()], axis=1)) if columns else means
+    return replace(wide, dof=means.dof)  # of noise and all that is open together
+
+
+def _columns(
     means: StationMeans, several: Sequence[tuple[str, str, int]]
-) -> Iterator[_Hypothesis]:
-    """Every parameter of the machine, and without dials of plates and patterns of equal legs too,
-    from every campaign but the first on.
+) -> tuple[list[Parameter], Array]:
+    """What may have changed, and readings ``(n, c)`` by a tolerance of it: every parameter of the
+    machine, and without dials of plates and patterns of equal legs too, from every campaign but the
+    first on.
     """
     slopes = _slopes(means)
-    fitted, dials = {name.plain for name in means.problem.names}, means.problem.campaigns
+    names, columns = [], []
     for (plain, slope), (stem, _, start) in product(slopes.items(), several[1:]):
-        # A value that stays would draw what causes do beside the change, where all draw alike.
-        common = [] if plain in fitted or not dials else [slope]
-        later = np.where(np.arange(len(slope)) >= start, slope, 0.0)
         if plain.setup or plain.at(stem) not in means.signatures.slopes:
-            columns = means.shown(np.stack([*common, later], axis=1))
-            yield _Hypothesis.of(plain.at(stem), columns, means.residual)
-
-
-def _scale(problem: Problem) -> float:
-    return 1.0 if problem.campaigns else _LARGEST
+            names.append(plain.at(stem))
+            columns.append(np.where(np.arange(len(slope)) >= start, slope, 0.0))
+    return names, np.stack(columns, axis=1) if columns else np.zeros(
+        (len(means.problem.measured), 0)
+    )
 
 
 def _slopes(means: StationMeans) -> dict[Parameter, Array]:
     """Readings ``(n,)`` by what may have changed, at its tolerance, or what a repair takes."""
     problem, catalogue = means.problem, means.problem.machine.catalogue
-    largest = _scale(problem)
     found: dict[Parameter, Array] = {}
     for name, slope in means.signatures.slopes.items():
         plain = catalogue.parameter(name).plain
         effect = catalogue.effect_of(plain)
         if not effect.of_dial or (effect.plate and not plain.member):
-            one = slope * problem.machine.tolerance(plain) * largest
+            one = slope * problem.machine.tolerance(plain)
             found[plain] = found[plain] + one if plain in found else one
     if not problem.campaigns:
         for name in dict.fromkeys(plain.effect for plain in found if not plain.setup):

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.changes import Change, likeliest_change
+from orthoglide.diagnosis.changes import Changes, everything_open, likeliest_changes
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, untouched
 from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
 from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
@@ -20,11 +20,7 @@ from orthoglide.diagnosis.station_means import StationMeans
 MARGIN = 5.0
 """Log Bayes factor by which a fault must beat the best effect of the catalogue."""
 
-CHANGE_MARGIN = 3.0
-"""The same for a change between campaigns: there are about as many changes as effects."""
-
-_EFFECTS, _EFFECTS_BESIDE_A_CHANGE = 2, 5  # of the catalogue that may be in the model
-_WORTH = 2.0  # evidence of an effect that is taken into the model beside a change
+_EFFECTS = 2  # of the catalogue that may be in the model
 _LACK = 1.5  # chi2 a degree of freedom below which nothing is worth looking for
 _HALVED = 0.6  # share of the rms of its own setups that a fault may leave
 _APART = 3.0  # log Bayes factor between the best fault and the next one of other setups
@@ -38,39 +34,37 @@ _SPOILT = 3.0  # resolutions that it must reach
 
 def fit_fault(
     means: StationMeans, setups: Sequence[Scatter], known: Sequence[Fault]
-) -> Fault | Change | None:
-    """The fault or change that explains most of what a fit leaves, if it does better than effects.
+) -> Fault | Changes | None:
+    """The fault or changes that explain most of what a fit leaves, if they do better than effects.
 
     Args:
         means: at the fit of the readings without the known faults.
         setups: scatter of all of them.
         known: faults found before; their setups take no part.
     """
+    # Touches and distances show a change in few directions: it may hide in the chi2 of all.
+    if means.problem.campaigns and not _lacking(means):
+        return None
+    changes = likeliest_changes(everything_open(means))
+    if not means.problem.campaigns:
+        return changes
     free = untouched(means.problem, known)
-    hypotheses: list[Misreading] | None = None
-    faulty, dials = True, bool(means.problem.campaigns)
-    for effects in range(_EFFECTS_BESIDE_A_CHANGE + 1):
-        lacking = means.chi2 >= _LACK * means.dof * means.floor
-        # Touches and distances show a change in few directions: it may hide in the chi2 of all.
-        if dials and not lacking:
-            return None
-        best, faulty = None, faulty and lacking
-        if faulty:
-            hypotheses = misreadings(means, free) if hypotheses is None else hypotheses
-            best = _likeliest(_misread(means, hypotheses, setups) + _single(means, free))
-        change = likeliest_change(means)
+    hypotheses = misreadings(means, free)
+    for _ in range(_EFFECTS + 1):
+        best = _likeliest(_misread(means, hypotheses, setups) + _single(means, free))
         rival, place = means.best_effect
-        if change is not None and change.evidence >= max(
-            EVIDENCE, rival + CHANGE_MARGIN, best.evidence if best else -np.inf
-        ):
-            return change
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
-            return best
-        faulty = faulty and rival >= EVIDENCE and effects < _EFFECTS
-        if rival < _WORTH or not (faulty or change):
-            return None
+            return changes if changes and changes.evidence(means) > best.evidence else best
+        if rival < EVIDENCE:
+            break
         means = means.beside(place)
-    return None
+        if not _lacking(means):
+            break
+    return changes
+
+
+def _lacking(means: StationMeans) -> bool:
+    return means.chi2 >= _LACK * means.dof * means.floor
 
 
 def _likeliest(faults: list[Fault]) -> Fault | None:

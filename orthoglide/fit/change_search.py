@@ -2,9 +2,9 @@
 
 A change is a column in the readings after it, with a normal prior of one of a few widths, in
 tolerances; everything else that the readings leave open has been marginalised before. With a set
-and its widths all is Gaussian but for the size of the noise, which what is left tells: Student's
-form. Where several parameters changed, the best single one is often none of them, so each member
-of a set may be exchanged as long as the set's weight grows.
+and its widths all is Gaussian but for the size of the noise. Where several parameters changed, the
+best single one is often none of them, so each member of a set may be exchanged as long as the
+set's weight grows.
 """
 
 from __future__ import annotations
@@ -49,14 +49,16 @@ class Found:
         evidence: log Bayes factor of each against the set without it ``(k,)``.
         sizes: of each, in units of its column ``(k,)``.
         rivals: for each, hypotheses that could stand in its place, with their sizes.
-        weight: log odds of the set against no change at all.
+        widths: of their priors, in tolerances.
+        price: what their number and their priors take from what the fall of chi2 is worth.
     """
 
     places: tuple[int, ...]
     evidence: Array
     sizes: Array
     rivals: tuple[dict[int, float], ...]
-    weight: float
+    widths: tuple[float, ...]
+    price: float
 
 
 @dataclass(frozen=True)
@@ -87,12 +89,14 @@ class Hypotheses:
         alone = np.array([weight - self._weight(_less(state, k)) for k in range(len(state))])
         order = np.argsort(-alone, kind="stable")
         state = tuple(state[k] for k in order)
+        left = self.chi2 - self._past(state)[0]
         return Found(
             tuple(place for place, _ in state),
             alone[order],
             self._sizes(state),
             tuple(self._rivals(state, k) for k in range(len(state))),
-            weight,
+            tuple(width for _, width in state),
+            float(self._evidence(np.array(left))) - weight,
         )
 
     def _best(self) -> tuple[State, float]:
@@ -154,14 +158,18 @@ class Hypotheses:
         return sum(float(self.cost[k] - _LIKELY[WIDTHS.index(w)]) for k, w in state)
 
     def _evidence(self, left: Array) -> Array:
-        least = self.dof * self.floor
-        return np.asarray(
-            self.dof / 2 * np.log(max(self.chi2, least) / np.maximum(left, least))
-        )
+        """Log likelihood against no change where chi2 falls to ``left``.
+
+        The noise is what is left says it is, but no less than is known of it.
+        """
+        each = np.append(np.asarray(left), self.chi2) / (self.dof * self.floor)
+        shown = self.dof / 2 * np.where(each > 1, 1 + np.log(np.maximum(each, 1)), each)
+        return np.asarray(shown[-1] - shown[:-1].reshape(np.shape(left)))
 
     def _sizes(self, state: State) -> Array:
         at, width = [place for place, _ in state], np.array([width for _, width in state])
-        return np.linalg.solve(self.inner[np.ix_(at, at)] + np.diag(width**-2.0), self.met[at])
+        among = self.inner[np.ix_(at, at)] + np.diag(width**-2.0)
+        return np.asarray(np.linalg.solve(among, self.met[at]))
 
     def _rivals(self, state: State, k: int) -> dict[int, float]:
         """What could have changed in place of one, with its size, the likest first."""

@@ -92,9 +92,7 @@ def _hypotheses(problem: Problem, fit: Estimate) -> Hypotheses:
 def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
     """The problem in which some parameters may be anything."""
     assert problem.earlier is not None
-    wide = tuple(
-        replace(u, width=max(WIDTHS)) if u.name in names else u for u in problem.unknowns
-    )
+    wide = tuple(replace(u, width=max(WIDTHS)) if u.name in names else u for u in problem.unknowns)
     return replace(problem, unknowns=wide, earlier=problem.earlier.without(names))
 
 
