@@ -3,9 +3,8 @@
 Campaigns are those of dials, in their order; without dials the files of the tool, where each reads
 the same setups as the others.
 
-The hypothesis "this parameter changed" is a column of its own in the readings: what the parameter
-does to those of the later files. All that stays is open beside it. Sets of changes are weighed
-(`fit.change_search`) on the same station means as faults of the data.
+All that stays is open beside what may have changed (`fit.changed`). The set of changes found is
+weighed against faults of the data on the same station means.
 """
 
 from __future__ import annotations
@@ -17,8 +16,13 @@ from itertools import product
 import numpy as np
 
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.fit import Change, Problem, with_free
-from orthoglide.fit.change_search import Found, Hypotheses, costs
+from orthoglide.errors import NumericsError
+from orthoglide.fit import Change, Problem, with_free, with_others
+from orthoglide.fit.change_search import Found
+from orthoglide.fit.changed import Candidate, columns_of, what_changed
+from orthoglide.fit.excited import excited_effects
+from orthoglide.fit.least_squares import linearise
+from orthoglide.fit.problem import Unknown
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
@@ -64,100 +68,83 @@ def likeliest_changes(means: StationMeans) -> Changes | None:
     """The changes that explain a residual best; ``None`` where nothing speaks for any.
 
     Args:
-        means: of what a fit leaves, and all that may stand beside the changes.
+        means: of what a fit leaves.
     """
     problem, several = means.problem, visits(means.problem)
     if len(several) < 2:
         return None
-    names, readings = _columns(means, several)
-    columns = means.shown(readings)
-    found = Hypotheses(
-        columns.T @ columns,
-        columns.T @ means.residual,
-        costs(names, problem.machine.catalogue),
-        means.chi2,
-        means.dof,
-        means.floor,
-    ).found()
+    wide = _everything(problem)
+    candidates = list(_candidates(wide, several))
+    start = np.zeros(len(wide.unknowns))
+    start[: len(problem.unknowns)] = means.signatures.estimate.x
+    try:
+        found = what_changed(wide, start, candidates, means.floor)
+    except NumericsError:
+        return None
     if found is None:
         return None
-    wide = readings[:, list(found.places)] * found.widths
-    return Changes(tuple(_told(problem, several, names, found)), wide, found.price)
+    chosen = [candidates[k] for k in found.places]
+    readings = columns_of(wide, linearise(wide, start).jacobian, chosen) * found.widths
+    return Changes(tuple(_told(problem, several, candidates, found)), readings, found.price)
 
 
 def _told(
     problem: Problem,
     several: Sequence[tuple[str, str, int]],
-    names: Sequence[Parameter],
+    candidates: Sequence[Candidate],
     found: Found,
 ) -> Iterator[Change]:
     stems, files = [stem for stem, _, _ in several], [file for _, file, _ in several]
-    for place, evidence, size, rivals in zip(
-        found.places, found.evidence, found.sizes, found.rivals, strict=True
-    ):
-        since = names[place].campaign
+    for place, evidence, instead in zip(found.places, found.evidence, found.instead, strict=True):
+        since = candidates[place].parameter.campaign
         sizes = {
-            names[k].plain: v * problem.machine.tolerance(names[k].plain)
-            for k, v in {place: float(size), **rivals}.items()
-            if names[k].campaign == since
+            candidates[k].parameter.plain: size * candidates[k].tolerance
+            for k, size in instead.items()
+            if candidates[k].parameter.campaign == since
         }
         first = stems.index(since)
         yield Change(
-            names[place].plain, tuple(sizes), since, (files[first - 1], files[first]),
-            float(evidence), problem.machine.catalogue, sizes=tuple(sizes.values()),
+            candidates[place].parameter.plain, tuple(sizes), since,
+            (files[first - 1], files[first]), float(evidence), problem.machine.catalogue,
+            sizes=tuple(sizes.values()),
         )  # fmt: skip
 
 
-def everything_open(means: StationMeans) -> StationMeans:
-    """Means with every effect of the catalogue in the model, as wide as is likely at all."""
-    known, catalogue = means.signatures, means.problem.machine.catalogue
-    columns: dict[str, Array] = {}
-    for name, column in zip(known.names, (known.columns * known.tolerance).T, strict=True):
-        parameter = catalogue.parameter(name)
-        effect = catalogue.effect_of(parameter)
-        # A plate keeps its shape, whichever campaign it was probed in.
-        key = parameter.plain if effect.plate else name
-        alone = effect.of_dial and not effect.plate
-        columns[key] = columns.get(key, 0.0) + column * (1.0 if alone else _OPEN)
-    wide = means.allowing(np.stack([*columns.values()], axis=1)) if columns else means
-    return replace(wide, dof=means.dof)  # of noise and all that is open together
-
-
-def _columns(
-    means: StationMeans, several: Sequence[tuple[str, str, int]]
-) -> tuple[list[Parameter], Array]:
-    """What may have changed, and readings ``(n, c)`` by a tolerance of it: every parameter of the
-    machine, and without dials of plates and patterns of equal legs too, from every campaign but the
-    first on.
+def _everything(problem: Problem) -> Problem:
+    """Every effect of the catalogue free, those of the machine as wide as is likely at all: what
+    they are, they are at all visits.
     """
-    slopes = _slopes(means)
-    names, columns = [], []
-    for (plain, slope), (stem, _, start) in product(slopes.items(), several[1:]):
-        if plain.setup or plain.at(stem) not in means.signatures.slopes:
-            names.append(plain.at(stem))
-            columns.append(np.where(np.arange(len(slope)) >= start, slope, 0.0))
-    return names, np.stack(columns, axis=1) if columns else np.zeros(
-        (len(means.problem.measured), 0)
-    )
+    effects = [effect.name for effect in excited_effects(problem)]
+    joined: dict[Parameter, Unknown] = {}
+    for unknown in with_others(problem, effects).unknowns:
+        effect = problem.machine.catalogue.effect_of(unknown.name)
+        # A plate keeps its shape, whichever campaign it was probed in.
+        name = unknown.name.plain if effect.plate else unknown.name
+        one = joined.setdefault(name, replace(unknown, name=name))
+        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
+        width = 1.0 if effect.of_dial and not effect.plate else _OPEN
+        joined[name] = replace(one, parts=parts, width=width)
+    return replace(problem, unknowns=tuple(joined.values()))
 
 
-def _slopes(means: StationMeans) -> dict[Parameter, Array]:
-    """Readings ``(n,)`` by what may have changed, at its tolerance, or what a repair takes."""
-    problem, catalogue = means.problem, means.problem.machine.catalogue
-    found: dict[Parameter, Array] = {}
-    for name, slope in means.signatures.slopes.items():
-        plain = catalogue.parameter(name).plain
-        effect = catalogue.effect_of(plain)
-        if not effect.of_dial or (effect.plate and not plain.member):
-            one = slope * problem.machine.tolerance(plain)
-            found[plain] = found[plain] + one if plain in found else one
-    if not problem.campaigns:
-        for name in dict.fromkeys(plain.effect for plain in found if not plain.setup):
-            for member, weights in catalogue.structured(name).items():
-                if set(weights) <= set(found):
-                    parts = [w * found[part] for part, w in weights.items()]
-                    found[member] = np.sum(parts, axis=0)
-    return found
+def _candidates(wide: Problem, several: Sequence[tuple[str, str, int]]) -> Iterator[Candidate]:
+    """Every parameter of the machine, and without dials of plates and patterns of equal legs too,
+    from every campaign but the first on.
+    """
+    machine, catalogue = wide.machine, wide.machine.catalogue
+    weights: dict[Parameter, dict[Parameter, float]] = {}
+    own = {u.name.plain for u in wide.unknowns if u.name.campaign}
+    for name in wide.names:
+        effect = catalogue.effect_of(name)
+        if name.plain not in own and (not effect.of_dial or (effect.plate and not name.member)):
+            weights[name] = {name: machine.tolerance(name)}
+    if not wide.campaigns:
+        for kind in dict.fromkeys(name.effect for name in weights if not name.setup):
+            for member, parts in catalogue.structured(kind).items():
+                if set(parts) <= set(weights):
+                    weights[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
+    for (name, shares), (stem, _, start) in product(weights.items(), several[1:]):
+        yield Candidate(name.at(stem), start, shares, machine.tolerance(name))
 
 
 def separated(problem: Problem, changes: Sequence[Change]) -> Problem:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.changes import Changes, everything_open, likeliest_changes
+from orthoglide.diagnosis.changes import Changes, likeliest_changes
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, untouched
 from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
 from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
@@ -45,7 +45,7 @@ def fit_fault(
     # Touches and distances show a change in few directions: it may hide in the chi2 of all.
     if means.problem.campaigns and not _lacking(means):
         return None
-    changes = likeliest_changes(everything_open(means))
+    changes = likeliest_changes(means)
     if not means.problem.campaigns:
         return changes
     free = untouched(means.problem, known)

@@ -9,14 +9,12 @@ set's weight grows.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
 from orthoglide.geometry import Array
-from orthoglide.parameters import Parameter
 
 State = tuple[tuple[int, float], ...]
 """What changed: places of hypotheses, each with its width."""
@@ -24,20 +22,10 @@ State = tuple[tuple[int, float], ...]
 WIDTHS = (1.0, 3.0, 10.0)
 """Tolerances by which something changes, each less likely by as much as it is wider."""
 
-# One parameter in twenty changes between two visits: the log odds that a change must overcome,
-# and again the logarithm of the number of parameters that could have.
-_ODDS = 3.0
 _MOST = 12
 _CLASS_WIDTH = 4.0  # rise of chi2 within which two changes cannot be told apart (Wilks)
 
 _LIKELY = -np.log(np.array(WIDTHS) * np.sum(1 / np.array(WIDTHS)))
-
-
-def costs(names: Sequence[Parameter], catalogue: Catalogue) -> Array:
-    """Log odds against a change of each of some parameters ``(c,)``, before the readings."""
-    # A zero is entered in a minute, and nothing else of the machine changes as often.
-    zero = [catalogue.effect_of(name).controller == "zero" for name in names]
-    return _ODDS + np.where(zero, 0.0, np.log(max(len(names), 1)))
 
 
 @dataclass(frozen=True)
@@ -48,7 +36,7 @@ class Found:
         places: of the hypotheses.
         evidence: log Bayes factor of each against the set without it ``(k,)``.
         sizes: of each, in units of its column ``(k,)``.
-        rivals: for each, hypotheses that could stand in its place, with their sizes.
+        instead: for each, it and the hypotheses that could stand in its place, with their sizes.
         widths: of their priors, in tolerances.
         price: what their number and their priors take from what the fall of chi2 is worth.
     """
@@ -56,7 +44,7 @@ class Found:
     places: tuple[int, ...]
     evidence: Array
     sizes: Array
-    rivals: tuple[dict[int, float], ...]
+    instead: tuple[dict[int, float], ...]
     widths: tuple[float, ...]
     price: float
 
@@ -89,22 +77,24 @@ class Hypotheses:
         alone = np.array([weight - self._weight(_less(state, k)) for k in range(len(state))])
         order = np.argsort(-alone, kind="stable")
         state = tuple(state[k] for k in order)
-        left = self.chi2 - self._past(state)[0]
+        left, sizes = self.chi2 - self._past(state)[0], self._sizes(state)
         return Found(
             tuple(place for place, _ in state),
             alone[order],
-            self._sizes(state),
-            tuple(self._rivals(state, k) for k in range(len(state))),
+            sizes,
+            tuple({place: sizes[k]} | self._rivals(state, k) for k, (place, _) in enumerate(state)),
             tuple(width for _, width in state),
             float(self._evidence(np.array(left))) - weight,
         )
 
     def _best(self) -> tuple[State, float]:
-        state: State = ()
-        weight = 0.0
+        """Added one by one, each the best beside those before it; then exchanged."""
+        path: list[State] = [()]
+        while more := self._more(path[-1]):
+            path += more
+        weight, state = max((self._weight(s), s) for s in path)
         while True:
-            tried = [(self._weight(s), s) for s in self._near(state)]
-            best, better = max(tried, default=(weight, state))
+            best, better = max((self._weight(s), s) for s in self._near(state))
             if best <= weight + 1e-6:
                 return state, weight
             state, weight = better, best
@@ -120,10 +110,10 @@ class Hypotheses:
                 yield from self._more(one)
 
     def _more(self, state: State) -> list[State]:
-        """The best state with one more change."""
-        if len(state) >= _MOST:
-            return []
+        """The best state with one more change, if there may be one."""
         weights = self._weights(state)
+        if len(state) >= _MOST or not np.isfinite(weights).any():
+            return []
         place, width = np.unravel_index(int(np.argmax(weights)), weights.shape)
         return [tuple(sorted((*state, (int(place), WIDTHS[width]))))]
 

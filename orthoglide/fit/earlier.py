@@ -2,30 +2,26 @@
 
 The earlier calibration is a prior ``x ~ N(m, C)``. Of a parameter that changed since it says
 nothing any more: it was repaired, or broke, by as much as it likes. Which ones have is decided by
-the evidence of the new readings (`fit.change_search`), all at once, and again at the fit that lets
-them go.
+the evidence of the new readings, all at once (`fit.changed`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from orthoglide.fit.change import Change, summed_of
-from orthoglide.fit.change_search import WIDTHS, Found, Hypotheses, costs
+from orthoglide.fit.change_search import WIDTHS, Found
+from orthoglide.fit.changed import Candidate, what_changed
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import normal
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter
-
-_ROUNDS = 4
-"""Fits, each about the changes that the one before let go, until these stay the same."""
 
 
 def earlier_of(machine: Machine) -> Posterior | None:
@@ -42,51 +38,21 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
             is none, or nothing has changed.
         method: to solve again with.
     """
-    first, now = estimate.problem, estimate
-    if first.earlier is None or not set(first.names) & set(first.earlier.names):
+    first = estimate.problem
+    if first.earlier is None:
         return estimate
-    names: tuple[Parameter, ...] = ()
-    for _ in range(_ROUNDS):
-        again = _hypotheses(first, now).found()
-        if again is None:
-            return estimate
-        found, before = again, names
-        names = tuple(first.names[k] for k in found.places)
-        if set(names) == set(before):
-            break
-        now = solve(
-            _let_go(first, names), method="nested" if method == "auto" else method, start=now.x
-        )
-    return replace(now, changes=tuple(_changes(first, now, found)))
-
-
-def _hypotheses(problem: Problem, fit: Estimate) -> Hypotheses:
-    """What may have changed, weighed about a fit.
-
-    Args:
-        problem: with the whole of what was known earlier as its prior.
-        fit: of the same unknowns.
-    """
-    assert problem.earlier is not None
-    here, scale = normal(problem, fit.at, fit.nuisance), problem.tolerance
-    columns, root = here.jacobian * scale, np.linalg.inv(here.prior * scale)
-    # Readings less what the earlier calibration foretells, and what it leaves open of them.
-    residual = here.residual + columns @ (here.x / scale - root @ here.target)
-    open_to = columns @ root
-    data, along = columns.T @ columns, columns.T @ residual
-    met = open_to.T @ residual
-    taken = np.linalg.solve(
-        np.eye(len(scale)) + open_to.T @ open_to,
-        np.column_stack([open_to.T @ columns, met]),
-    )
-    known = [name in problem.earlier.names for name in problem.names]
-    return Hypotheses(
-        data - (columns.T @ open_to) @ taken[:, :-1],
-        along - (columns.T @ open_to) @ taken[:, -1],
-        np.where(known, costs(problem.names, problem.machine.catalogue), np.inf),
-        float(residual @ residual - met @ taken[:, -1]),
-        float(len(problem.measured) - fit.nuisance.free),
-    )
+    candidates = [
+        Candidate(u.name, 0, {u.name: u.tolerance}, u.tolerance)
+        for u in first.unknowns
+        if u.name in first.earlier.names
+    ]
+    found = what_changed(first, estimate.x, candidates) if candidates else None
+    if found is None:
+        return estimate
+    gone = [candidates[k].parameter for k in found.places]
+    method = "nested" if method == "auto" else method
+    now = solve(_let_go(first, gone), method=method, start=estimate.x)
+    return replace(now, changes=tuple(_changes(first, now, found, candidates)))
 
 
 def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
@@ -96,24 +62,24 @@ def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
     return replace(problem, unknowns=wide, earlier=problem.earlier.without(names))
 
 
-def _changes(first: Problem, now: Estimate, found: Found) -> Iterator[Change]:
+def _changes(
+    first: Problem, now: Estimate, found: Found, candidates: Sequence[Candidate]
+) -> Iterator[Change]:
     """What was found, with the values of both visits."""
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
-    names = first.names
-    for place, evidence, size, rivals in zip(
-        found.places, found.evidence, found.sizes, found.rivals, strict=True
-    ):
-        sizes = {place: float(size), **rivals}
-        members = tuple(names[k] for k in sizes)
+    for evidence, sizes in zip(found.evidence, found.instead, strict=True):
+        moved = {
+            candidates[k].parameter: size * candidates[k].tolerance for k, size in sizes.items()
+        }
+        members = tuple(moved)
         summed = summed_of(members, now.problem)
         places = [now.names.index(name) for name in summed]
         before, apart = _before(first.earlier, now, summed)
         sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
         yield Change(
             members[0], members, "", (old, last.name), float(evidence), catalogue,
-            before, float(now.x[places].sum()), apart, sigma,
-            tuple(v * first.tolerance[k] for k, v in sizes.items()),
+            before, float(now.x[places].sum()), apart, sigma, tuple(moved.values()),
         )  # fmt: skip
 
 

@@ -1,0 +1,179 @@
+"""What changed between two visits to a machine: columns of the readings after it.
+
+What the machine was before, and what stays, are the unknowns of a problem with its prior; a change
+adds to the readings from one row on. The set that explains them best is looked for about one point,
+and again about the machine that so changed, until it stays the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from orthoglide.effects import Catalogue
+from orthoglide.fit.change_search import Found, Hypotheses
+from orthoglide.fit.least_squares import linearise, normal, nuisances
+from orthoglide.fit.problem import Problem
+from orthoglide.geometry import Array
+from orthoglide.parameters import Parameter
+
+_ROUNDS = 5
+"""Linearisations, each of the machine that changed as the one before says."""
+
+# One parameter in twenty changes between two visits: the log odds that a change must overcome,
+# and again the logarithm of the number of parameters that could have.
+_ODDS = 3.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A parameter that may have changed.
+
+    Attributes:
+        parameter: with the campaign from which it has another value, or none.
+        since: first row after the change.
+        weights: of a tolerance of it, by unknown of the problem, SI.
+        tolerance: SI.
+    """
+
+    parameter: Parameter
+    since: int
+    weights: Mapping[Parameter, float]
+    tolerance: float
+
+
+def what_changed(
+    problem: Problem, x: Array, candidates: Sequence[Candidate], floor: float = 1.0
+) -> Found | None:
+    """The changes that the readings speak for most; ``None`` where for none.
+
+    Args:
+        problem: what was and what stays, with its prior.
+        x: about where its unknowns are ``(P,)``.
+        candidates: what may have changed.
+        floor: least chi2 a degree of freedom.
+
+    Raises:
+        NumericsError: where the machine that so changed cannot be closed.
+    """
+    before: tuple[int, ...] = ()
+    sizes = np.zeros(len(candidates))
+    for _ in range(_ROUNDS):
+        here = _Linear.about(problem, x, candidates, sizes)
+        found = here.hypotheses(floor).found()
+        if found is None:
+            return None
+        sizes = np.zeros(len(candidates))
+        sizes[list(found.places)] = found.sizes
+        x, last, before = here.mean(sizes), before, found.places
+        if set(before) == set(last):
+            break
+    return found
+
+
+def columns_of(problem: Problem, jacobian: Array, candidates: Sequence[Candidate]) -> Array:
+    """Readings ``(n, c)`` by a tolerance of each candidate, metres.
+
+    Args:
+        problem: whose unknowns they are.
+        jacobian: of its readings ``(n, P)``.
+        candidates: what may have changed.
+    """
+    place = {name: k for k, name in enumerate(problem.names)}
+    weights = np.zeros((len(place), len(candidates)))
+    for k, candidate in enumerate(candidates):
+        for name, weight in candidate.weights.items():
+            weights[place[name], k] = weight
+    since = np.array([c.since for c in candidates], dtype=np.intp)
+    return np.asarray(jacobian @ weights * (np.arange(len(jacobian))[:, None] >= since))
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """The readings about one point, whitened and past datums and placements.
+
+    Attributes:
+        problem: what was and what stays.
+        candidates: what may have changed, ``c`` of them.
+        columns: readings by a tolerance of each ``(m, c)``.
+        residual: readings less what is known foretells, unchanged ``(m,)``.
+        open_to: readings by what is known no better, in its standard deviations ``(m, P)``.
+        root: of the covariance of what is known, in tolerances ``(P, P)``.
+        known: its mean, in tolerances ``(P,)``.
+        free: nuisances of which nothing is known.
+    """
+
+    problem: Problem
+    candidates: Sequence[Candidate]
+    columns: Array
+    residual: Array
+    open_to: Array
+    root: Array
+    known: Array
+    free: int
+
+    @classmethod
+    def about(
+        cls, problem: Problem, x: Array, candidates: Sequence[Candidate], sizes: Array
+    ) -> _Linear:
+        """About unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
+        at = linearise(_with_changes(problem, candidates, sizes), x)
+        nuisance = nuisances(problem, at.slopes)
+        here, scale = normal(problem, at, nuisance), problem.tolerance
+        root = np.asarray(np.linalg.inv(here.prior * scale))
+        known = np.asarray(root @ here.target)
+        jacobian = here.jacobian * scale
+        columns = nuisance.project(columns_of(problem, at.jacobian, candidates))
+        residual = here.residual + jacobian @ (x / scale - known) + columns @ sizes
+        return cls(
+            problem, candidates, columns, residual, jacobian @ root, root, known, nuisance.free
+        )
+
+    def hypotheses(self, floor: float) -> Hypotheses:
+        """The candidates past all that is open."""
+        across = self._whitened(np.column_stack([self.columns, self.residual]))
+        inner = self.columns.T @ self.columns - across[:, :-1].T @ across[:, :-1]
+        met = self.columns.T @ self.residual - across[:, :-1].T @ across[:, -1]
+        chi2 = float(self.residual @ self.residual - across[:, -1] @ across[:, -1])
+        catalogue, names = self.problem.machine.catalogue, [c.parameter for c in self.candidates]
+        dof = float(len(self.problem.measured) - self.free)
+        return Hypotheses(inner, met, _costs(names, catalogue), chi2, dof, floor)
+
+    def mean(self, sizes: Array) -> Array:
+        """The unknowns ``(P,)`` beside changes of some sizes ``(c,)``, SI."""
+        along = self._whitened(self.residual - self.columns @ sizes)
+        found = self.known + self.root @ np.linalg.solve(self._inner.T, along)
+        return np.asarray(found * self.problem.tolerance)
+
+    def _whitened(self, rows: Array) -> Array:
+        return np.asarray(np.linalg.solve(self._inner, self.open_to.T @ rows))
+
+    @cached_property
+    def _inner(self) -> Array:
+        inside = np.eye(self.open_to.shape[1]) + self.open_to.T @ self.open_to
+        return np.asarray(np.linalg.cholesky(inside))
+
+
+def _costs(names: Sequence[Parameter], catalogue: Catalogue) -> Array:
+    """Log odds against a change of each of some parameters ``(c,)``, before the readings."""
+    # A zero is entered in a minute, and nothing else of the machine changes as often.
+    zero = [catalogue.effect_of(name).controller == "zero" for name in names]
+    return _ODDS + np.where(zero, 0.0, np.log(max(len(names), 1)))
+
+
+def _with_changes(problem: Problem, candidates: Sequence[Candidate], sizes: Array) -> Problem:
+    """The problem of a machine that changed by some sizes ``(c,)``: what is free is what stays."""
+    place = {unknown.name: unknown for unknown in problem.unknowns}
+    held = []
+    for k, (rows, values) in enumerate(zip(problem.factor_rows, problem.held, strict=True)):
+        now = dict(values)
+        for candidate, size in zip(candidates, sizes, strict=True):
+            if size and rows.start >= candidate.since:
+                for name, weight in candidate.weights.items():
+                    for part, share in place[name].parts[k].items():
+                        now[part] = now.get(part, 0.0) + share * weight * float(size)
+        held.append(now)
+    return replace(problem, held=tuple(held))
