@@ -262,15 +262,23 @@ def _changes(
 def _differences(
     estimate: Estimate, names: Iterable[str], changed: Sequence[Change]
 ) -> Iterable[Difference]:
-    others = {c.parameter: c.others for c in changed}
+    """What is known to have changed with its values, all else at what it did; the rest as it is
+    where all of them may have.
+    """
+    found = {c.parameter: c for c in changed}
     catalogue = estimate.problem.machine.catalogue
     plain_names = [catalogue.parameter(n).plain for n in estimate.names]
     for name in names:
         places = [k for k, n in enumerate(plain_names) if n == name]
-        if len(places) == 2:
+        if len(places) != 2:
+            continue
+        parameter = plain_names[places[0]]
+        unit, change = catalogue.effect_of(parameter).unit, found.get(parameter)
+        if change is not None and np.isfinite(change.sigma):
+            values = change.before, change.after, change.sigma
+            yield Difference(parameter, *values, unit, change.others)
+        else:
             one, other = (float(v) for v in estimate.x[places])
             spread = estimate.covariance[np.ix_(places, places)]
             sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
-            parameter = plain_names[places[0]]
-            unit, more = catalogue.effect_of(parameter).unit, others.get(parameter, "")
-            yield Difference(parameter, one, other, sigma, unit, more)
+            yield Difference(parameter, one, other, sigma, unit, change.others if change else "")
