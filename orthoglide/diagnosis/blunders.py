@@ -32,7 +32,8 @@ from orthoglide.observations import Campaign
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
 
-_MOST_CHANGES = 4
+_CHANGED = 2
+"""Rounds more where something may have changed: before a fault of the data and beside it."""
 
 MEANINGS = ("sign", "unit", "exchanged_labels")
 """Faults by which readings mean something else than they seem to."""
@@ -103,7 +104,7 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     changes: list[Change] = []
     stale = 0 < len(found) < most
     several = len(visits(estimate.problem)) > 1
-    for _ in range(_REFITS + (_MOST_CHANGES if several else 0)):
+    for _ in range(_REFITS + (_CHANGED if several else 0)):
         if stale:
             problem = separated(_muted(estimate.problem, found), changes)
             try:

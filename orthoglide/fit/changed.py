@@ -139,7 +139,8 @@ class _Linear:
         met = self.columns.T @ self.residual - across[:, :-1].T @ across[:, -1]
         chi2 = float(self.residual @ self.residual - across[:, -1] @ across[:, -1])
         catalogue, names = self.problem.machine.catalogue, [c.parameter for c in self.candidates]
-        dof = float(len(self.problem.measured) - self.free)
+        taken = len(self._inner) - float(np.sum(np.linalg.inv(self._inner) ** 2))
+        dof = max(float(len(self.problem.measured) - self.free) - taken, 1.0)
         return Hypotheses(inner, met, _costs(names, catalogue), chi2, dof, floor)
 
     def mean(self, sizes: Array) -> Array:
