@@ -94,7 +94,8 @@ class Hypotheses:
             path += more
         weight, state = max((self._weight(s), s) for s in path)
         while True:
-            best, better = max((self._weight(s), s) for s in self._near(state))
+            tried = [(self._weight(s), s) for s in self._near(state)]
+            best, better = max(tried, default=(weight, state))
             if best <= weight + 1e-6:
                 return state, weight
             state, weight = better, best

@@ -39,6 +39,7 @@ NLP_UNKNOWNS = 30
 _OPTIMAL = 1e-4  # sigmas that a Newton step may still make where a solver says it is done
 
 _ROUNDS = 3  # of a fit about the instruments as the last one has them
+_WORTH = 0.5  # share of chi2 that a round may leave for another to be worth its time
 _WIDENINGS, _WIDER = 8, 1.2  # rounds, and the growth of a value that asks for one more
 
 
@@ -75,7 +76,9 @@ def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
         )
         if all(new is old for new, old in zip(points, problem.points, strict=True)):
             break
-        found = _solve(replace(problem, points=points), method, found.x)
+        last, found = found, _solve(replace(problem, points=points), method, found.x)
+        if found.scores.chi2 > _WORTH * last.scores.chi2:
+            break  # not the instruments' place is what these readings have wrong, if anything
     return found
 
 
