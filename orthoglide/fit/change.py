@@ -74,20 +74,29 @@ class Change:
     @property
     def message(self) -> str:
         """One sentence: between which files, what, from what to what."""
+        return f"{self.when} {self.what}"
+
+    @property
+    def when(self) -> str:
+        """Between which files."""
+        return f"between {self.files[0]} and {self.files[1]}"
+
+    @property
+    def what(self) -> str:
+        """What changed, from what to what, and what else it may be."""
         return self._told(self.others)
 
     @property
     def words(self) -> tuple[str, ...]:
         """Each member by itself: the first as in the message, the others by their own sizes."""
-        return (self._told(""), *self._rivals)
+        return (f"{self.when} {self._told('')}", *self._rivals)
 
     def _told(self, others: str) -> str:
         unit = self.unit.spoken
         decimals = decimals_for(self.sigma / unit.si, most=9)
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
         return (
-            f"between {self.files[0]} and {self.files[1]} the "
-            f"{parameter_words(self.parameter)}{others} changed from {before} to {after} "
+            f"the {parameter_words(self.parameter)}{others} changed from {before} to {after} "
             f"{unit.name} (± {compact(self.sigma / unit.si, 2)})"
         )
 
@@ -103,6 +112,11 @@ class Change:
             size = signed_size(self.catalogue.effect_of(name), by) if math.isfinite(by) else ""
             named.append(f"the {parameter_words(name)}{size and f' by {size}'}")
         return tuple(named)
+
+    @property
+    def summed(self) -> tuple[Parameter, ...]:
+        """Members that share what ``before`` and ``after`` say."""
+        return summed_of(self.members, self.catalogue)
 
     @property
     def own(self) -> tuple[str, ...]:
@@ -121,7 +135,7 @@ class Change:
 
     def now(self, estimate: Estimate) -> Change:
         """With the value of a later fit."""
-        summed = summed_of(self.members, estimate.problem)
+        summed = self.summed
         places = [k for k, name in enumerate(estimate.names) if name in summed]
         if len(places) < len(summed):
             return self
@@ -152,11 +166,11 @@ class Change:
         return self
 
 
-def summed_of(members: tuple[Parameter, ...], problem: Problem) -> tuple[Parameter, ...]:
+def summed_of(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Parameter, ...]:
     """What the readings cannot tell apart counts as one, the sum of all of one unit that stand for
     it; a zero is known apart from a length by the tolerances of both.
     """
-    catalogue, of = problem.machine.catalogue, problem.machine.catalogue.effect_of
+    of = catalogue.effect_of
     first = of(members[0])
     same = (members[0].leg, members[0].direction, first.unit)
     alike = tuple(n for n in members if (n.leg, n.direction, of(n).unit) == same)

@@ -73,7 +73,7 @@ def _changes(
             candidates[k].parameter: size * candidates[k].tolerance for k, size in sizes.items()
         }
         members = tuple(moved)
-        summed = summed_of(members, now.problem)
+        summed = summed_of(members, catalogue)
         places = [now.names.index(name) for name in summed]
         before, apart = _before(first.earlier, now, summed)
         sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))

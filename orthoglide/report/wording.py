@@ -93,7 +93,11 @@ def evidence(result: Result) -> str:
 
 
 def _changed(changes: Iterable[Change]) -> str:
-    return " ".join(sentence(change.message) for change in changes)
+    """A sentence for each pair of files."""
+    between: dict[str, list[str]] = {}
+    for change in changes:
+        between.setdefault(change.when, []).append(change.what)
+    return " ".join(sentence(f"{when} {'; '.join(what)}") for when, what in between.items())
 
 
 # --- Of a closed loop -----------------------------------------------------------------------

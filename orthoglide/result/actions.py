@@ -105,19 +105,20 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
         else:
             lost = f": {_LOST}" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=suspects(one))
+    right: dict[str, tuple[Suspect, ...]] = {}
     for change in result.moved:
         again = _AGAIN.format(change.files[1])
         if kind == "confirm":
             yield Action(kind, what[kind], options=suspects(change))
         elif abs(change.after) < abs(change.before):
-            yield Action(
-                "confirm", f"Confirm what was put right; {again}", options=suspects(change)
-            )
+            right[again] = (*right.get(again, ()), *suspects(change))
         else:
             gain = (math.nan, math.nan)
             gain = gain if loses(change) else gains.get(change.parameter, gain)
             words = f"Look, confirm and put back, or correct for it; {again}"
             yield Action(kind, words, *gain, options=suspects(change))
+    for again, options in right.items():
+        yield Action("confirm", f"Confirm what was put right; {again}", options=options)
 
 
 def loses(found: Cause | Located | Change) -> bool:
@@ -142,9 +143,8 @@ def _changed(change: Change, k: int) -> Suspect:
     """What the k-th of the parameters that may have changed is now, or was and is no more."""
     name = change.members[k]
     effect = change.catalogue.effect_of(name)
-    # Each of a class has a size of its own; since a calibration they share what they sum up to.
-    if k and (change.sizes or not math.isfinite(change.moved[name])):
-        return Suspect(change.words[k], effect.look_at, "")
+    if name not in change.summed:
+        return Suspect(f"or instead {change.words[k]}", effect.look_at, "")
     now = change.is_cause or abs(change.after) > abs(change.before)
     value = change.after if now else change.before
     said = f"{'now' if now else 'before'}: {cause_words(change.catalogue, name, {name: value})}"
