@@ -19,11 +19,9 @@ from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
 from orthoglide.fit import Change, Problem, with_free, with_others
 from orthoglide.fit.change_search import Found
-from orthoglide.fit.changed import Candidate, columns_of, what_changed
+from orthoglide.fit.changed import Candidate, Linear, what_changed
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import linearise
 from orthoglide.fit.problem import Unknown
-from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
 _OPEN = 3.0
@@ -49,19 +47,14 @@ class Changes:
     """What changed, all at once.
 
     Attributes:
-        changes: without values, the most decisive first.
-        columns: readings ``(n, k)`` by each, as wide as is likely of it.
-        price: what their number and their priors take from their evidence.
+        changes: by how much, the most decisive first.
+        weight: log odds against no change.
+        about: the readings about the machine that so changed.
     """
 
     changes: tuple[Change, ...]
-    columns: Array
-    price: float
-
-    def evidence(self, means: StationMeans) -> float:
-        """For all of them together, in the form of faults of the data."""
-        left = means.allowing(means.shown(self.columns)).chi2
-        return float(means.evidence(np.array(left))) - self.price
+    weight: float
+    about: Linear
 
 
 def likeliest_changes(means: StationMeans) -> Changes | None:
@@ -83,9 +76,9 @@ def likeliest_changes(means: StationMeans) -> Changes | None:
         return None
     if found is None:
         return None
-    chosen = [candidates[k] for k in found.places]
-    readings = columns_of(wide, linearise(wide, start).jacobian, chosen) * found.widths
-    return Changes(tuple(_told(problem, several, candidates, found)), readings, found.price)
+    changes, about = found
+    told = tuple(_told(problem, several, candidates, changes))
+    return Changes(told, changes.weight, about)
 
 
 def _told(
@@ -95,7 +88,9 @@ def _told(
     found: Found,
 ) -> Iterator[Change]:
     stems, files = [stem for stem, _, _ in several], [file for _, file, _ in several]
-    for place, evidence, instead in zip(found.places, found.evidence, found.instead, strict=True):
+    for place, evidence, sigma, instead in zip(
+        found.places, found.evidence, found.sigmas, found.instead, strict=True
+    ):
         since = candidates[place].parameter.campaign
         sizes = {
             candidates[k].parameter.plain: size * candidates[k].tolerance
@@ -106,7 +101,7 @@ def _told(
         yield Change(
             candidates[place].parameter.plain, tuple(sizes), since,
             (files[first - 1], files[first]), float(evidence), problem.machine.catalogue,
-            sizes=tuple(sizes.values()),
+            sigma=float(sigma) * candidates[place].tolerance, sizes=tuple(sizes.values()),
         )  # fmt: skip
 
 

@@ -54,13 +54,24 @@ def fit_fault(
         best = _likeliest(_misread(means, hypotheses, setups) + _single(means, free))
         rival, place = means.best_effect
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
-            return changes if changes and changes.evidence(means) > best.evidence else best
+            return changes if changes and _are_changes(changes, best, hypotheses) else best
         if rival < EVIDENCE:
             break
         means = means.beside(place)
         if not _lacking(means):
             break
     return changes
+
+
+def _are_changes(changes: Changes, fault: Fault, hypotheses: Sequence[Misreading]) -> bool:
+    """Whether changes are likelier than a fault, with all that both leave open."""
+    readings = np.zeros(len(changes.about.problem.measured))
+    readings[fault.rows] = -fault.size
+    for one in hypotheses:
+        if one.fault.rows is fault.rows and one.fault.kind == fault.kind:
+            readings = one.change
+    tried = np.log(max(len(hypotheses), 1))
+    return changes.weight > changes.about.evidence(readings) - tried
 
 
 def _lacking(means: StationMeans) -> bool:

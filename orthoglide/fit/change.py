@@ -144,20 +144,29 @@ class Change:
         return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
-        """With the values of a fit in which the parameter, or a member instead, is separate."""
+        """With the values of a fit in which the parameter, or a member instead, is separate.
+
+        The search knows by how much it changed with everything open, the fit with all else as
+        small as it was found to be; where it says another size, it has that wrong.
+        """
         for name in self.members:
             pair = _either_side(estimate.problem, name, self.since)
             if pair is None:
                 continue
             (before, after), spread = estimate.x[pair], estimate.covariance[np.ix_(pair, pair)]
-            sigma = np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1])
             first = self.members.index(name)
+            size = self.sizes[first]
+            widest = self.sigma * abs(size / self.sizes[0])
+            sigma = np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1])
+            if abs(after - before - size) > SIGNIFICANT * widest:
+                about, sigma = (before + after) / 2, widest
+                before, after = about - size / 2, about + size / 2
             order = [first, *(k for k in range(len(self.members)) if k != first)]
             return replace(
                 self,
                 parameter=name,
                 members=tuple(self.members[k] for k in order),
-                sizes=tuple(self.sizes[k] for k in order if self.sizes),
+                sizes=tuple(self.sizes[k] for k in order),
                 before=float(before),
                 after=float(after),
                 sigma=float(sigma),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -36,17 +37,17 @@ class Found:
         places: of the hypotheses.
         evidence: log Bayes factor of each against the set without it ``(k,)``.
         sizes: of each, in units of its column ``(k,)``.
+        sigmas: of these, the others of the set given only as they are known ``(k,)``.
         instead: for each, it and the hypotheses that could stand in its place, with their sizes.
-        widths: of their priors, in tolerances.
-        price: what their number and their priors take from what the fall of chi2 is worth.
+        weight: log odds of the set against no change.
     """
 
     places: tuple[int, ...]
     evidence: Array
     sizes: Array
+    sigmas: Array
     instead: tuple[dict[int, float], ...]
-    widths: tuple[float, ...]
-    price: float
+    weight: float
 
 
 @dataclass(frozen=True)
@@ -77,14 +78,14 @@ class Hypotheses:
         alone = np.array([weight - self._weight(_less(state, k)) for k in range(len(state))])
         order = np.argsort(-alone, kind="stable")
         state = tuple(state[k] for k in order)
-        left, sizes = self.chi2 - self._past(state)[0], self._sizes(state)
+        sizes, sigmas = self._sizes(state)
         return Found(
             tuple(place for place, _ in state),
             alone[order],
             sizes,
+            sigmas,
             tuple({place: sizes[k]} | self._rivals(state, k) for k, (place, _) in enumerate(state)),
-            tuple(width for _, width in state),
-            float(self._evidence(np.array(left))) - weight,
+            weight,
         )
 
     def _best(self) -> tuple[State, float]:
@@ -101,14 +102,14 @@ class Hypotheses:
             state, weight = better, best
 
     def _near(self, state: State) -> Iterator[State]:
-        """One more, one less, one or two in place of one."""
-        yield from self._more(state)
-        for k in range(len(state)):
-            rest = _less(state, k)
-            yield rest
-            for one in self._more(rest):
-                yield one
-                yield from self._more(one)
+        """One or two more, or none, in place of none to three."""
+        for count in range(4):
+            for gone in combinations(state, count):
+                rest = tuple(s for s in state if s not in gone)
+                yield rest
+                for one in self._more(rest):
+                    yield one
+                    yield from self._more(one)
 
     def _more(self, state: State) -> list[State]:
         """The best state with one more change, if there may be one."""
@@ -123,7 +124,7 @@ class Hypotheses:
         gain, occam, left, met = self._past(state)
         square = np.square(WIDTHS)
         spread = 1 + square * left[:, None]
-        found = self._evidence(self.chi2 - gain - square * met[:, None] ** 2 / spread)
+        found = self.evidence(self.chi2 - gain - square * met[:, None] ** 2 / spread)
         found += _LIKELY - self.cost[:, None] - (occam + np.log(spread)) / 2 - self._paid(state)
         found[[place for place, _ in state]] = -np.inf
         return found
@@ -143,12 +144,12 @@ class Hypotheses:
 
     def _weight(self, state: State) -> float:
         gain, occam, _, _ = self._past(state)
-        return float(self._evidence(np.array(self.chi2 - gain)) - occam / 2 - self._paid(state))
+        return float(self.evidence(np.array(self.chi2 - gain)) - occam / 2 - self._paid(state))
 
     def _paid(self, state: State) -> float:
         return sum(float(self.cost[k] - _LIKELY[WIDTHS.index(w)]) for k, w in state)
 
-    def _evidence(self, left: Array) -> Array:
+    def evidence(self, left: Array) -> Array:
         """Log likelihood against no change where chi2 falls to ``left``.
 
         The noise is what is left says it is, but no less than is known of it.
@@ -157,10 +158,12 @@ class Hypotheses:
         shown = self.dof / 2 * np.where(each > 1, 1 + np.log(np.maximum(each, 1)), each)
         return np.asarray(shown[-1] - shown[:-1].reshape(np.shape(left)))
 
-    def _sizes(self, state: State) -> Array:
+    def _sizes(self, state: State) -> tuple[Array, Array]:
         at, width = [place for place, _ in state], np.array([width for _, width in state])
-        among = self.inner[np.ix_(at, at)] + np.diag(width**-2.0)
-        return np.asarray(np.linalg.solve(among, self.met[at]))
+        spread = np.linalg.inv(self.inner[np.ix_(at, at)] + np.diag(width**-2.0))
+        left = self.chi2 - self._past(state)[0]
+        scale = max(self.floor, left / self.dof)
+        return np.asarray(spread @ self.met[at]), np.sqrt(scale * np.diag(spread))
 
     def _rivals(self, state: State, k: int) -> dict[int, float]:
         """What could have changed in place of one, with its size, the likest first."""

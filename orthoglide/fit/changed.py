@@ -15,7 +15,7 @@ import numpy as np
 
 from orthoglide.effects import Catalogue
 from orthoglide.fit.change_search import Found, Hypotheses
-from orthoglide.fit.least_squares import linearise, normal, nuisances
+from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
@@ -47,8 +47,8 @@ class Candidate:
 
 def what_changed(
     problem: Problem, x: Array, candidates: Sequence[Candidate], floor: float = 1.0
-) -> Found | None:
-    """The changes that the readings speak for most; ``None`` where for none.
+) -> tuple[Found, Linear] | None:
+    """The changes that the readings speak for most, and where; ``None`` where for none.
 
     Args:
         problem: what was and what stays, with its prior.
@@ -62,19 +62,20 @@ def what_changed(
     before: tuple[int, ...] = ()
     sizes = np.zeros(len(candidates))
     for _ in range(_ROUNDS):
-        here = _Linear.about(problem, x, candidates, sizes)
-        found = here.hypotheses(floor).found()
+        here = Linear.about(problem, x, candidates, sizes, floor)
+        found = here.hypotheses.found()
         if found is None:
             return None
+        best = found, here
         sizes = np.zeros(len(candidates))
         sizes[list(found.places)] = found.sizes
         x, last, before = here.mean(sizes), before, found.places
         if set(before) == set(last):
             break
-    return found
+    return best
 
 
-def columns_of(problem: Problem, jacobian: Array, candidates: Sequence[Candidate]) -> Array:
+def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate]) -> Array:
     """Readings ``(n, c)`` by a tolerance of each candidate, metres.
 
     Args:
@@ -92,7 +93,7 @@ def columns_of(problem: Problem, jacobian: Array, candidates: Sequence[Candidate
 
 
 @dataclass(frozen=True, eq=False)
-class _Linear:
+class Linear:
     """The readings about one point, whitened and past datums and placements.
 
     Attributes:
@@ -103,7 +104,8 @@ class _Linear:
         open_to: readings by what is known no better, in its standard deviations ``(m, P)``.
         root: of the covariance of what is known, in tolerances ``(P, P)``.
         known: its mean, in tolerances ``(P,)``.
-        free: nuisances of which nothing is known.
+        nuisance: datums and placements.
+        floor: least chi2 a degree of freedom.
     """
 
     problem: Problem
@@ -113,12 +115,18 @@ class _Linear:
     open_to: Array
     root: Array
     known: Array
-    free: int
+    nuisance: Nuisances
+    floor: float
 
     @classmethod
     def about(
-        cls, problem: Problem, x: Array, candidates: Sequence[Candidate], sizes: Array
-    ) -> _Linear:
+        cls,
+        problem: Problem,
+        x: Array,
+        candidates: Sequence[Candidate],
+        sizes: Array,
+        floor: float,
+    ) -> Linear:
         """About unknowns ``(P,)`` of a machine that changed by some sizes ``(c,)``."""
         at = linearise(_with_changes(problem, candidates, sizes), x)
         nuisance = nuisances(problem, at.slopes)
@@ -126,22 +134,34 @@ class _Linear:
         root = np.asarray(np.linalg.inv(here.prior * scale))
         known = np.asarray(root @ here.target)
         jacobian = here.jacobian * scale
-        columns = nuisance.project(columns_of(problem, at.jacobian, candidates))
+        columns = nuisance.project(_columns(problem, at.jacobian, candidates))
         residual = here.residual + jacobian @ (x / scale - known) + columns @ sizes
         return cls(
-            problem, candidates, columns, residual, jacobian @ root, root, known, nuisance.free
+            problem, candidates, columns, residual, jacobian @ root, root, known, nuisance, floor
         )
 
-    def hypotheses(self, floor: float) -> Hypotheses:
+    @cached_property
+    def hypotheses(self) -> Hypotheses:
         """The candidates past all that is open."""
         across = self._whitened(np.column_stack([self.columns, self.residual]))
         inner = self.columns.T @ self.columns - across[:, :-1].T @ across[:, :-1]
         met = self.columns.T @ self.residual - across[:, :-1].T @ across[:, -1]
-        chi2 = float(self.residual @ self.residual - across[:, -1] @ across[:, -1])
         catalogue, names = self.problem.machine.catalogue, [c.parameter for c in self.candidates]
         taken = len(self._inner) - float(np.sum(np.linalg.inv(self._inner) ** 2))
-        dof = max(float(len(self.problem.measured) - self.free) - taken, 1.0)
-        return Hypotheses(inner, met, _costs(names, catalogue), chi2, dof, floor)
+        dof = max(float(len(self.problem.measured) - self.nuisance.free) - taken, 1.0)
+        chi2 = self._chi2(self.residual)
+        return Hypotheses(inner, met, _costs(names, catalogue), chi2, dof, self.floor)
+
+    def evidence(self, change: Array) -> float:
+        """Log likelihood of readings that are wrong by some ``(n,)``, metres, where nothing
+        changed, against readings that are right.
+        """
+        left = self._chi2(self.residual + self.nuisance.project(change))
+        return float(self.hypotheses.evidence(np.array(left)))
+
+    def _chi2(self, residual: Array) -> float:
+        along = self._whitened(residual)
+        return float(residual @ residual - along @ along)
 
     def mean(self, sizes: Array) -> Array:
         """The unknowns ``(P,)`` beside changes of some sizes ``(c,)``, SI."""

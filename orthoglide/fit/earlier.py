@@ -49,10 +49,11 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     found = what_changed(first, estimate.x, candidates) if candidates else None
     if found is None:
         return estimate
-    gone = [candidates[k].parameter for k in found.places]
+    changes, _ = found
+    gone = [candidates[k].parameter for k in changes.places]
     method = "nested" if method == "auto" else method
     now = solve(_let_go(first, gone), method=method, start=estimate.x)
-    return replace(now, changes=tuple(_changes(first, now, found, candidates)))
+    return replace(now, changes=tuple(_changes(first, now, changes, candidates)))
 
 
 def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
