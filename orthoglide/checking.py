@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.closing import Verdict, run
+from orthoglide.diagnosis.changes import visits
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError
 from orthoglide.fit import (
@@ -30,7 +31,8 @@ from orthoglide.request import Request
 from orthoglide.units import Unit
 
 CHANGED = 3.0
-"""Sigmas of a difference that count as a change; among some ten parameters, one false in forty."""
+"""Sigmas of a difference that count as a change where changes cannot be searched for; among some
+ten parameters, one false in forty."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Difference:
         after: value in the new one.
         sigma: standard deviation of the difference.
         unit: of files.
+        changed: whether the difference is beyond what the readings leave open.
         others: what else may have changed instead, in brackets, or empty.
     """
 
@@ -51,12 +54,8 @@ class Difference:
     after: float
     sigma: float
     unit: Unit
+    changed: bool
     others: str = ""
-
-    @property
-    def changed(self) -> bool:
-        """Whether the difference is beyond what the readings leave open."""
-        return abs(self.after - self.before) > CHANGED * self.sigma
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -189,7 +188,8 @@ def check(
     both = assemble([*kept, *past], machine, names, own=names, noise=noise if dials else None)
     apart = account_for_changes(solve(_two_states(both, later)))
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
-    differences = tuple(_differences(apart, names, together.changed))
+    searched = not past and len(visits(problem)) > 1
+    differences = tuple(_differences(apart, names, together.changed, searched))
     none = Change(
         differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
         float("nan"), machine.catalogue,
@@ -260,7 +260,7 @@ def _changes(
 
 
 def _differences(
-    estimate: Estimate, names: Iterable[str], changed: Sequence[Change]
+    estimate: Estimate, names: Iterable[str], changed: Sequence[Change], searched: bool
 ) -> Iterable[Difference]:
     """What is known to have changed with its values, all else at what it did; the rest as it is
     where all of them may have.
@@ -274,11 +274,12 @@ def _differences(
             continue
         parameter = plain_names[places[0]]
         unit, change = catalogue.effect_of(parameter).unit, found.get(parameter)
-        if change is not None and np.isfinite(change.sigma):
+        if change is not None and np.isfinite(change.after):
             values = change.before, change.after, change.sigma
-            yield Difference(parameter, *values, unit, change.others)
+            yield Difference(parameter, *values, unit, True, change.others)
         else:
             one, other = (float(v) for v in estimate.x[places])
             spread = estimate.covariance[np.ix_(places, places)]
             sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
-            yield Difference(parameter, one, other, sigma, unit, change.others if change else "")
+            far = abs(other - one) > CHANGED * sigma
+            yield Difference(parameter, one, other, sigma, unit, far and not searched)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -24,6 +24,7 @@ WIDTHS = (1.0, 3.0, 10.0)
 """Tolerances by which something changes, each less likely by as much as it is wider."""
 
 _MOST = 12
+_FEW = 6  # changes of which three may be exchanged for two others
 _CLASS_WIDTH = 4.0  # rise of chi2 within which two changes cannot be told apart (Wilks)
 
 _LIKELY = -np.log(np.array(WIDTHS) * np.sum(1 / np.array(WIDTHS)))
@@ -103,13 +104,12 @@ class Hypotheses:
 
     def _near(self, state: State) -> Iterator[State]:
         """One or two more, or none, in place of none to three."""
-        for count in range(4):
+        for count in range(4 if len(state) <= _FEW else 3):
             for gone in combinations(state, count):
                 rest = tuple(s for s in state if s not in gone)
                 yield rest
-                for one in self._more(rest):
-                    yield one
-                    yield from self._more(one)
+                yield from self._more(rest)
+                yield from self._pair(rest)
 
     def _more(self, state: State) -> list[State]:
         """The best state with one more change, if there may be one."""
@@ -119,26 +119,49 @@ class Hypotheses:
         place, width = np.unravel_index(int(np.argmax(weights)), weights.shape)
         return [tuple(sorted((*state, (int(place), WIDTHS[width]))))]
 
+    def _pair(self, state: State) -> list[State]:
+        """The best state with two more: of two that resemble others neither alone need be good."""
+        if len(state) + 2 > _MOST or len(self.met) < 2:
+            return []
+        gain, _, left, met = self._past(state)
+        square, out = np.diag(left), [place for place, _ in state]
+        best, found = -np.inf, state
+        for (a, likely), (b, other) in product(zip(WIDTHS, _LIKELY, strict=True), repeat=2):
+            one, two, both = 1 + a * a * square[:, None], 1 + b * b * square, a * b * left
+            spread = np.maximum(one * two - both**2, 1.0)
+            along = (a * met)[:, None], b * met
+            taken = along[0] ** 2 * two - 2 * along[0] * along[1] * both + along[1] ** 2 * one
+            weights = self.evidence(self.chi2 - gain - taken / spread) - np.log(spread) / 2
+            weights += likely + other - self.cost[:, None] - self.cost
+            weights[out], weights[:, out] = -np.inf, -np.inf
+            np.fill_diagonal(weights, -np.inf)
+            i, j = np.unravel_index(int(np.argmax(weights)), weights.shape)
+            if weights[i, j] > best:
+                best = float(weights[i, j])
+                found = tuple(sorted((*state, (int(i), a), (int(j), b))))
+        return [found] if np.isfinite(best) else []
+
     def _weights(self, state: State) -> Array:
         """Log weights ``(c, widths)`` of a state with one more."""
         gain, occam, left, met = self._past(state)
         square = np.square(WIDTHS)
-        spread = 1 + square * left[:, None]
+        spread = 1 + square * np.diag(left)[:, None]
         found = self.evidence(self.chi2 - gain - square * met[:, None] ** 2 / spread)
         found += _LIKELY - self.cost[:, None] - (occam + np.log(spread)) / 2 - self._paid(state)
         found[[place for place, _ in state]] = -np.inf
         return found
 
     def _past(self, state: State) -> tuple[float, float, Array, Array]:
-        """Past a state's changes: what they explain, the logarithm of their determinant, and of
-        every other column its square and what it has of the residual.
+        """Past a state's changes: what they explain, the logarithm of their determinant, the
+        products of all columns ``(c, c)``, and what these have of the residual ``(c,)``.
         """
         at, width = [place for place, _ in state], np.array([width for _, width in state])
         block = np.eye(len(at)) + width[:, None] * self.inner[np.ix_(at, at)] * width
         root = np.linalg.cholesky(block)
         across = np.linalg.solve(root, width[:, None] * self.inner[at])
         along = np.linalg.solve(root, width * self.met[at])
-        left = np.maximum(np.diag(self.inner) - np.sum(across**2, axis=0), 0.0)
+        left = self.inner - across.T @ across
+        np.fill_diagonal(left, np.maximum(np.diag(left), 0.0))
         occam = 2 * float(np.log(np.diag(root)).sum())
         return float(along @ along), occam, left, self.met - across.T @ along
 
@@ -170,6 +193,7 @@ class Hypotheses:
         rest = _less(state, k)
         gain, _, left, met = self._past(rest)
         square = max(WIDTHS) ** 2
+        left = np.diag(left)
         chi2 = self.chi2 - gain - square * met**2 / (1 + square * left)
         scale = max(self.floor, float(chi2[state[k][0]]) / self.dof)
         near = chi2 <= chi2[state[k][0]] + _CLASS_WIDTH * scale
