@@ -188,14 +188,16 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
         SolverError: where the mean does not settle.
     """
     try:
-        found = _about(before, given)
+        found = best = _about(before, given)
         for _ in range(_LINEARISATIONS - 1):
             if found.about.apart < _SETTLED:
                 break
             found = _about(before, given, found)
+            # Two explanations may take turns, each where the other is linearised.
+            best = min(best, found, key=lambda one: one.about.apart)
     except ClosureError as error:
         raise SolverError(_unreached(before)) from error
-    return found
+    return best
 
 
 def _about(
