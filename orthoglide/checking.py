@@ -149,9 +149,10 @@ def check(
 ) -> Check:
     """Compare two states of a machine by their readings.
 
-    Both states are closed together, so that what never changed is known from all readings; then
-    every parameter of the base and of the causes found is given one value before and one after.
-    What is left is told from the new readings.
+    Both states are closed together, so that what never changed is known from all readings, and what
+    changed is looked for all at once. Then every parameter of the base and of the causes found is
+    given one value before and one after: by how much the others may have changed at most. What is
+    left is told from the new readings.
 
     Args:
         old: readings of the old state, in the order they were taken.
