@@ -107,7 +107,11 @@ def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign
     assert set(told) == set(TRUE)
     for name, change in told.items():
         assert abs(change.after - change.before - TRUE[name]) < 3 * change.sigma
+        assert change.sigma < abs(TRUE[name]) / 3
     assert "leg_length.x" not in {str(c.parameter) for c in again.changed}
+    # Each is one thing to do, with what it may be instead: a page shows five of these and no more.
+    to_do = [a.options for a in again.actions if a.words.startswith("Confirm what was put right")]
+    assert [len(options) for options in to_do] == [len(c.members) for c in again.changed]
 
 
 def test_four_changes_between_two_campaigns(visits: tuple[og.Campaign, og.Campaign]) -> None:
@@ -118,4 +122,5 @@ def test_four_changes_between_two_campaigns(visits: tuple[og.Campaign, og.Campai
     assert set(changed) == set(TRUE)
     for name, d in changed.items():
         assert abs(d.after - d.before - TRUE[name]) < 3 * d.sigma
+        assert d.sigma < abs(TRUE[name]) / 3
     assert found.sentences[-1].startswith("nothing else changed beyond its uncertainty: ")

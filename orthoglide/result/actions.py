@@ -105,20 +105,19 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
         else:
             lost = f": {_LOST}" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=suspects(one))
-    right: dict[str, tuple[Suspect, ...]] = {}
     for change in result.moved:
         again = _AGAIN.format(change.files[1])
         if kind == "confirm":
             yield Action(kind, what[kind], options=suspects(change))
         elif abs(change.after) < abs(change.before):
-            right[again] = (*right.get(again, ()), *suspects(change))
+            yield Action(
+                "confirm", f"Confirm what was put right; {again}", options=suspects(change)
+            )
         else:
             gain = (math.nan, math.nan)
             gain = gain if loses(change) else gains.get(change.parameter, gain)
             words = f"Look, confirm and put back, or correct for it; {again}"
             yield Action(kind, words, *gain, options=suspects(change))
-    for again, options in right.items():
-        yield Action("confirm", f"Confirm what was put right; {again}", options=options)
 
 
 def loses(found: Cause | Located | Change) -> bool:
