@@ -3,8 +3,8 @@
 Campaigns are those of dials, in their order; without dials the files of the tool, where each reads
 the same setups as the others.
 
-All that stays is open beside what may have changed (`fit.changed`). The set of changes found is
-weighed against faults of the data on the same station means.
+All that stays is open beside what may have changed (`fit.changed`), and beside faults of the data
+that the changes found are weighed against.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ import numpy as np
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
 from orthoglide.fit import Change, Problem, with_free, with_others
-from orthoglide.fit.change_search import Found
-from orthoglide.fit.changed import Candidate, Linear, what_changed
+from orthoglide.fit.changed import Candidate, Changed, what_changed
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Unknown
 from orthoglide.parameters import Parameter
@@ -44,17 +43,15 @@ def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
 
 @dataclass(frozen=True)
 class Changes:
-    """What changed, all at once.
+    """What changed between campaigns.
 
     Attributes:
         changes: by how much, the most decisive first.
-        weight: log odds against no change.
-        about: the readings about the machine that so changed.
+        found: what they were told from.
     """
 
     changes: tuple[Change, ...]
-    weight: float
-    about: Linear
+    found: Changed
 
 
 def likeliest_changes(means: StationMeans) -> Changes | None:
@@ -76,32 +73,20 @@ def likeliest_changes(means: StationMeans) -> Changes | None:
         return None
     if found is None:
         return None
-    changes, about = found
-    told = tuple(_told(problem, several, candidates, changes))
-    return Changes(told, changes.weight, about)
+    return Changes(tuple(_told(problem, several, found)), found)
 
 
 def _told(
-    problem: Problem,
-    several: Sequence[tuple[str, str, int]],
-    candidates: Sequence[Candidate],
-    found: Found,
+    problem: Problem, several: Sequence[tuple[str, str, int]], found: Changed
 ) -> Iterator[Change]:
     stems, files = [stem for stem, _, _ in several], [file for _, file, _ in several]
-    for place, evidence, sigma, instead in zip(
-        found.places, found.evidence, found.sigmas, found.instead, strict=True
-    ):
-        since = candidates[place].parameter.campaign
-        sizes = {
-            candidates[k].parameter.plain: size * candidates[k].tolerance
-            for k, size in instead.items()
-            if candidates[k].parameter.campaign == since
-        }
+    for one in found.moved:
+        since = one.parameter.campaign
+        sizes = {name.plain: size for name, size in one.sizes.items() if name.campaign == since}
         first = stems.index(since)
         yield Change(
-            candidates[place].parameter.plain, tuple(sizes), since,
-            (files[first - 1], files[first]), float(evidence), problem.machine.catalogue,
-            sigma=float(sigma) * candidates[place].tolerance, sizes=tuple(sizes.values()),
+            one.parameter.plain, tuple(sizes), since, (files[first - 1], files[first]),
+            one.evidence, problem.machine.catalogue, sigma=one.sigma, sizes=tuple(sizes.values()),
         )  # fmt: skip
 
 

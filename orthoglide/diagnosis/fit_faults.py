@@ -65,13 +65,14 @@ def fit_fault(
 
 def _are_changes(changes: Changes, fault: Fault, hypotheses: Sequence[Misreading]) -> bool:
     """Whether changes are likelier than a fault, with all that both leave open."""
-    readings = np.zeros(len(changes.about.problem.measured))
+    found = changes.found
+    readings = np.zeros(len(found.about.problem.measured))
     readings[fault.rows] = -fault.size
     for one in hypotheses:
         if one.fault.rows is fault.rows and one.fault.kind == fault.kind:
             readings = one.change
     tried = np.log(max(len(hypotheses), 1))
-    return changes.weight > changes.about.evidence(readings) - tried
+    return found.weight > found.about.evidence(readings) - tried
 
 
 def _lacking(means: StationMeans) -> bool:

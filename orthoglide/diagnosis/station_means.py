@@ -185,11 +185,8 @@ class StationMeans:
 
     def beside(self, place: int) -> StationMeans:
         """The same with an effect of the catalogue in the model, its tolerance as a prior."""
-        return self.allowing(self.signatures.of(self.signatures.candidates[place]))
-
-    def allowing(self, columns: Array) -> StationMeans:
-        """The same with columns ``(g, k)`` in the model, each with a normal prior of size one."""
-        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+        candidate = self.signatures.candidates[place]
+        left, singular, _ = np.linalg.svd(self.signatures.of(candidate), full_matrices=False)
         left = left * np.sqrt(1 - 1 / np.sqrt(1 + singular**2))
         means = replace(
             self.signatures,

@@ -3,22 +3,26 @@
 A change is a column in the readings after it, with a normal prior of one of a few widths, in
 tolerances; everything else that the readings leave open has been marginalised before. With a set
 and its widths all is Gaussian but for the size of the noise. Where several parameters changed, the
-best single one is often none of them, so each member of a set may be exchanged as long as the
-set's weight grows.
+best single one is often none of them, so up to three members of a set are exchanged for the best
+one or pair of all, as long as the set's weight grows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
+from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
 
 State = tuple[tuple[int, float], ...]
 """What changed: places of hypotheses, each with its width."""
+
+Weighed = tuple[float, State]
+"""A state behind its log odds against no change."""
 
 WIDTHS = (1.0, 3.0, 10.0)
 """Tolerances by which something changes, each less likely by as much as it is wider."""
@@ -91,55 +95,58 @@ class Hypotheses:
 
     def _best(self) -> tuple[State, float]:
         """Added one by one, each the best beside those before it; then exchanged."""
-        path: list[State] = [()]
-        while more := self._more(path[-1]):
+        path: list[Weighed] = [(0.0, ())]
+        while more := self._more(path[-1][1]):
             path += more
-        weight, state = max((self._weight(s), s) for s in path)
+        weight, state = max(path)
         while True:
-            tried = [(self._weight(s), s) for s in self._near(state)]
-            best, better = max(tried, default=(weight, state))
+            best, better = max(self._near(state), default=(weight, state))
             if best <= weight + 1e-6:
                 return state, weight
             state, weight = better, best
 
-    def _near(self, state: State) -> Iterator[State]:
+    def _near(self, state: State) -> Iterator[Weighed]:
         """One or two more, or none, in place of none to three."""
         for count in range(4 if len(state) <= _FEW else 3):
             for gone in combinations(state, count):
                 rest = tuple(s for s in state if s not in gone)
-                yield rest
+                yield self._weight(rest), rest
                 yield from self._more(rest)
                 yield from self._pair(rest)
 
-    def _more(self, state: State) -> list[State]:
+    def _more(self, state: State) -> list[Weighed]:
         """The best state with one more change, if there may be one."""
         weights = self._weights(state)
         if len(state) >= _MOST or not np.isfinite(weights).any():
             return []
         place, width = np.unravel_index(int(np.argmax(weights)), weights.shape)
-        return [tuple(sorted((*state, (int(place), WIDTHS[width]))))]
+        more = tuple(sorted((*state, (int(place), WIDTHS[width]))))
+        return [(float(weights[place, width]), more)]
 
-    def _pair(self, state: State) -> list[State]:
+    def _pair(self, state: State) -> list[Weighed]:
         """The best state with two more: of two that resemble others neither alone need be good."""
         if len(state) + 2 > _MOST or len(self.met) < 2:
             return []
-        gain, _, left, met = self._past(state)
+        gain, occam, left, met = self._past(state)
         square, out = np.diag(left), [place for place, _ in state]
-        best, found = -np.inf, state
-        for (a, likely), (b, other) in product(zip(WIDTHS, _LIKELY, strict=True), repeat=2):
-            one, two, both = 1 + a * a * square[:, None], 1 + b * b * square, a * b * left
-            spread = np.maximum(one * two - both**2, 1.0)
-            along = (a * met)[:, None], b * met
-            taken = along[0] ** 2 * two - 2 * along[0] * along[1] * both + along[1] ** 2 * one
-            weights = self.evidence(self.chi2 - gain - taken / spread) - np.log(spread) / 2
+        best: list[Weighed] = []
+        for (a, likely), (b, other) in combinations_with_replacement(
+            zip(WIDTHS, _LIKELY, strict=True), 2
+        ):
+            explained, spread = explained_by_two(
+                1 + a * a * square[:, None], 1 + b * b * square, a * b * left,
+                (a * met)[:, None], b * met,
+            )  # fmt: skip
+            weights = self.evidence(self.chi2 - gain - explained)
             weights += likely + other - self.cost[:, None] - self.cost
+            weights -= (occam + np.log(spread)) / 2 + self._paid(state)
             weights[out], weights[:, out] = -np.inf, -np.inf
             np.fill_diagonal(weights, -np.inf)
             i, j = np.unravel_index(int(np.argmax(weights)), weights.shape)
-            if weights[i, j] > best:
-                best = float(weights[i, j])
-                found = tuple(sorted((*state, (int(i), a), (int(j), b))))
-        return [found] if np.isfinite(best) else []
+            if np.isfinite(weights[i, j]):
+                two = tuple(sorted((*state, (int(i), a), (int(j), b))))
+                best = [max([*best, (float(weights[i, j]), two)])]
+        return best
 
     def _weights(self, state: State) -> Array:
         """Log weights ``(c, widths)`` of a state with one more."""

@@ -7,7 +7,7 @@ and again about the machine that so changed, until it stays the same.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,10 +45,45 @@ class Candidate:
     tolerance: float
 
 
+@dataclass(frozen=True)
+class Moved:
+    """One change, and what could have changed in its place.
+
+    Attributes:
+        sizes: by how much each would have, SI, the change itself first.
+        sigma: standard deviation of its size, SI.
+        evidence: log Bayes factor in its favour, the others given.
+    """
+
+    sizes: Mapping[Parameter, float]
+    sigma: float
+    evidence: float
+
+    @property
+    def parameter(self) -> Parameter:
+        """That changed."""
+        return next(iter(self.sizes))
+
+
+@dataclass(frozen=True)
+class Changed:
+    """What changed, all at once.
+
+    Attributes:
+        moved: the most decisive change first.
+        weight: log odds of all of them against none.
+        about: the readings about the machine that so changed.
+    """
+
+    moved: tuple[Moved, ...]
+    weight: float
+    about: Linear
+
+
 def what_changed(
     problem: Problem, x: Array, candidates: Sequence[Candidate], floor: float = 1.0
-) -> tuple[Found, Linear] | None:
-    """The changes that the readings speak for most, and where; ``None`` where for none.
+) -> Changed | None:
+    """The changes that the readings speak for most; ``None`` where for none.
 
     Args:
         problem: what was and what stays, with its prior.
@@ -59,20 +94,27 @@ def what_changed(
     Raises:
         NumericsError: where the machine that so changed cannot be closed.
     """
-    before: tuple[int, ...] = ()
+    places: set[int] = set()
     sizes = np.zeros(len(candidates))
     for _ in range(_ROUNDS):
         here = Linear.about(problem, x, candidates, sizes, floor)
         found = here.hypotheses.found()
         if found is None:
             return None
-        best = found, here
-        sizes = np.zeros(len(candidates))
-        sizes[list(found.places)] = found.sizes
-        x, last, before = here.mean(sizes), before, found.places
-        if set(before) == set(last):
+        changed = Changed(tuple(_moved(found, candidates)), found.weight, here)
+        if set(found.places) == places:
             break
-    return best
+        places, sizes = set(found.places), np.zeros(len(candidates))
+        sizes[list(found.places)] = found.sizes
+        x = here.mean(sizes)
+    return changed
+
+
+def _moved(found: Found, candidates: Sequence[Candidate]) -> Iterator[Moved]:
+    each = zip(found.places, found.instead, found.sigmas, found.evidence, strict=True)
+    for place, instead, sigma, evidence in each:
+        sizes = {candidates[k].parameter: v * candidates[k].tolerance for k, v in instead.items()}
+        yield Moved(sizes, float(sigma) * candidates[place].tolerance, float(evidence))
 
 
 def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate]) -> Array:

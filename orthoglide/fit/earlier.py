@@ -7,15 +7,15 @@ the evidence of the new readings, all at once (`fit.changed`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from orthoglide.fit.change import Change, summed_of
-from orthoglide.fit.change_search import WIDTHS, Found
-from orthoglide.fit.changed import Candidate, what_changed
+from orthoglide.fit.change_search import WIDTHS
+from orthoglide.fit.changed import Candidate, Changed, what_changed
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
@@ -49,11 +49,10 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     found = what_changed(first, estimate.x, candidates) if candidates else None
     if found is None:
         return estimate
-    changes, _ = found
-    gone = [candidates[k].parameter for k in changes.places]
+    gone = [one.parameter for one in found.moved]
     method = "nested" if method == "auto" else method
     now = solve(_let_go(first, gone), method=method, start=estimate.x)
-    return replace(now, changes=tuple(_changes(first, now, changes, candidates)))
+    return replace(now, changes=tuple(_changes(first, now, found)))
 
 
 def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
@@ -63,24 +62,18 @@ def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
     return replace(problem, unknowns=wide, earlier=problem.earlier.without(names))
 
 
-def _changes(
-    first: Problem, now: Estimate, found: Found, candidates: Sequence[Candidate]
-) -> Iterator[Change]:
+def _changes(first: Problem, now: Estimate, found: Changed) -> Iterator[Change]:
     """What was found, with the values of both visits."""
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
-    for evidence, sizes in zip(found.evidence, found.instead, strict=True):
-        moved = {
-            candidates[k].parameter: size * candidates[k].tolerance for k, size in sizes.items()
-        }
-        members = tuple(moved)
-        summed = summed_of(members, catalogue)
+    for one in found.moved:
+        summed = summed_of(tuple(one.sizes), catalogue)
         places = [now.names.index(name) for name in summed]
         before, apart = _before(first.earlier, now, summed)
         sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
         yield Change(
-            members[0], members, "", (old, last.name), float(evidence), catalogue,
-            before, float(now.x[places].sum()), apart, sigma, tuple(moved.values()),
+            one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
+            before, float(now.x[places].sum()), apart, sigma, tuple(one.sizes.values()),
         )  # fmt: skip
 
 

@@ -235,3 +235,20 @@ def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
     root = (right[seen].T / singular[seen]) / scale[:, None]
     unseen = right[~seen] / scale
     return root @ root.T, unseen
+
+
+def explained_by_two(
+    one: Array, two: Array, cross: Array, x: Array, y: Array
+) -> tuple[Array, Array]:
+    """What two columns with normal priors of size one explain of a residual, and the determinant of
+    ``1 + A^T A``, which is no less than 1: where both show the same, rounding may leave less.
+
+    Args:
+        one: square of the first column, and 1.
+        two: of the second.
+        cross: their product.
+        x: of the first and the residual.
+        y: of the second and it.
+    """
+    spread = np.maximum(one * two - cross**2, 1.0)
+    return (x**2 * two + y**2 * one - 2 * x * y * cross) / spread, spread

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
 
 _NEAR, _MOST = 4.0, 40  # log odds of pairs that are looked at closely, and their number
@@ -66,6 +67,5 @@ def gains(
     (i, j), (tau, other) = pairs, taus
     one, two = 1 + tau**2 * seen[:, i, i], 1 + other**2 * seen[:, j, j]
     cross = tau * other * seen[:, i, j]
-    x, y = tau * met[:, i], other * met[:, j]
-    det = np.maximum(one * two - cross**2, 1.0)
-    return np.asarray(((x**2 * two + y**2 * one - 2 * x * y * cross) / det - np.log(det)) / 2)
+    explained, spread = explained_by_two(one, two, cross, tau * met[:, i], other * met[:, j])
+    return np.asarray((explained - np.log(spread)) / 2)
