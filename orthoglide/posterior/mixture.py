@@ -121,10 +121,9 @@ class Mixture(Search):
 
     def over_sound(self, state: State, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """As `likeliest`, on a sound machine."""
-        logs = {
-            k: self._log_z(self.scales[k], self._out(self.scales[k], state)) for k in self._sound
-        }
-        return self.moments(state, self.scales[max(logs, key=lambda k: logs[k])], at)
+        sound = [self.scales[k] for k in self._sound]
+        logs = self._log_z(sound, *self._out(sound, state))
+        return self.moments(state, sound[int(np.argmax(logs))], at)
 
     def next_odds(self) -> Array:
         """Log Bayes factor of each group's standing out besides the best state ``(groups,)``."""
@@ -173,13 +172,16 @@ class Mixture(Search):
 
     def _mean(self, state: State, scale: Scale) -> Array:
         """Mean of all coefficients in a state ``(C,)``."""
-        out, spread = self._out(scale, state), self._spread(state)
-        along = scale.along(whitened(whitened(scale.residual, *out), *out))
+        (left,), (shrink,) = self._out([scale], state)
+        spread = self._spread(state)
+        once = whitened(scale.residual, left, shrink)
+        along = scale.along(whitened(once, left, shrink))
         return np.asarray(scale.spike * along + spread @ (spread.T @ along))
 
     def _covariance(self, state: State, scale: Scale, at: NDArray[np.intp]) -> Array:
         """Covariance of some coefficients in a state ``(k, k)``."""
-        columns = whitened(scale.columns, *self._out(scale, state))
+        (left,), (shrink,) = self._out([scale], state)
+        columns = whitened(scale.columns, left, shrink)
         spread = self._spread(state)
         # Prior covariance: the spike's diagonal and what is out.
         seen = columns * scale.spike + (columns @ spread) @ spread.T

@@ -156,8 +156,8 @@ class Search:
         if len(state) + 2 > _MOST:
             return []
         self.table(state)
-        outs = [self._out(scale, state) for scale in self.scales]
-        inside, met = self._besides(outs, self._first[self._ones])
+        left, shrink = self._out(self.scales, state)
+        inside, met = self._besides(left, shrink, self._first[self._ones])
         seen = self._crossed - inside.transpose(0, 2, 1) @ inside
         out = np.isin(self._ones, [*but, *(g for g, _ in state)])
         cost = np.where(out, np.inf, self.cost[self._ones])
@@ -191,14 +191,14 @@ class Search:
         return child
 
     def _expand(self, state: State) -> Array:
-        outs = [self._out(scale, state) for scale in self.scales]
+        left, shrink = self._out(self.scales, state)
         if state not in self.visited:
-            self.visited[state] = np.array(
-                [self._log_z(*both) for both in zip(self.scales, outs, strict=True)]
-            ) - sum(self.cost[g] for g, _ in state)
+            self.visited[state] = self._log_z(self.scales, left, shrink) - sum(
+                self.cost[g] for g, _ in state
+            )
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slabs)
         table = np.full(shape, -np.inf)
-        inside, met = self._besides(outs, np.arange(self._across.shape[1]))
+        inside, met = self._besides(left, shrink, np.arange(self._across.shape[1]))
         square = np.array([[s.residual @ s.residual] for s in self.scales])
         for size, members in self._by_size.items():
             at = np.array([self._span[g] for g in members])
@@ -235,29 +235,32 @@ class Search:
         each = (s.of_groups(at) for s in self.scales)
         return np.stack([columns.T @ columns for columns in each])
 
-    def _besides(
-        self, outs: Sequence[tuple[Array, Array]], at: NDArray[np.intp]
-    ) -> tuple[Array, Array]:
+    def _besides(self, left: Array, shrink: Array, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Along what is out ``(scales, q, k)``, and what besides it the residual has along some
         columns of the groups ``(scales, k)``.
         """
-        taken = [np.sqrt(1 - (1 - shrink) ** 2)[:, None] * left.T for left, shrink in outs]
-        met = np.stack([t @ s.residual for t, s in zip(taken, self.scales, strict=True)])
+        taken = np.sqrt(1 - (1 - shrink[..., None]) ** 2) * left.transpose(0, 2, 1)
+        met = (taken @ self._residuals[..., None])[..., 0]
         along = self._along(taken, at)
         return along, self._across[:, at] - (met[:, None] @ along)[:, 0]
 
     @cached_property
     def _across(self) -> Array:
         """What the residual has along the columns of all groups ``(scales, K)``."""
-        residuals = [s.residual[None] for s in self.scales]
-        return self._along(residuals, np.arange(sum(map(len, self._span))))[:, 0]
+        each = np.arange(sum(map(len, self._span)))
+        return self._along(self._residuals[:, None], each)[:, 0]
 
-    def _along(self, rows: Sequence[Array], at: NDArray[np.intp]) -> Array:
-        """What rows ``(q, m)`` of each scale have along some columns ``(scales, q, k)``.
+    @cached_property
+    def _residuals(self) -> Array:
+        """Of all scales ``(scales, m)``."""
+        return np.stack([s.residual for s in self.scales])
+
+    def _along(self, rows: Array, at: NDArray[np.intp]) -> Array:
+        """What rows ``(scales, q, m)`` have along some columns ``(scales, q, k)``.
 
         Scales of one basis together: its columns are large, and read once.
         """
-        found = np.empty((len(rows), len(rows[0]), len(at)))
+        found = np.empty((*rows.shape[:2], len(at)))
         for basis in dict.fromkeys(s.basis for s in self.scales):
             own = [k for k, s in enumerate(self.scales) if s.basis is basis]
             every = len(at) == basis.by_group.shape[1]
@@ -273,22 +276,26 @@ class Search:
             self._products[size] = np.stack([b @ b.transpose(0, 2, 1) for b in each])
         return self._products[size]
 
-    def _out(self, scale: Scale, state: State) -> tuple[Array, Array]:
-        """What is out: left singular vectors ``(m, q)`` of its columns and what they shrink.
+    def _out(self, scales: Sequence[Scale], state: State) -> tuple[Array, Array]:
+        """What is out: left singular vectors ``(scales, m, q)`` of its columns and what they shrink
+        ``(scales, q)``.
 
         :func:`whitened` whitens what is out as well.
         """
-        if not state:
-            return np.zeros((len(scale.residual), 0)), np.zeros(0)
-        columns = np.hstack([scale.of_groups(self._span[g]) * tau for g, tau in state])
+        at = [k for group, _ in state for k in self._span[group]]
+        tau = np.array([tau for group, tau in state for _ in self._span[group]])
+        columns = np.stack([s.of_groups(np.array(at, dtype=np.intp)) for s in scales]) * tau
+        if not at:
+            return columns, np.zeros((len(scales), 0))
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
-    def _log_z(self, scale: Scale, out: tuple[Array, Array]) -> float:
-        left, shrink = out
-        along = left.T @ scale.residual
-        gain = along @ ((1 - (1 - shrink) ** 2) * along)
-        return scale.log_z + 0.5 * float(gain) + float(np.log1p(-shrink).sum())
+    def _log_z(self, scales: Sequence[Scale], left: Array, shrink: Array) -> Array:
+        """Log weight of what is out, at some scales ``(scales,)``."""
+        along = np.stack([s.residual for s in scales])[:, None] @ left
+        gain = ((1 - (1 - shrink) ** 2) * along[:, 0] ** 2).sum(axis=1)
+        plain = np.array([s.log_z for s in scales])
+        return np.asarray(plain + gain / 2 + np.log1p(-shrink).sum(axis=1))
 
 
 def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
