@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -76,11 +77,12 @@ def is_so(told: Explanation, posterior: FullPosterior, rig: Rig) -> bool:
     """Whether the machine is off by what is told, to half of it: it need not be by the cause that
     was made larger, where everything is off by a share of its tolerance.
     """
-    (candidate,) = [c for c in posterior.about.candidates if c.name == told.name]
-    values = [told.values[name] for name in candidate.parameters]
+    each = (zip(c.parameters, c.weights, strict=True) for c in posterior.about.candidates)
+    weights = dict(chain.from_iterable(each))
     said: dict[str, float] = {}
-    for value, weights in zip(values, candidate.weights, strict=True):
-        for name, weight in weights.items():
+    for parameter, value in told.values.items():
+        # The twin of a candidate is none: a parameter of its own.
+        for name, weight in weights.get(parameter, {parameter: 1.0}).items():
             plain = name.partition("@")[0]
             said[plain] = said.get(plain, 0.0) + weight * value
     apart = [value - rig.error(name) for name, value in said.items()]
