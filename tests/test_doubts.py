@@ -10,7 +10,6 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import InputError
-from orthoglide.fit.noise import station_table
 from orthoglide.notes import Note
 from orthoglide.simulation import simulate, simulate_tcp
 
@@ -105,7 +104,7 @@ def test_what_no_parameter_explains_is_no_slip() -> None:
 
 def test_copies_of_repeats_are_said() -> None:
     whole = rig()
-    station = np.unique(station_table(whole), axis=0, return_inverse=True)[1].reshape(-1)
+    station = np.unique(whole.stations, axis=0, return_inverse=True)[1].reshape(-1)
     first = np.unique(station, return_index=True)[1]
     found = og.identify(whole.with_readings(whole.reading[first][station]), MACHINE)
     assert [w for w in found.warnings if w.kind == "copies" and "say nothing of the noise" in w]

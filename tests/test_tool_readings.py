@@ -146,7 +146,7 @@ def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
     assert ToolReadings.of(campaign, MACHINE, 1e-3).sigma[0] == pytest.approx(1e-3)
     declared = replace(campaign, sigma=np.full(len(campaign), 3e-6))
     assert ToolReadings.of(declared, MACHINE).sigma[0] == pytest.approx(3e-6)
-    assert roughness(np.zeros((5, 2)), np.zeros(5)) == 0.0
+    assert roughness(np.zeros((5, 2)), np.zeros(5), np.zeros((5, 3))) == 0.0
 
 
 BROKEN = {
@@ -419,3 +419,41 @@ def test_what_the_base_cannot_explain_settles(tracked: tuple[Machine, ToolCampai
     found = og.identify([og.simulate(scaled, sheet, seed=1)], machine, list(machine.catalogue.base))
     assert found.scores.chi2 > 1e5
     assert found.optimality < 1e-2 * found.scores.chi2**0.5
+
+
+def from_both_sides(sheet: ToolCampaign, *, twice: bool) -> ToolCampaign:
+    """Every place from both sides, or each from sides drawn for it."""
+    if not twice:
+        sides = np.random.default_rng(0).choice([-1.0, 1.0], (len(sheet), 3))
+        return replace(sheet, approach=sides)
+    n = len(sheet)
+    both = sheet.subset(np.tile(np.arange(n), 2))
+    sides = np.repeat([[1.0] * 3, [-1.0] * 3], n, axis=0)
+    return replace(both, approach=sides, order=np.arange(1, 2 * n + 1))
+
+
+@pytest.mark.parametrize("twice", [True, False])
+@pytest.mark.parametrize("size", [4e-5, 2e-4])
+@pytest.mark.parametrize("kind", ["plate", "tcp"])
+def test_lost_motion_is_no_noise_of_an_instrument(kind: str, size: float, twice: bool) -> None:
+    machine = Machine.nominal()
+    sheet = sheet_of(machine, kind)
+    assert isinstance(sheet, ToolCampaign)
+    loose = machine.with_parameters({"backlash.common": size})
+    read = og.simulate(loose, from_both_sides(sheet, twice=twice), noise=5e-6, seed=1)
+    assert ToolReadings.of(read, machine).sigma.max() <= REPEATABILITY[kind]
+    (found,) = og.close_loop([read], machine).effects
+    assert "backlash.common" in {e.name for e in found.explanations}
+
+
+def test_repeats_of_an_instrument_are_visits_from_one_side(tmp_path: Path) -> None:
+    """A drift over the file, and another reading from the other side, are no noise either."""
+    (once,) = read(tmp_path, text(("tcp",), MACHINE))
+    assert isinstance(once, ToolCampaign)
+    n, rng = len(once), np.random.default_rng(3)
+    visits = once.subset(np.repeat(np.arange(n), 8))
+    sides = np.tile(np.repeat([[1.0] * 3, [-1.0] * 3], 4, axis=0), (n, 1))
+    reading = visits.reading + 1e-4 * sides[:, 0] + 2e-6 * rng.standard_normal(8 * n)
+    reading += np.linspace(0.0, 2e-3, 8 * n)
+    visits = replace(visits, approach=sides, reading=reading, order=np.arange(1, 8 * n + 1))
+    assert ToolReadings.of(visits, MACHINE).sigma == pytest.approx(2e-6, rel=1.5)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.fit.instrument_frame import turned_near
-from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, Recorded, TcpPoints
 from orthoglide.prediction import Conditions, LinearRows, Model
@@ -82,6 +81,16 @@ class OfFile:
         """The mounting of each."""
         return self.points.setup
 
+    @property
+    def places(self) -> Array:
+        """What is read where ``(n, k)``."""
+        return self.points.places
+
+    @property
+    def stations(self) -> Array:
+        """What makes visits the same ``(n, k)``."""
+        return self.points.stations
+
 
 @dataclass(frozen=True)
 class DialReadings(OfFile):
@@ -97,16 +106,6 @@ class DialReadings(OfFile):
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Mountings of which an instrument's effect has parameters."""
         return self.setup_names if effect.dial is not None else ()
-
-    @property
-    def stations(self) -> Array:
-        """Setup, command, approach of all axes, load ``(n, 8)``."""
-        return station_table(self.points)
-
-    @property
-    def places(self) -> Array:
-        """Setup and command ``(n, 4)``."""
-        return self.stations[:, :4]
 
     def conditions(self) -> Conditions:
         """Of every reading."""

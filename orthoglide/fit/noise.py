@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
-from orthoglide.observations import Campaign
+from orthoglide.observations import Campaign, Recorded
 from orthoglide.units import NOISE
 
 NoiseSource = Literal["declared", "machine", "repeats"]
@@ -23,7 +23,7 @@ PUBLISHED_REPEATABILITY = 2e-5
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
 _STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
 _QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
-_FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
+FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,7 +77,7 @@ def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
     There the true value stands at the edge between them, and a quiet dial shows one or the other:
     a whole step apart, which to its scatter elsewhere would be a slip, or a drift.
     """
-    station = np.unique(station_table(campaign), axis=0, return_inverse=True)[1].reshape(-1)
+    station = np.unique(campaign.stations, axis=0, return_inverse=True)[1].reshape(-1)
     low = np.full(int(station.max(initial=-1)) + 1, np.inf)
     high = -low
     np.minimum.at(low, station, campaign.reading)
@@ -127,14 +127,9 @@ def total_variance(within: ArrayLike, resolution: float) -> Array:
     return np.asarray(np.interp(seen, shown, total) + np.maximum(seen - shown[-1], 0.0))
 
 
-def station_table(campaign: Campaign) -> Array:
-    """What makes visits the same: setup, command, approach of all axes, load ``(n, 8)``."""
-    return np.column_stack([campaign.setup, campaign.command, campaign.approach, campaign.load])
-
-
-def repeat_steps(campaign: Campaign) -> Array:
+def repeat_steps(campaign: Recorded) -> Array:
     """Each reading that repeats one, less the one at the visit before, metres."""
-    table = station_table(campaign)
+    table = campaign.stations
     order = np.lexsort([campaign.order, *table.T[::-1]])
     same = np.all(np.diff(table[order], axis=0) == 0, axis=1)
     return np.asarray(np.diff(campaign.reading[order])[same])
@@ -142,7 +137,7 @@ def repeat_steps(campaign: Campaign) -> Array:
 
 def repeated(campaigns: Sequence[Campaign]) -> bool:
     """Whether any station is visited twice from the same side."""
-    return any(len(np.unique(station_table(c), axis=0)) < len(c) for c in campaigns)
+    return any(len(np.unique(c.stations, axis=0)) < len(c) for c in campaigns)
 
 
 def check_noise(noise: float, least: float = NOISE[0]) -> None:
@@ -166,7 +161,7 @@ def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) ->
     if dial.repeatability is not None:
         return _filled(campaigns, float(np.sqrt(dial.repeatability**2 + rounding)), "machine")
     variance, dof = repeat_variance(campaigns)
-    if dof >= _FEWEST_REPEATS and (variance > 0 or dial.resolution > 0):
+    if dof >= FEWEST_REPEATS and (variance > 0 or dial.resolution > 0):
         total = float(np.sqrt(total_variance(variance, dial.resolution)))
         return replace(_filled(campaigns, total, "repeats"), dof=dof)
     return _filled(campaigns, float(np.sqrt(PUBLISHED_REPEATABILITY**2 + rounding)), "machine")
@@ -185,11 +180,11 @@ def _filled(
     return Noise(sigmas, typical, source)
 
 
-def repeat_variance(campaigns: Sequence[Campaign]) -> tuple[float, int]:
+def repeat_variance(campaigns: Sequence[Recorded]) -> tuple[float, int]:
     """Variance of one reading from repeats, and its degrees of freedom.
 
-    Repeats share setup, command and the approach of all three axes; successive ones are
-    differenced, so that a slow drift hardly counts: ``mean (y_k+1 - y_k)^2 / 2``.
+    Repeats share all that the machine is told, the approach of all three axes included; successive
+    ones are differenced, so that a slow drift hardly counts: ``mean (y_k+1 - y_k)^2 / 2``.
     """
     total, count = 0.0, 0
     for campaign in campaigns:

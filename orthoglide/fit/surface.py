@@ -12,6 +12,7 @@ DEGREE = 4
 _FLAT = 1e-4
 """Standard deviation of the shapes that effects name, a bowl or three lobes, metres."""
 
+_OF_A_SIDE = 1  # degree of what approach from the other side adds
 _FEWEST_ROUGH = 12
 
 
@@ -44,19 +45,29 @@ def own_shapes(place: Array) -> list[tuple[Array, float]]:
     ]
 
 
-def roughness(place: Array, height: Array) -> float:
+def _polynomials(place: Array, degree: int) -> Array:
+    """Powers of both coordinates up to a degree ``(n, k)``."""
+    x, y = place.T
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    return np.stack([x**i * y**j for i, j in powers], axis=1)
+
+
+def roughness(place: Array, height: Array, approach: Array) -> float:
     """Standard deviation of heights about the smoothest surface, metres; 0 where there are too few.
 
     A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
-    more than any rigid cause makes, counts as noise of its touches.
+    more than any rigid cause makes, counts as noise of its touches. From the other side a machine
+    with lost motion shows another surface: smoother, as the drives' shares in the height are.
 
     Args:
         place: on the plate over its radius ``(n, 2)``.
         height: ``(n,)``, metres.
+        approach: of each axis ``(n, 3)``.
     """
-    x, y = place.T
-    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
-    columns = np.stack([x**i * y**j for i, j in powers], axis=1)
+    smoother = _polynomials(place, _OF_A_SIDE)
+    columns = np.hstack(
+        [_polynomials(place, DEGREE), *(side[:, None] * smoother for side in approach.T)]
+    )
     found, _, rank, _ = np.linalg.lstsq(columns, height, rcond=1e-9)
     dof = len(height) - int(rank)
     if dof < _FEWEST_ROUGH:

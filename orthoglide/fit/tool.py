@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile
 from orthoglide.fit.instrument_frame import turned_back
+from orthoglide.fit.noise import FEWEST_REPEATS, repeat_variance
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -31,7 +32,6 @@ a calliper's distance as owners of linear deltas repeat them."""
 SCALE_SD, OFFSET_SD = 0.01, 2e-4
 """What is known of a setup of distances: a printed part's shrinkage, the width of its pillars."""
 
-_FEWEST_REPEATS = 6
 _LEAST = 0.05
 _MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a micrometre
 _STEPS = 10
@@ -103,18 +103,6 @@ class ToolReadings(OfFile):
         if points is self.points and np.abs(ball - self.ball).max(initial=0.0) < _MOVED:
             return self
         return replace(self, points=points, ball=ball)
-
-    @property
-    def stations(self) -> Array:
-        """What makes visits the same: setup, axis, both commands, approach, load ``(n, 12)``."""
-        c = self.points
-        return np.column_stack([self.places, c.approach, c.load])
-
-    @property
-    def places(self) -> Array:
-        """Setup, axis and both commands ``(n, 8)``."""
-        c = self.points
-        return np.column_stack([c.setup, c.axis, c.command, np.nan_to_num(c.second)])
 
     @cached_property
     def twice(self) -> NDArray[np.bool_]:
@@ -265,12 +253,12 @@ def _sigma(
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
         rows = campaign.of_kind(kind)
-        found[rows] = noise or _level(kind, instruments, _of_repeats(campaign, rows))
+        found[rows] = noise or _level(kind, instruments, _of_repeats(campaign.subset(rows)))
     if noise is None:
         for k, setup in enumerate(campaign.setups):
             if setup.kind == "plate":
                 rows = campaign.setup == k
-                rough = roughness(place[rows], height[rows])
+                rough = roughness(place[rows], height[rows], campaign.approach[rows])
                 found[rows] = np.maximum(found[rows], rough)
     declared = campaign.sigma if noise is None else np.full(len(campaign), np.nan)
     return np.where(np.isfinite(declared), declared, found)
@@ -291,22 +279,13 @@ def _level(kind: str, instruments: Mapping[str, Instrument], repeats: float = 0.
     return float(np.hypot(level, (own.resolution or 0.0) / np.sqrt(12)))
 
 
-def _of_repeats(campaign: ToolCampaign, rows: NDArray[np.bool_]) -> float:
-    """Standard deviation of one reading from repeats of a kind; 0 where there are too few."""
-    table = np.column_stack(
-        [campaign.setup, campaign.axis, campaign.command, np.nan_to_num(campaign.second)]
-    )[rows]
-    _, place = np.unique(table, axis=0, return_inverse=True)
-    place = place.reshape(-1)
-    count = np.bincount(place)
-    dof = int(len(place) - len(count))
-    if dof < _FEWEST_REPEATS:
+def _of_repeats(campaign: ToolCampaign) -> float:
+    """Standard deviation of one reading of a kind from repeats; 0 where there are too few."""
+    variance, dof = repeat_variance([campaign])
+    if dof < FEWEST_REPEATS:
         return 0.0
-    reading = campaign.reading[rows]
-    rest = reading - (np.bincount(place, reading) / count)[place]
-    found = float(np.sqrt(np.sum(rest**2) / dof))
-    kind = campaign.kind[int(np.flatnonzero(rows)[0])]
-    return max(found, _LEAST * REPEATABILITY[kind])  # readings that all agree have a coarse step
+    # Readings that all agree have a coarse step.
+    return max(float(np.sqrt(variance)), _LEAST * REPEATABILITY[campaign.kind[0]])
 
 
 def centre_of(p: Array, distance: Array) -> Array:

@@ -162,6 +162,16 @@ class Recorded:
         """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
         return np.nan_to_num(self.temperature - self._reference())
 
+    @property
+    def places(self) -> Array:
+        """What is read where: setup and command ``(n, 4)``."""
+        return np.column_stack([self.setup, self.command])
+
+    @property
+    def stations(self) -> Array:
+        """What makes visits the same: places, approach of all axes, load ``(n, k)``."""
+        return np.column_stack([self.places, self.approach, self.load])
+
     def subset(self, rows: ArrayLike) -> Self:
         """Some of the readings, with the setups they need.
 

@@ -74,6 +74,12 @@ class ToolCampaign(Recorded):
         return html_table(repr(self)[1:-1], columns)
 
     @property
+    def places(self) -> Array:
+        """What is read where: setup, axis and both commands ``(n, 8)``."""
+        second = np.nan_to_num(self.second)
+        return np.column_stack([self.setup, self.axis, self.command, second])
+
+    @property
     def kind(self) -> tuple[Kind, ...]:
         """Of each reading."""
         return tuple(self.setups[k].kind for k in self.setup)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.fit import Noise, Problem, assemble, build_problem, noise_of
-from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding, station_table
+from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
 from orthoglide.fit.tool import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -125,7 +125,7 @@ class LinearReadings:
     @cached_property
     def station(self) -> NDArray[np.intp]:
         """Station of each row ``(n,)``."""
-        table = station_table(self.campaign)
+        table = self.campaign.stations
         return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
 
     def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:

@@ -9,7 +9,6 @@ import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.errors import InputError
-from orthoglide.fit.noise import station_table
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
@@ -66,7 +65,7 @@ def sigma_by_repeats(
     Raises:
         InputError: for a parameter that is not identified.
     """
-    _, first = np.unique(station_table(campaign), axis=0, return_index=True)
+    _, first = np.unique(campaign.stations, axis=0, return_index=True)
     once = campaign.subset(np.sort(first))
     names = machine.catalogue.expand(free, [s.name for s in once.setups])
     if what != TCP and what not in names:

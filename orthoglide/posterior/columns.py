@@ -38,8 +38,9 @@ _LIKELY = 3.0
 """Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
 surface those count that a machine may have."""
 
-_VISIBLE = 0.3
-"""A cause is weighed if one tolerance lifts it this far above the noise, in all."""
+_VISIBLE = 0.1
+"""What ten tolerances lift a sigma above the noise, in all, is weighed: where one drive shows far
+more than the others, only these tell whether its error is theirs as well."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
