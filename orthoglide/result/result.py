@@ -293,6 +293,14 @@ class Result(Framed):
         """The same of every instrument at the tool."""
         return rest_of_tool(self.after)
 
+    @property
+    def dials_hold_most(self) -> bool:
+        """Whether the mounting that shows most of what is left is a dial's, and not that of an
+        instrument at the tool; not without dials.
+        """
+        tool = max((one.share for one in self.rest_of_tool), default=-1.0)
+        return any(one.share >= tool for one in self.rest[:1])
+
     @cached_property
     def picture(self) -> Picture:
         """The machine with what was found."""
@@ -318,7 +326,8 @@ class Result(Framed):
         if not self.request.searches:
             return ()
         geometry = self.request.machine.geometry
-        again = tuple(map(planning.repeating, () if self.stands else self.rest_of_tool[:1]))
+        follow = not self.stands
+        again = tuple(map(planning.repeating, self.rest_of_tool[:follow]))
         if not geometry.dialled:
             known = self.after, self.effects, self.machine
             return (*planning.deciding_instruments(*known), *again)
@@ -328,8 +337,9 @@ class Result(Framed):
         pairs = planning.pairs_within(map(len, sets))
         apart = planning.next_measurements(self.after, rivals, pairs=pairs, directions=())
         more = planning.next_measurements(self.before)
-        trace = () if self.stands else tuple(planning.tracing(r, geometry) for r in self.rest[:1])
-        return (*(trace or again), *apart, *more)
+        if self.dials_hold_most:
+            again = tuple(planning.tracing(r, geometry) for r in self.rest[:follow])
+        return (*again, *apart, *more)
 
     @cached_property
     def next_sheet(self) -> Campaign | None:
