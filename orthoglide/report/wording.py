@@ -130,7 +130,7 @@ def where_left(result: Result) -> str:
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch the "
             "plate again, turned by 60 degrees on its seat; what turns with it is its own."
         )
-    shares = [one.share for one in (*result.rest, *result.rest_of_tool)]
+    shares = [*(one.share for one in result.rest), *(one.share for one in result.rest_of_tool)]
     if shares and (points := 1 - sum(shares)) > max(shares):
         return f" The largest part of what is left ({100 * points:.0f} %) shows in the TCP points."
     if result.dials_hold_most:
