@@ -25,6 +25,7 @@ from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
 from orthoglide.fit.factors import SILENT
+from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
@@ -181,14 +182,14 @@ def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[fl
     station = np.unique(all_rows.station[kept], return_inverse=True)[1].reshape(-1)
     weighing = Weighing(all_rows.sigma[kept], all_rows.common[kept], station)
     columns = np.hstack([at.jacobian, nuisance.columns, steps])
-    matrix, target = problem.prior_rows
-    count, free = at.jacobian.shape[1], nuisance.count
-    known = np.zeros((len(matrix) + free, columns.shape[1]))
-    known[: len(matrix), :count] = matrix
-    known[len(matrix) :, count : count + free] = np.diag(np.sqrt(nuisance.precision))
+    known = known_rows(problem, nuisance)
+    known = np.hstack([known, np.zeros((len(known), steps.shape[1]))])
     rows = np.vstack([weighing.whiten(columns[kept]), known])
     rest = (problem.measured - at.value + at.jacobian @ at.x)[kept]
-    aim = np.concatenate([weighing.whiten(rest), target, np.zeros(free)])
+    aim = np.zeros(len(rows))
+    aim[: len(rest)] = weighing.whiten(rest)
+    _, target = problem.prior_rows
+    aim[len(rest) :][: len(target)] = target
     scale = np.linalg.norm(rows, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     found = np.linalg.lstsq(rows / scale, aim, rcond=1e-10)[0] / scale
@@ -219,9 +220,10 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
             elif len(rows):
                 split = _split(split, rows)
         if not kept.any():
+            fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
             raise InputError(
                 f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
-                f"it again ({blunders[0].message})"
+                f"it again ({fault.message})"
             )
         campaigns.append(split.subset(kept))
         sigmas.append(problem.noise.sigma[k][kept])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orthoglide.diagnosis.faults import setup_names
 from orthoglide.diagnosis.rest import rest_of_tool
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.least_squares import fitted_basis
+from orthoglide.fit.least_squares import fitted_basis, past
 from orthoglide.geometry import LEGS, Array
 
 ALPHA = 0.005
@@ -133,7 +133,7 @@ class _Rest:
         """Columns ``(n, k)`` whitened and past the fit, and their length before ``(k,)``."""
         weighted = self.whiten(columns)
         scale = np.linalg.norm(weighted, axis=0)
-        return weighted - self.basis @ (self.basis.T @ weighted), np.where(scale > 0, scale, 1.0)
+        return past(self.basis, weighted), np.where(scale > 0, scale, 1.0)
 
     def by_setup(self, column: Array) -> Array:
         """A column of its own for every setup ``(n, setups)``."""

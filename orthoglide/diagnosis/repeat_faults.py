@@ -24,9 +24,10 @@ from orthoglide.diagnosis.faults import (
     message,
     untouched,
 )
-from orthoglide.diagnosis.station_means import orthonormal, past
+from orthoglide.diagnosis.station_means import orthonormal
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.least_squares import past
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.geometry import Array
 

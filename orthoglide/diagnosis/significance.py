@@ -8,6 +8,7 @@ import numpy as np
 
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.least_squares import past
 from orthoglide.fit.noise import repeat_variance, total_variance
 from orthoglide.geometry import Array
 
@@ -66,7 +67,7 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     known = len(problem.prior_rows[0])
     padded = np.zeros((len(signatures.fitted), draws))
     padded[signatures.count :][:known] = rng.standard_normal((known, draws))
-    rows += signatures.project(padded)
+    rows += past(signatures.fitted, padded)
     little = rng.standard_normal((len(signatures.names), draws))
     little *= BACKGROUND * signatures.tolerance[:, None]
     return np.asarray(rows + signatures.columns @ little)
