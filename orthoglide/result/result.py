@@ -19,9 +19,9 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import Framed
 from orthoglide.judging import HoldOut, TcpErrors
-from orthoglide.klipper import Corrections, disagreements, firmware_of
+from orthoglide.klipper import Corrections, firmware_of
 from orthoglide.machine import Machine
-from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import (
     BudgetItem,
@@ -35,7 +35,7 @@ from orthoglide.posterior import (
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
 from orthoglide.result.corrections import corrections
-from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
+from orthoglide.result.firmware import FirmwareAdvice, apart, firmware_advice
 from orthoglide.result.picture import Picture, picture, view_of
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
 from orthoglide.scene import View
@@ -163,12 +163,6 @@ class Result(Framed):
             if self._corrections is not None:
                 kept["klipper"]["corrected"] = self._corrections.kept
         return self._machine.with_provenance(kept)
-
-    @cached_property
-    def _apart(self) -> tuple[str, ...]:
-        old = firmware_of(self.request.machine)
-        read = [c for c in self.request.points if isinstance(c, ToolCampaign)]
-        return () if old is None else tuple(one.note for one in disagreements(old, read))
 
     @cached_property
     def _corrections(self) -> Corrections | None:
@@ -378,7 +372,7 @@ class Result(Framed):
     @property
     def cautions(self) -> tuple[str, ...]:
         """What speaks against acting on what was found as it stands, a sentence each."""
-        found = [f"{note}." for note in self._apart]
+        found = [f"{note}." for note in apart(self.request)]
         if self.word == "partial":
             found.append(
                 "What was found explains only part of what is wrong, and may stand in for "
