@@ -219,9 +219,10 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
             elif len(rows):
                 split = _split(split, rows)
         if not kept.any():
+            fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
             raise InputError(
                 f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
-                f"it again ({blunders[0].message})"
+                f"it again ({fault.message})"
             )
         campaigns.append(split.subset(kept))
         sigmas.append(problem.noise.sigma[k][kept])
