@@ -104,6 +104,8 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,10\n30,-20,5\n")
     run("compensate", tmp_path / "path.csv", "--machine", calibrated, "--out", tmp_path / "to.csv")
     run("export", "--machine", calibrated, "--out", tmp_path / "exported")
+    alone = ("export", "--machine", calibrated, "--zeros-only", "--out", tmp_path / "alone")
+    assert "all its numbers or none" in run(*alone, code=2)
     text = (tmp_path / "exported" / "controller.txt").read_text()
     assert "To paste:\n[printer]\ndelta_radius: " in text
     assert "zero" not in text.replace("z = 0", "")
