@@ -27,9 +27,11 @@ from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
 from orthoglide.fit.factors import SILENT
 from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.scores import rms_by_unit
-from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
+
+_MOST = 8
+"""Faults that are slips: what is left beyond them is for a person to look at."""
 
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
@@ -85,14 +87,13 @@ class Findings:
     changes: tuple[Change, ...]
 
 
-def examine(estimate: Estimate, *, most: int = 8) -> Findings:
+def examine(estimate: Estimate) -> Findings:
     """Find faults of the data, and changes between campaigns, that no cause explains as well.
 
     Every test here is closed form: the answer has no seed.
 
     Args:
         estimate: the fit of the base model.
-        most: more faults than this are no slips: what is left is for a person to look at.
     """
     narrow = estimate.problem.at_tolerance()
     if narrow is not estimate.problem:
@@ -104,7 +105,7 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     found = stuck_faults(base, means, setups)
     found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
-    stale = 0 < len(found) < most
+    stale = 0 < len(found) < _MOST
     several = len(visits(estimate.problem)) > 1
     for _ in range(_REFITS + (_CHANGED if several else 0)):
         if stale:
@@ -123,10 +124,10 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
             found.append(item)
             changes = []  # found anew: what a fault does was not theirs to explain
         stale = True
-    if len(found) < most and not any(f.kind in MEANINGS for f in found):
+    if len(found) < _MOST and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
-    found = found[:most] + scatter_faults(estimate.problem, setups, found)
+    found = found[:_MOST] + scatter_faults(estimate.problem, setups, found)
     last = means.signatures.estimate
     return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
 
@@ -181,9 +182,7 @@ def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[fl
     problem, nuisance, at = estimate.problem, estimate.nuisance, estimate.at
     if not kept.any():
         return 0.0, 0.0
-    all_rows = problem.weighing
-    station = np.unique(all_rows.station[kept], return_inverse=True)[1].reshape(-1)
-    weighing = Weighing(all_rows.sigma[kept], all_rows.common[kept], station)
+    weighing = problem.weighing.part(kept)
     columns = np.hstack([at.jacobian, nuisance.columns, steps])
     known = known_rows(problem, nuisance)
     known = np.hstack([known, np.zeros((len(known), steps.shape[1]))])

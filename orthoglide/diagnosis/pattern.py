@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.faults import setup_names
+from orthoglide.diagnosis.faults import clock, setup_names
 from orthoglide.diagnosis.rest import rest_by_setup, rest_of_tool
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis, past
@@ -254,15 +254,9 @@ def _hysteresis(rest: _Rest) -> str:
 def _trend(rest: _Rest) -> str:
     """A drift along the sequence of the readings."""
     campaigns = rest.problem.campaigns
-    place = np.concatenate([_progress(c.time, c.order.astype(float)) for c in campaigns])
+    place = np.concatenate([clock(c.time, c.order) for c in campaigns])
     p, share = rest.p_value(rest.by_setup(place), by_reading=True)
     return f"it drifts in time ({share:.0%} of it)" if p < ALPHA else ""
-
-
-def _progress(time: Array, order: Array) -> Array:
-    """Place in time from -1 to 1; in the sequence where no time was recorded."""
-    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order
-    return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
 
 
 def _period(rest: _Rest) -> str:

@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.signatures import signatures
+from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import check_list
 from orthoglide.fit import Estimate, solve
+from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
 from orthoglide.planning.linear import foreseen
@@ -22,7 +25,6 @@ from orthoglide.units import Unit
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
-_CLASS_WIDTH = 4.0  # change of chi2 within which two effects count as one (Wilks: two sigmas)
 _SAME = 1e-3  # sine between signatures that no size of effect would tell apart
 
 
@@ -133,11 +135,7 @@ def smallest_effects(
     best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
     threshold = float(np.quantile(best, 1 - level))
     single = [c for c in scoring.candidates if c.size == 1]
-    columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
-    length = np.linalg.norm(columns, axis=0)
-    cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
-    kinds = np.array([c.effect for c in single])
-    cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
+    length, cosine = _likeness(seen, single)
     found = []
     for k, candidate in enumerate(single):
         if names and not {candidate.effect, candidate.name} & set(names):
@@ -169,6 +167,16 @@ def as_expected(
     return solve(foreseen(machine, campaign, noise), method="nested")
 
 
+def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
+    """Lengths of signatures ``(k,)``, and cosines ``(k, k)`` between those of different effects."""
+    columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
+    length = np.linalg.norm(columns, axis=0)
+    cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
+    kinds = np.array([c.effect for c in single])
+    cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
+    return length, cosine
+
+
 def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:
     """Sizes that are detected and named, in tolerances."""
     detected = np.sqrt(noncentrality(length**2, threshold)) / length
@@ -198,4 +206,4 @@ def separation() -> float:
     from scipy.special import ndtri
 
     z = float(ndtri(POWER))
-    return z + float(np.sqrt(z**2 + _CLASS_WIDTH))
+    return z + float(np.sqrt(z**2 + CLASS_WIDTH))

@@ -80,6 +80,16 @@ def standing(result: Result) -> str:
     return f"{nothing} wrong that these readings could show beyond the {base}."
 
 
+def too_early(result: Result) -> str:
+    """Why numbers are not to be entered yet, as a clause; empty where they may."""
+    if not result.stands:
+        return (
+            "the verdict says that something is left that nothing explains, and they would be bent "
+            "by it"
+        )
+    return "the verdict warns of what would bend them" if result.cautions else ""
+
+
 def evidence(result: Result) -> str:
     """What speaks for the claim of a closed loop, and what had to be dealt with first."""
     said = [_weighed(result)]

@@ -35,7 +35,7 @@ from orthoglide.posterior import (
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
 from orthoglide.result.corrections import corrections
-from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
+from orthoglide.result.firmware import FirmwareAdvice, apart, firmware_advice
 from orthoglide.result.following import next_measurements
 from orthoglide.result.picture import Picture, picture, view_of
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
@@ -365,7 +365,7 @@ class Result(Framed):
     @property
     def cautions(self) -> tuple[str, ...]:
         """What speaks against acting on what was found as it stands, a sentence each."""
-        found = []
+        found = [f"{note}." for note in apart(self.request)]
         if self.word == "partial":
             found.append(
                 "What was found explains only part of what is wrong, and may stand in for "
