@@ -61,6 +61,19 @@ def probability(p: float) -> str:
     return "below 10⁻⁶" if p < 1e-6 else compact(p, 2) if p < 0.1 else f"{p:.2f}"
 
 
+def told_apart(was: float, now: float) -> tuple[str, str]:
+    """Two figures of one quantity, with more decimals where they would look alike, or be nothing.
+
+    Two significant digits of the smaller, three decimals at most where these tell them apart.
+    """
+    for most in (3, _MOST_DECIMALS):
+        places = decimals_for(min(was, now), most)
+        texts = f"{was:.{places}f}", f"{now:.{places}f}"
+        if texts[0] != texts[1] and float(texts[1]) > 0:
+            break
+    return texts
+
+
 class ByUnit(NamedTuple):
     """One figure of readings, of lengths and of inclinations apart: the two never add up.
 

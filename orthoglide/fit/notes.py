@@ -91,7 +91,8 @@ def quieter(estimate: Estimate) -> Iterator[Note]:
         yield Note(
             f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
             f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
-            f"{scores.dof:.0f} degrees of freedom): correct it, as faults may hide in it",
+            f"{scores.dof:.0f} degrees of freedom): correct it, as faults may hide in it, or the "
+            f"unit of the readings",
             "quiet",
         )
 

@@ -24,6 +24,7 @@ from orthoglide.observations import Campaign, ToolCampaign, source
 _QUIET = {"usual": 0.1, "told": 0.2}
 _FEWEST = 10.0  # degrees of freedom: noise alone leaves a tenth of itself once in 4e8 such setups
 _EXACT = 1e-8  # metres or radians: whose noise is declared this small is not measured but computed
+_DECLARED = "as declared"
 _FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
 _MOST = 1e3  # times quieter, from which the figure says nothing more
 
@@ -69,11 +70,12 @@ def _said(problem: Problem, part: _Part, sigma: float, ratio: float) -> str:
     unit, other = ("mrad", "degrees") if turned else ("mm", "inches")
     times = 1 / np.sqrt(max(ratio, _MOST**-2))
     count = f"more than {_MOST:.0f}" if times >= _MOST else compact(times, 2)
+    where = "" if part.told == _DECLARED else part.declare
     return (
         f"{part.where}: the readings are {count} times quieter than the noise assumed of them "
         f"({compact(sigma * 1e3, 2)} {unit}, {part.told or 'the usual figure'}): are they in "
         f"another unit, as {other}? If not, "
-        f"{'correct' if part.told else 'declare'} the instrument's noise{part.declare}"
+        f"{'correct' if part.told else 'declare'} the instrument's noise{where}"
     )
 
 
@@ -81,7 +83,9 @@ def _parts(problem: Problem) -> Iterator[_Part]:
     for factor, span in zip(problem.factors, problem.factor_rows, strict=True):
         rows, points = np.arange(span.start, span.stop), factor.points
         if isinstance(points, Campaign):
-            yield _Part(source(points), rows, _of_dials(problem), f"{_IN_FILE}[dial_mm]")
+            if problem.noise.source != "declared":  # of which notes speak that count all readings
+                told = _of_dials(problem)
+                yield _Part(source(points), rows, told, f"{_IN_FILE}[dial_mm]")
         elif isinstance(points, ToolCampaign):
             for k, setup in enumerate(points.setups):
                 own = factor.setup == k
@@ -92,20 +96,20 @@ def _parts(problem: Problem) -> Iterator[_Part]:
                         f"{_IN_FILE}[instrument.{setup.kind}]",
                     )  # fmt: skip
         else:
-            told = "as declared" if np.isfinite(points.sigma).any() else ""
+            told = _DECLARED if np.isfinite(points.sigma).any() else ""
             yield _Part(source(points), rows, told, " in a column sigma_mm")
 
 
 def _of_dials(problem: Problem) -> str:
-    if problem.noise.source == "machine":
-        return _FROM_FILE if problem.machine.spec.dial.repeatability else ""
-    return "as declared" if problem.noise.source == "declared" else "from their repeats"
+    if problem.noise.source == "repeats":
+        return "from their repeats"
+    return _FROM_FILE if problem.machine.spec.dial.repeatability else ""
 
 
 def _of_tool(problem: Problem, factor: Factor, own: NDArray[np.bool_], kind: str) -> str:
     told = np.isfinite(factor.points.sigma[own]).all()
     if told or (problem.noise.source == "declared" and not problem.campaigns):
-        return "as declared"
+        return _DECLARED
     instrument = problem.machine.spec.instruments.get(kind)
     if instrument is not None and instrument.repeatability:
         return _FROM_FILE

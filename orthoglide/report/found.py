@@ -11,7 +11,14 @@ from orthoglide.effects.words import toward
 from orthoglide.figures.causes import MOST_CURVES
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import ByUnit, compact, decimals_for, plain, probability, signed
+from orthoglide.numerals import (
+    ByUnit,
+    compact,
+    plain,
+    probability,
+    signed,
+    told_apart,
+)
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
@@ -75,10 +82,7 @@ def _tiles(what: str, before: ByUnit, after: ByUnit, figure: str) -> list[Before
     found = []
     for unit, now in after.shown.items():
         was = before.shown.get(unit, math.nan)
-        places = decimals_for(min(was, now), 3)
-        found.append(
-            BeforeAfter(what, f"{was:.{places}f}", f"{now:.{places}f}", f"{unit} {figure}")
-        )
+        found.append(BeforeAfter(what, *told_apart(was, now), f"{unit} {figure}"))
     return found or [BeforeAfter(what, "", "–", f"mm {figure}")]
 
 

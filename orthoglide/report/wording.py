@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from orthoglide.effects.wording import parameter_words
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, decimals_for, probability, signed
+from orthoglide.numerals import compact, decimals_for, probability, signed, told_apart
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
@@ -272,19 +272,10 @@ def _falls(before: Scores, after: Scores) -> str:
     for unit, now in after.told.shown.items():
         was = before.told.shown[unit]
         verb = "hardly falls" if now > _SLIGHT * was else "falls"
-        parts.append(f"{verb if verb != last else ''} {_from_to(was, now)} {unit} rms".strip())
+        figures = " to ".join(told_apart(was, now))
+        parts.append(f"{verb if verb != last else ''} from {figures} {unit} rms".strip())
         last = verb
     return ", and ".join(parts)
-
-
-def _from_to(was: float, now: float) -> str:
-    """``from 0.36 to 0.01``, with more decimals where the two would look alike or be nothing."""
-    for most in (3, 6):
-        places = decimals_for(now, most)
-        first, last = f"{was:.{places}f}", f"{now:.{places}f}"
-        if first != last and float(last) > 0:
-            break
-    return f"from {first} to {last}"
 
 
 # --- Of an identification -------------------------------------------------------------------
@@ -310,7 +301,7 @@ def _gain(fit: Estimate) -> str:
     for unit, now in after.items():
         verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
         what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
-        parts.append(f"{what}{_from_to(before[unit], now)} {unit}")
+        parts.append(f"{what}from {' to '.join(told_apart(before[unit], now))} {unit}")
         last = verb
     return ", and ".join(parts)
 
