@@ -31,7 +31,7 @@ PLATE_BOW = Effect(
             f"{more(v, 'middle', 'ends')}"
         ),
     ),
-    group="dial",
+    group="plate",
     plate=(("", lambda x, y: x**2 + y**2),),
 )
 
@@ -55,7 +55,7 @@ PLATE_TREFOIL = Effect(
             f"of {mm(v)} to turn with it, high where they were low"
         ),
     ),
-    group="dial",
+    group="plate",
     plate=(
         ("cos", lambda x, y: x**3 - 3 * x * y**2),
         ("sin", lambda x, y: 3 * x**2 * y - y**3),
