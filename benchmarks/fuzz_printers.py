@@ -66,10 +66,10 @@ def _three(text: str) -> list[float]:
 
 
 def _stored(text: str) -> dict[str, dict[str, str]]:
-    """Sections with their keys, the last of each counting."""
+    """Sections with their keys, the last of each counting, and an owner's before saved ones."""
     found: dict[str, dict[str, str]] = {}
     section = found.setdefault("", {})
-    for line in sorted(text.splitlines(), key=lambda line: line.startswith("#*#")):  # saved last
+    for line in sorted(text.splitlines(), key=lambda line: not line.startswith("#*#")):
         line = re.sub(r"^#\*# ?", "", line)
         if line[:1].isspace() or not (line := re.split(r"\s*[#;]", line)[0].strip()):
             continue

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
@@ -116,11 +117,45 @@ def _at_the_tool(
         check_noise(noise, 0.0)
     own = machine.spec.instruments
     level = expected_sigma(sheet, own) if noise is None else noise
-    block = factor.nuisances(at.slopes)
-    off = draw.normal(scale=np.minimum(block.sd, _DATUM))
-    shown = at.value + block.columns @ off + draw.normal(scale=level, size=len(sheet))
+    shown = at.value.copy()
+    for k in range(len(sheet.setups)):
+        rows = np.flatnonzero(sheet.setup == k)
+        shown[rows] = _misplaced(factor, at.slopes, k, rows, draw)
+    shown = shown + draw.normal(scale=level, size=len(sheet))
     steps = np.array([(own[k].resolution or 0.0) if k in own else 0.0 for k in sheet.kind])
     return replace(blank, reading=np.round(_rounded(shown, steps), 12))
+
+
+def _misplaced(
+    factor: ToolReadings, slopes: Array, k: int, rows: NDArray[np.intp], draw: np.random.Generator
+) -> Array:
+    """What an instrument shows ``(m,)`` that stands somewhere near the place its sheet says.
+
+    A ball bar reads ``|p - ball| + length``, a tracker coordinates of ``turn p + shift``; datum,
+    plane and scale are linear.
+
+    Args:
+        factor: the sheet's readings.
+        slopes: places of the tool and readings of the instrument in place ``(n, 4)``.
+        k: the setup.
+        rows: its rows ``(m,)``.
+        draw: where to draw from.
+    """
+    from scipy.spatial.transform import Rotation
+
+    sheet, p = factor.points, slopes[rows, :3]
+    axis, sign, kind = sheet.axis[rows], sheet.sign[rows], sheet.setups[k].kind
+    if kind == "ballbar":
+        ball, length = factor.ball[k] + draw.normal(scale=_DATUM, size=3), draw.normal(scale=_DATUM)
+        return np.asarray(np.linalg.norm(p - ball, axis=1) + length)
+    if kind == "tcp" and len(np.unique(axis)) > 1:
+        shift, turn = draw.normal(scale=_DATUM, size=(2, 3))
+        seen = Rotation.from_rotvec(turn).apply(p) + shift
+        return np.asarray(sign * seen[np.arange(len(rows)), axis])
+    block = factor.nuisances(slopes)
+    own = block.columns[rows].any(axis=0)
+    off = draw.normal(scale=np.minimum(block.sd[own], _DATUM))
+    return np.asarray(slopes[rows, 3] + block.columns[np.ix_(rows, own)] @ off)
 
 
 def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:

@@ -203,3 +203,9 @@ def test_only_layouts_know_where_legs_stand() -> None:
     assert {f for f in found if not f.startswith(tuple(OF_ONE_LAYOUT))} == set()
     assert all(any(f.startswith(known) for f in found) or known.endswith("/")
                for known in OF_ONE_LAYOUT)  # fmt: skip
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_assert_is_for_tests(path: Path) -> None:
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    assert not [node.lineno for node in nodes if isinstance(node, ast.Assert)]

@@ -333,6 +333,15 @@ def test_a_campaign_of_faults_alone_is_refused(machine):
         without(estimate.problem, [every])
 
 
+def test_a_campaign_that_is_refused_is_told_its_own_fault(machine):
+    every = [campaign_of(rows_of("standard", seed=k), machine, f"visit-{k}") for k in (1, 2)]
+    problem = identify(every, machine, method="nested").problem
+    first = Blunder("outlier", ((0, 3),), (), "visit-1, line 5", 0.0, 0.0, 0.0)
+    whole = Blunder("unit", tuple((1, k) for k in range(54)), (), "visit-2 is in", 0.0, 0.0, 0.0)
+    with pytest.raises(InputError, match=r"nothing is left of visit-2 .* \(visit-2 is in\)"):
+        without(problem, [first, whole])
+
+
 def test_the_same_readings_give_the_same_answer(machine):
     rows = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.1).rows
     assert found_in(rows, machine) == found_in(rows, machine)

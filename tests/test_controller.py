@@ -606,6 +606,26 @@ def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
     assert invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))[0] == 2
 
 
+def test_a_machine_with_a_curve_of_a_drive_is_exported(tmp_path: Path) -> None:
+    file, out = tmp_path / "m.toml", tmp_path / "out"
+    machine({"joint_offset.x": 1e-3}).save(file)
+    own, across = "drive_x_travel.x", "drive_x_command_y.x"
+    curves = {f"{own}.1": 0.1, f"{own}.3": -0.2, f"{across}.1": 0.02}
+    file.write_text(
+        file.read_text()
+        + "".join(
+            f'"{n}" = {{ value = {v}, sigma = 0.01, unit = "mm" }}\n' for n, v in curves.items()
+        )
+    )
+    code, text = invoke("export", "--machine", str(file), "--out", str(out))
+    assert code == 0, text
+    left = f"drive x travel (2 numbers), {across}.1"
+    assert left in " ".join((out / "controller.txt").read_text().split())
+    comment = (out / "orthoglide.urdf").read_text().partition("-->")[0]
+    assert f"Left out, for URDF holds constant geometry only: {left}." in comment
+    assert "Holds joint_offset.x." in comment
+
+
 def test_the_text_of_commands_has_a_row_a_point() -> None:
     text = commands_text(compensate(Machine.nominal(), circle(5)))
     assert text.count("\n") == 6

@@ -105,10 +105,48 @@ def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> Non
         assert len(found.campaigns) == 2
         notes = [note for note in found.notes if "one plate and one set of numbers" in note]
         assert bool(notes) == told
+    assert found.together == ()
     assert notes[0].startswith("mesh-2023.csv and mesh-default.csv are not of")
     size = re.search(r"differ by \+(0\.\d+) mm, 0\.\d+ mm at the rim", notes[0])
     assert size is not None
     assert float(size[1]) == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_stale_mesh_is_left_out_and_its_numbers_are_held_back(tmp_path: Path) -> None:
+    """The heights are steps and go with any numbers; the mesh was probed with other ones."""
+    file, folder, text = tmp_path / "printer.cfg", tmp_path / "in", V400.read_text()
+    old = "delta_radius = 162.820595"
+    assert old in text
+    file.write_text(text.replace(old, "delta_radius = 163.820595"))
+    assert import_printer(V400).together == tuple(c.name for c in import_printer(V400).campaigns)
+    told = CliRunner().invoke(cli, ["import", "klipper", str(file), "--out", str(folder)])
+    command = told.output.partition("Next, without mesh-default_9Probe.csv")[2]
+    assert f"close-loop {folder}/calibration.csv --machine" in command
+    assert "/*.csv" not in told.output
+    machine = Machine.load(folder / "machine.toml")
+    verdict = close_loop([folder / "calibration.csv", folder / "mesh-default_9Probe.csv"], machine)
+    assert "are not of one plate and one set of numbers" in verdict.cautions[0]
+    assert all(action.kind != "zeros" for action in verdict.actions)
+    assert "Do not enter these numbers yet" in str(verdict)
+    verdict.report(tmp_path / "out")
+    page = unescape((tmp_path / "out" / "report.html").read_text())
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert verdict.cautions[0] in result["warnings"]
+    assert "not of one plate and one set of numbers" in page
+    assert "Do not enter these numbers yet:" in page
+    alone = close_loop([folder / "calibration.csv"], machine)
+    assert not any("one plate" in text for text in alone.cautions)
+
+
+def test_meshes_that_do_not_go_together_are_named_one_by_one(tmp_path: Path) -> None:
+    errors = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"}
+    file, now = tmp_path / "printer.cfg", simulated_cfg(DeltaRig())
+    other = simulated_cfg(DeltaRig(errors=errors), seed=1).partition("#*# [bed_mesh default]")[2]
+    file.write_text(f"{now}#*# [bed_mesh 2023]{other}")
+    run = CliRunner().invoke(cli, ["import", "klipper", str(file), "--out", str(tmp_path / "in")])
+    _, said, commands = run.output.partition("These files must not go together")
+    assert said
+    assert re.findall(r"close-loop \S*/(\S+)\.csv", commands) == ["mesh-default", "mesh-2023"]
 
 
 def test_the_firmware_s_equations_invert() -> None:
@@ -232,6 +270,7 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     )
     for told_there in (exported.text(), page):
         assert f"delta_radius: {firmware['new']['delta_radius_mm']:.6f}" in told_there
+        assert "below the header of SAVE_CONFIG (#*#)" in unescape(told_there)
         assert "zeros" not in told_there.split("Numbers for the firmware")[1].split("To undo")[0]
 
 
@@ -344,7 +383,7 @@ ODD = {
 @pytest.mark.parametrize("kind", ODD)
 def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> None:
     plain, file = import_printer(V400), tmp_path / "printer.cfg"
-    file.write_bytes(ODD[kind](V400.read_text()).encode() + b"\n# gr\xfc\xdf\n")
+    file.write_bytes(b"# gr\xfc\xdf\n" + ODD[kind](V400.read_text()).encode() + b"\n \n")
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts" / "own.cfg").write_text(_apart(V400.read_text())[0])
     found = import_printer(file)
@@ -352,6 +391,46 @@ def test_odd_files_say_what_the_plain_one_says(kind: str, tmp_path: Path) -> Non
     for one, other in zip(found.campaigns, plain.campaigns, strict=True):
         assert np.abs(one.command - other.command).max() < 1e-12
         assert np.array_equal(one.reading, other.reading)
+
+
+def test_what_stands_above_the_saved_block_counts_and_both_lines_are_told(tmp_path: Path) -> None:
+    """As in the firmware's configfile.py: its saved block gives way to the file and includes."""
+    file, text = tmp_path / "printer.cfg", V400.read_text()
+    plain = Firmware.of(import_printer(V400).machine.provenance["klipper"])
+    saved = text.splitlines().index("#*# delta_radius = 162.820595") + 1
+    (tmp_path / "own.cfg").write_text("[printer]\ndelta_radius: 162.5\n")
+    for own, value, where in (
+        ("[printer]\ndelta_radius: 162.5\n", 162.5, "162.5 (line 2)"),
+        ("[include own.cfg]\n[nothing]\n", 162.5, "162.5 (line 2 of "),
+        ("[printer]\ndelta_radius: 162.8205950\n", 162.820595, ""),
+    ):
+        file.write_text(own + text)
+        found = import_printer(file)
+        now = Firmware.of(found.machine.provenance["klipper"])
+        assert now == replace(plain, delta_radius=pytest.approx(value * 1e-3, abs=1e-12))
+        notes = [n for n in found.notes if "above the header of SAVE_CONFIG" in n]
+        assert len(notes) == bool(where)
+        if where:
+            assert f"[printer] delta_radius: {where}" in notes[0]
+            assert f"below 162.820595 (line {saved + 2})" in notes[0]
+
+
+def test_what_the_firmware_would_not_read_below_its_header_is_refused(tmp_path: Path) -> None:
+    file, text = tmp_path / "printer.cfg", V400.read_text()
+    own, header = _apart(text)
+    last = len(text.splitlines())
+    for more, told in (
+        ("[printer]\ndelta_radius: 160\n", "the whole block out: move it above"),
+        ("# a remark\n", "move it above the header"),
+        (header, "a second header of SAVE_CONFIG"),
+    ):
+        file.write_text(text.rstrip("\n") + "\n" + more)
+        with pytest.raises(FileError, match=told) as caught:
+            import_printer(file)
+        assert caught.value.line == last + 1
+    file.write_text(own + "#*#delta_radius = 150\n" + header)  # a comment, above
+    kept = import_printer(file).machine.provenance["klipper"]["delta_radius_mm"]
+    assert kept == 162.820595
 
 
 def test_files_of_elsewhere_are_not_read(tmp_path: Path) -> None:

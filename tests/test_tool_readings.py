@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import orthoglide as og
@@ -12,7 +13,7 @@ from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit.surface import roughness
 from orthoglide.fit.tool import REPEATABILITY, ToolReadings
-from orthoglide.geometry import Geometry
+from orthoglide.geometry import Geometry, moved_onto
 from orthoglide.klipper import import_printer
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
@@ -492,3 +493,49 @@ def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
         assert posterior is not None
         hidden = {n.setup for n in posterior.invisible if n.effect == "plate_bow"}
         assert hidden == set(setups)
+
+
+# --- what is simulated is what an instrument gives ------------------------------------------------
+
+
+def exacting(**errors: float) -> Machine:
+    """An Orthoglide with a ball bar and a tracker of which a micrometre counts."""
+    plain = Machine.nominal()
+    own = {"ballbar": Instrument(repeatability=1e-6), "tcp": Instrument(repeatability=1e-6)}
+    return Machine(replace(plain.spec, instruments=own)).with_parameters(errors)
+
+
+ZEROS = {"joint_offset.x": 5e-4, "joint_offset.y": -3e-4}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ball_bar_is_simulated_about_one_centre(seed: int) -> None:
+    machine = exacting(**ZEROS)
+    made = og.simulate(machine, sheet_of(machine, "ballbar"), noise=0.0, seed=seed)
+    p = machine.forward(made.command)
+
+    def left(x: np.ndarray) -> np.ndarray:
+        return 1e3 * (np.linalg.norm(p - x[:3], axis=1) + x[3] - made.reading)
+
+    found = least_squares(left, np.zeros(4), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert np.linalg.norm(found.x) > 1e-4
+    assert np.abs(found.fun).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_frame_of_a_simulated_tracker_is_turned_and_not_sheared(seed: int) -> None:
+    machine = exacting(**ZEROS)
+    made = og.simulate(machine, sheet_of(machine, "tcp"), noise=0.0, seed=seed)
+    p, seen = machine.forward(made.command)[::3], made.reading.reshape(-1, 3)
+    assert np.abs(seen - p).max() > 1e-4
+    assert np.abs(moved_onto(seen, seen, p) - p).max() < 1e-9
+
+
+def test_a_sound_machine_before_a_ball_bar_is_adequate() -> None:
+    machine, chi2, dof = exacting(), 0.0, 0.0
+    sheet = sheet_of(machine, "ballbar")
+    for seed in range(10):
+        found = og.close_loop(og.simulate(exacting(**ZEROS), sheet, seed=seed), machine)
+        assert found.word == "adequate", seed
+        chi2, dof = chi2 + found.after.scores.chi2, dof + found.after.scores.dof
+    assert abs(chi2 / dof - 1) < 4 * np.sqrt(2 / dof)

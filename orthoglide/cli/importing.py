@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,6 +12,9 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
+
+if TYPE_CHECKING:
+    from orthoglide.klipper import Imported
 
 
 @click.group("import", cls=Listed)
@@ -39,10 +44,28 @@ def klipper(config: Path, out: Path) -> None:
         kinds = {s.name: s.kind for s in campaign.setups}
         what = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
         say(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
-    say(
-        f"\nNext: orthoglide close-loop {click.format_filename(out)}/*.csv --machine "
-        f"{click.format_filename(out / 'machine.toml')} --out OUT"
-    )
+    for line in _next(found, out):
+        say(line)
+
+
+def _next(found: Imported, out: Path) -> Iterator[str]:
+    """What to run with the files that go together; with each alone where that is not known."""
+
+    def command(files: str) -> str:
+        machine = click.format_filename(out / "machine.toml")
+        return f"orthoglide close-loop {files} --machine {machine} --out OUT"
+
+    folder = click.format_filename(out)
+    names, out_of = found.together, [one.name for one in found.apart]
+    if not out_of:
+        yield f"\nNext: {command(f'{folder}/*.csv')}"
+    elif names:
+        left = ", ".join(f"{name}.csv" for name in out_of)
+        yield f"\nNext, without {left}: probe again, or for now"
+        yield command(" ".join(f"{folder}/{name}.csv" for name in names))
+    else:
+        yield "\nThese files must not go together. Next, probe again, or take one alone:"
+        yield from (command(f"{folder}/{c.name}.csv") for c in found.campaigns)
 
 
 COMMANDS = (import_,)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from orthoglide.klipper import Corrections, Firmware, corrections_of, firmware_of
+from orthoglide.klipper import WHERE, Corrections, Firmware, corrections_of, firmware_of
 from orthoglide.machine import Machine
 
 _LACKING = (
@@ -58,6 +58,7 @@ class FirmwareNumbers:
             "\n".join((f"{'printer.cfg':30}{'old':>14}{'new':>14}", *named)),
             f"Height over the plate to expect: {before} rms off with the old numbers, {after} with "
             f"the new; along the plate {one} and {other}.",
+            WHERE,
             "\n".join(("To paste:", *found.new.lines())),
             "\n".join(("To undo:", *found.old.lines())),
             "What no number of the firmware holds stands in the report.",

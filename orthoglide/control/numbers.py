@@ -12,6 +12,7 @@ from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
+from orthoglide.effects.wording import by_effect
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS
 from orthoglide.layout import LegNames
@@ -178,13 +179,7 @@ class ControllerNumbers(Framed):
     @property
     def beyond(self) -> tuple[str, ...]:
         """What no such number can hold: parameters, several of one effect by its name."""
-        groups: dict[str, list[str]] = {}
-        for name in self.left_over:
-            groups.setdefault(name.partition(".")[0], []).append(name)
-        return tuple(
-            one[0] if len(one) == 1 else f"{effect.replace('_', ' ')} ({len(one)} numbers)"
-            for effect, one in groups.items()
-        )
+        return by_effect(self.left_over)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in millimetres."""

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from orthoglide.effects import Effect, LegConditions, Motion
+from orthoglide.effects.wording import by_effect
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
@@ -71,7 +72,8 @@ def _is_constant(effect: Effect, machine: Machine) -> bool:
     length, stroke = machine.geometry.L, machine.geometry.stroke
 
     def moved(motion: Motion, s: float) -> float:
-        at = LegConditions(length + s, length, stroke, None, 0, 0, 0, 0, s)
+        command = length + s
+        at = LegConditions(command, length, stroke, None, 0, 0, 0, 0, s, commands=(command,) * 3)
         return float(motion.basis(at))
 
     for _, motions in effect.motions.values():
@@ -108,7 +110,9 @@ def _comment(machine: Machine) -> str:
     lines = [
         f"Calibrated: {machine.spec.title}. Slide q is the commanded rho - L.",
         "Holds " + (", ".join(held) or "no correction") + ".",
-        "Left out, for URDF holds constant geometry only: " + (", ".join(left) or "nothing") + ".",
+        "Left out, for URDF holds constant geometry only: "
+        + (", ".join(by_effect(left)) or "nothing")
+        + ".",
     ]
     if misfit:
         lines.append(

@@ -25,9 +25,12 @@ from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
 from orthoglide.fit.factors import SILENT
-from orthoglide.fit.weighing import Weighing
+from orthoglide.fit.least_squares import known_rows
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
+
+_MOST = 8
+"""Faults that are slips: what is left beyond them is for a person to look at."""
 
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
@@ -83,14 +86,13 @@ class Findings:
     changes: tuple[Change, ...]
 
 
-def examine(estimate: Estimate, *, most: int = 8) -> Findings:
+def examine(estimate: Estimate) -> Findings:
     """Find faults of the data, and changes between campaigns, that no cause explains as well.
 
     Every test here is closed form: the answer has no seed.
 
     Args:
         estimate: the fit of the base model.
-        most: more faults than this are no slips: what is left is for a person to look at.
     """
     narrow = estimate.problem.at_tolerance()
     if narrow is not estimate.problem:
@@ -102,7 +104,7 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
     found = stuck_faults(base, means, setups)
     found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
-    stale = 0 < len(found) < most
+    stale = 0 < len(found) < _MOST
     several = len(visits(estimate.problem)) > 1
     for _ in range(_REFITS + (_CHANGED if several else 0)):
         if stale:
@@ -121,10 +123,10 @@ def examine(estimate: Estimate, *, most: int = 8) -> Findings:
             found.append(item)
             changes = []  # found anew: what a fault does was not theirs to explain
         stale = True
-    if len(found) < most and not any(f.kind in MEANINGS for f in found):
+    if len(found) < _MOST and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
-    found = found[:most] + scatter_faults(estimate.problem, setups, found)
+    found = found[:_MOST] + scatter_faults(estimate.problem, setups, found)
     last = means.signatures.estimate
     return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
 
@@ -177,18 +179,16 @@ def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[fl
     problem, nuisance, at = estimate.problem, estimate.nuisance, estimate.at
     if not kept.any():
         return 0.0, 0.0
-    all_rows = problem.weighing
-    station = np.unique(all_rows.station[kept], return_inverse=True)[1].reshape(-1)
-    weighing = Weighing(all_rows.sigma[kept], all_rows.common[kept], station)
+    weighing = problem.weighing.part(kept)
     columns = np.hstack([at.jacobian, nuisance.columns, steps])
-    matrix, target = problem.prior_rows
-    count, free = at.jacobian.shape[1], nuisance.count
-    known = np.zeros((len(matrix) + free, columns.shape[1]))
-    known[: len(matrix), :count] = matrix
-    known[len(matrix) :, count : count + free] = np.diag(np.sqrt(nuisance.precision))
+    known = known_rows(problem, nuisance)
+    known = np.hstack([known, np.zeros((len(known), steps.shape[1]))])
     rows = np.vstack([weighing.whiten(columns[kept]), known])
     rest = (problem.measured - at.value + at.jacobian @ at.x)[kept]
-    aim = np.concatenate([weighing.whiten(rest), target, np.zeros(free)])
+    aim = np.zeros(len(rows))
+    aim[: len(rest)] = weighing.whiten(rest)
+    _, target = problem.prior_rows
+    aim[len(rest) :][: len(target)] = target
     scale = np.linalg.norm(rows, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     found = np.linalg.lstsq(rows / scale, aim, rcond=1e-10)[0] / scale
@@ -219,9 +219,10 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
             elif len(rows):
                 split = _split(split, rows)
         if not kept.any():
+            fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
             raise InputError(
                 f"nothing is left of {campaign.name} once its faulty rows are set aside: measure "
-                f"it again ({blunders[0].message})"
+                f"it again ({fault.message})"
             )
         campaigns.append(split.subset(kept))
         sigmas.append(problem.noise.sigma[k][kept])

@@ -16,6 +16,7 @@ import numpy as np
 
 from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.signatures import Signatures
+from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
 
 
@@ -98,17 +99,13 @@ def best_pairs(scoring: Scoring, residuals: Array) -> tuple[Pair, ...]:
     columns = np.hstack([scoring.basis[k] for k in single]) * size
     gram = columns.T @ columns
     diagonal = np.diag(gram) + 1
-    # (S^T S + 1)^-1 of two columns, written out for all pairs at once.
     first, second = np.triu_indices(len(single), 1)
     cross = gram[first, second]
-    determinant = diagonal[first] * diagonal[second] - cross**2
     found = []
     for along in (columns.T @ residuals).T:
-        gain = (
-            diagonal[second] * along[first] ** 2
-            - 2 * cross * along[first] * along[second]
-            + diagonal[first] * along[second] ** 2
-        ) / determinant
+        gain, determinant = explained_by_two(
+            diagonal[first], diagonal[second], cross, along[first], along[second]
+        )
         evidence = (gain - np.log(determinant)) / 2
         best = int(np.argmax(evidence))
         members = (single[first[best]], single[second[best]])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit import Problem
-from orthoglide.geometry import LEGS
+from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import source
 from orthoglide.units import MISTAKEN
 
@@ -48,6 +48,12 @@ def in_order(problem: Problem, setup: int) -> Rows:
     rows = np.flatnonzero(problem.setup_of_row == setup)
     order = np.concatenate([c.order for c in problem.campaigns])[rows]
     return np.asarray(rows[np.argsort(order, kind="stable")])
+
+
+def clock(time: Array, order: Rows) -> Array:
+    """Time of readings ``(k,)`` over -1 to 1, or their place in order where none was recorded."""
+    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order
+    return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
 
 
 def setup_names(problem: Problem) -> tuple[str, ...]:

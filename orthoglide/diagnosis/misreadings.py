@@ -11,10 +11,10 @@ import numpy as np
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, in_order
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
+from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.geometry import Array
 from orthoglide.units import MISTAKEN
 
-_OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
 _FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
 
@@ -114,7 +114,7 @@ def digits(problem: Problem, fault: Fault) -> float:
         return 0.0
 
     def on_grid(readings: Array) -> bool:
-        return bool((np.abs(readings / step - np.round(readings / step)) < _OFF_GRID).all())
+        return bool((off_grid(readings, step) < OFF_GRID).all())
 
     readings = problem.measured[rows]
     dials = np.concatenate([c.reading for c in problem.campaigns])
@@ -125,7 +125,7 @@ def digits(problem: Problem, fault: Fault) -> float:
         # A point put elsewhere moves the grid along; a conversion may have been rounded again.
         return -_DIGITS if decimal else 0.0
     values = len(np.unique(readings)) - 1
-    chance = 2 * _OFF_GRID if factor > 1 else max(factor, 2 * _OFF_GRID)
+    chance = 2 * OFF_GRID if factor > 1 else max(factor, 2 * OFF_GRID)
     return min(-values * float(np.log(chance)), _DIGITS)
 
 

@@ -16,10 +16,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.faults import setup_names
-from orthoglide.diagnosis.rest import rest_of_tool
+from orthoglide.diagnosis.faults import clock, setup_names
+from orthoglide.diagnosis.rest import rest_by_setup, rest_of_tool
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.least_squares import fitted_basis
+from orthoglide.fit.least_squares import fitted_basis, past
 from orthoglide.geometry import LEGS, Array
 
 ALPHA = 0.005
@@ -42,13 +42,17 @@ def describe_left(estimate: Estimate) -> tuple[str, ...]:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs
         by approach, drifts in time, or repeats along an axis.
     """
-    if not estimate.problem.campaigns:  # no more is looked for in readings of the tool
-        return tuple(
-            f"{r.share:.0%} of it is in {r.reads} ({r.setup})" for r in rest_of_tool(estimate)[:1]
-        )
+    dials = rest_by_setup(estimate)
+    of_tool = tuple(
+        f"{r.share:.0%} of it is in {r.reads} ({r.setup})"
+        for r in rest_of_tool(estimate)[:1]
+        if not dials or r.share > dials[0].share
+    )
+    if not dials:  # no more is looked for in readings of the tool
+        return of_tool
     rest = _Rest(estimate)
     tests = (_where, _single_station, _parity, _hysteresis, _trend, _period)
-    found = tuple(text for test in tests if (text := test(rest)))
+    found = (*of_tool, *(text for test in tests if (text := test(rest))))
     return found or ("it shows no pattern that can be told from chance by these readings",)
 
 
@@ -133,7 +137,7 @@ class _Rest:
         """Columns ``(n, k)`` whitened and past the fit, and their length before ``(k,)``."""
         weighted = self.whiten(columns)
         scale = np.linalg.norm(weighted, axis=0)
-        return weighted - self.basis @ (self.basis.T @ weighted), np.where(scale > 0, scale, 1.0)
+        return past(self.basis, weighted), np.where(scale > 0, scale, 1.0)
 
     def by_setup(self, column: Array) -> Array:
         """A column of its own for every setup ``(n, setups)``."""
@@ -172,9 +176,8 @@ def _where(rest: _Rest) -> str:
     setups = rest.dominant
     if not len(setups):
         return ""
-    squares = np.bincount(rest.setup, rest.residual**2)
-    names = setup_names(rest.problem)
-    share = squares[setups].sum() / squares.sum()
+    names, every = setup_names(rest.problem), rest_by_setup(rest.estimate)
+    share = sum(one.share for one in every if one.setup in {names[k] for k in setups})
     listed = " and ".join(names[k] for k in setups)
     return (
         f"setup{'s' * (len(setups) > 1)} {listed} hold{'s' * (len(setups) < 2)} {share:.0%} of it"
@@ -251,15 +254,9 @@ def _hysteresis(rest: _Rest) -> str:
 def _trend(rest: _Rest) -> str:
     """A drift along the sequence of the readings."""
     campaigns = rest.problem.campaigns
-    place = np.concatenate([_progress(c.time, c.order.astype(float)) for c in campaigns])
+    place = np.concatenate([clock(c.time, c.order) for c in campaigns])
     p, share = rest.p_value(rest.by_setup(place), by_reading=True)
     return f"it drifts in time ({share:.0%} of it)" if p < ALPHA else ""
-
-
-def _progress(time: Array, order: Array) -> Array:
-    """Place in time from -1 to 1; in the sequence where no time was recorded."""
-    along = time if np.isfinite(time).all() and np.ptp(time) > 0 else order
-    return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
 
 
 def _period(rest: _Rest) -> str:

@@ -20,15 +20,18 @@ from orthoglide.diagnosis.faults import (
     Fault,
     Kind,
     Rows,
+    clock,
     in_order,
     message,
     untouched,
 )
-from orthoglide.diagnosis.station_means import orthonormal, past
+from orthoglide.diagnosis.station_means import orthonormal
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem
+from orthoglide.fit.least_squares import past
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY
 from orthoglide.geometry import Array
+from orthoglide.observations.arrays import numbered
 
 _REPEATS = 8.0  # times the variance of visits, that stations have where these repeat anything
 _BEYOND = 3.0  # times what a dial scatters, that nothing of it explains
@@ -72,9 +75,11 @@ class Scatter:
         problem = estimate.problem
         rows = in_order(problem, setup)
         weight = 1 / np.hypot(problem.sigma, problem.noise.common)[rows]
-        station = np.unique(problem.station[rows], return_inverse=True)[1].reshape(-1)
+        station = numbered(problem.station[rows])
         rest = (problem.measured - estimate.at.value)[rows] * weight
-        powers = _clock(problem, rows)[:, None] ** [1, 2, 3] * weight[:, None]
+        time = np.concatenate([c.time for c in problem.campaigns])[rows]
+        along = clock(time, np.arange(len(rows)))
+        powers = along[:, None] ** [1, 2, 3] * weight[:, None]
         fitted = estimate.residuals[rows] * weight
         return cls(setup, rows, weight, station, rest, powers, fitted, np.zeros((len(rows), 0)))
 
@@ -127,7 +132,7 @@ class Scatter:
         """Of some of the readings ``(k,)``, nothing found yet."""
         names = ("rows", "weight", "read", "trend", "fitted")
         parts = {name: getattr(self, name)[kept] for name in names}
-        station = np.unique(self.station[kept], return_inverse=True)[1].reshape(-1)
+        station = numbered(self.station[kept])
         return replace(self, **parts, station=station, found=np.zeros((int(kept.sum()), 0)))
 
     def column(self, kind: Kind, place: int) -> Array:
@@ -192,14 +197,6 @@ def _behind(values: Array, station: Rows) -> Array:
     found = np.empty(len(values))
     found[order] = sums - ends
     return found
-
-
-def _clock(problem: Problem, rows: Rows) -> Array:
-    """Time of readings over -1 to 1, or their sequence where none was recorded."""
-    time = np.concatenate([c.time for c in problem.campaigns])[rows]
-    if not np.isfinite(time).all() or np.ptp(time) <= 0:
-        time = np.arange(len(rows), dtype=float)
-    return np.asarray(2 * (time - time.min()) / max(np.ptp(time), 1e-300) - 1)
 
 
 def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -53,19 +53,19 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
     count = sum(map(len, campaigns))
     of_setup = estimate.problem.setup_of_row[:count]
     station, left = estimate.problem.station[:count], estimate.residuals[:count]
-    squares = estimate.problem.weighing.whiten(estimate.residuals)[:count] ** 2
+    squares = _squares(estimate)
     visits = np.maximum(np.bincount(station), 1)
     mean = (np.bincount(station, left) / visits)[station]
     command = np.concatenate([c.command for c in campaigns])
     labels = [label for c in campaigns for label in c.posture]
     setups = [s for c in campaigns for s in c.setups]
-    total, found = max(float(squares.sum()), 1e-300), []
+    found = []
     for k, (name, setup) in enumerate(zip(setup_names(estimate.problem), setups, strict=True)):
         rows = np.flatnonzero(of_setup == k)
         at = int(rows[np.argmax(np.abs(mean[rows]))])
         found.append(
             SetupRest(
-                name, setup.leg, setup.axis, float(squares[rows].sum()) / total,
+                name, setup.leg, setup.axis, float(squares[rows].sum()),
                 float(np.sqrt(np.mean(left[rows] ** 2))), setup.sign * float(mean[at]),
                 command[at], labels[at],
             )
@@ -81,7 +81,7 @@ class ToolRest:
         setup: its name.
         reads: what is read, in words.
         unit: in which people read it.
-        share: of everything left of such readings, in squares of the noise.
+        share: of everything left, in squares of the noise.
         rms: root mean square of it, metres or radians.
         most: largest mean over one station along +axis, with its sign.
         posture: label of that station; may be empty.
@@ -100,30 +100,33 @@ class ToolRest:
 
 def rest_of_tool(estimate: Estimate) -> tuple[ToolRest, ...]:
     """What a fit leaves of every instrument at the tool, largest share first; none without any."""
-    problem, found = estimate.problem, []
-    squares = problem.weighing.whiten(estimate.residuals) ** 2
+    problem, squares, found = estimate.problem, _squares(estimate), []
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
         if isinstance(campaign := factor.points, ToolCampaign):
             parts = np.column_stack([campaign.setup, campaign.axis])
             for part in np.unique(parts, axis=0):
                 own = np.flatnonzero((parts == part).all(axis=1))
                 found.append(_of_part(estimate, campaign, own, rows.start, squares))
-    total = max(sum(one.share for one in found), 1e-300)
-    shares = (replace(one, share=one.share / total) for one in found)
-    return tuple(sorted(shares, key=lambda one: -one.share))
+    return tuple(sorted(found, key=lambda one: -one.share))
+
+
+def _squares(estimate: Estimate) -> Array:
+    """Share of each row ``(n,)`` in all that a fit leaves, in squares of the noise."""
+    squares = estimate.problem.weighing.whiten(estimate.residuals) ** 2
+    return np.asarray(squares / max(float(squares.sum()), 1e-300))
 
 
 def _of_part(
     estimate: Estimate, campaign: ToolCampaign, own: Ints, first: int, squares: Array
 ) -> ToolRest:
-    """Of some rows of a campaign ``(k,)`` that begins at a stacked row; the share not of a whole.
+    """Of some rows of a campaign ``(k,)`` that begins at a stacked row.
 
     Args:
         estimate: the fit.
         campaign: of which the rows are.
         own: rows of it.
         first: where it begins among all rows.
-        squares: of all residuals in units of their noise ``(n,)``.
+        squares: share of each row in all that is left ``(n,)``.
     """
     setup, left = campaign.setups[campaign.setup[own[0]]], estimate.residuals[first + own]
     _, at, of = np.unique(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import fitted_basis, linearise
+from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened
 from orthoglide.geometry import Array
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
@@ -32,10 +31,8 @@ class Signatures:
         columns: signatures ``(m, E)``, a unit of SI.
         residual: what the fit leaves ``(m,)``.
         fitted: orthonormal columns of what is projected out ``(m, q)``.
-        weight: 1 / sigma of each reading ``(n,)``.
         candidates: all that are made of these.
         invisible: names that these readings cannot show, whatever their size within reason.
-        slopes: derivative of the readings ``(n,)`` by every unknown, of the fit and beyond it.
     """
 
     estimate: Estimate
@@ -44,25 +41,17 @@ class Signatures:
     columns: Array
     residual: Array
     fitted: Array
-    weight: Array
     candidates: tuple[Candidate, ...]
     invisible: tuple[str, ...]
-    slopes: Mapping[str, Array]
 
     @property
     def count(self) -> int:
         """Number of readings."""
-        return len(self.weight)
-
-    def project(self, rows: Array) -> Array:
-        """Whitened vectors ``(m, ...)`` without what the fit explains."""
-        return np.asarray(rows - self.fitted @ (self.fitted.T @ rows))
+        return len(self.estimate.problem.measured)
 
     def whiten(self, readings: Array) -> Array:
         """Readings ``(n, ...)`` in metres as whitened, projected vectors ``(m, ...)``."""
-        padded = np.zeros((len(self.fitted), *readings.shape[1:]))
-        padded[: self.count] = self.estimate.nuisance.weighing.whiten(readings)
-        return self.project(padded)
+        return whitened(self.estimate.nuisance.weighing, self.fitted, readings)
 
     def of(self, candidate: Candidate) -> Array:
         """Signature of a candidate at its tolerance ``(m, size)``."""
@@ -92,22 +81,13 @@ def signatures(estimate: Estimate) -> Signatures:
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
     at = linearise(wide, x)
     fitted = fitted_basis(problem, nuisance, estimate.at)
-    rows, n = len(fitted), len(problem.measured)
-    weight = nuisance.weight
-
-    def augmented(readings: Array) -> Array:
-        padded = np.zeros((rows, *readings.shape[1:]))
-        padded[:n] = nuisance.weighing.whiten(readings)
-        return np.asarray(padded - fitted @ (fitted.T @ padded))
-
-    columns = augmented(at.jacobian[:, own:])
+    columns = whitened(nuisance.weighing, fitted, at.jacobian[:, own:])
     # What the fit leaves of the readings and of what was known before, past what it freed.
     _, target = problem.prior_rows
-    left = np.zeros(rows)
+    left, n = np.zeros(len(fitted)), len(problem.measured)
     rest = problem.measured - at.value + at.jacobian[:, :own] @ estimate.x
     left[:n] = nuisance.weighing.whiten(rest)
     left[n : n + len(target)] = target
-    residual = left - fitted @ (fitted.T @ left)
     tolerance = np.array([u.tolerance for u in wide.unknowns[own:]])
     names = tuple(u.name for u in wide.unknowns[own:])
     seen = np.linalg.norm(columns, axis=0) * tolerance > _VISIBLE
@@ -118,10 +98,8 @@ def signatures(estimate: Estimate) -> Signatures:
         visible,
         tolerance[kept],
         columns[:, kept],
-        residual,
+        past(fitted, left),
         fitted,
-        weight,
         candidates(visible, effects, problem.machine.catalogue),
         tuple(n for n, s in zip(names, seen, strict=True) if not s),
-        dict(zip(wide.names, at.jacobian.T, strict=True)),
     )

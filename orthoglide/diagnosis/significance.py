@@ -8,13 +8,14 @@ import numpy as np
 
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.noise import repeat_variance, total_variance
+from orthoglide.fit.least_squares import past
+from orthoglide.fit.noise import off_grid, repeat_variance, total_variance
 from orthoglide.geometry import Array
 
 DRAWS = 1999
 """Draws of the noise from which thresholds are taken."""
 
-_OFF_GRID = 1e-6  # of a step
+_BINARY = 1e-6  # of a step, by which binary fractions miss it
 
 BACKGROUND = 0.02
 """Share of its tolerance that every other effect has on a machine with nothing wrong."""
@@ -66,7 +67,7 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     known = len(problem.prior_rows[0])
     padded = np.zeros((len(signatures.fitted), draws))
     padded[signatures.count :][:known] = rng.standard_normal((known, draws))
-    rows += signatures.project(padded)
+    rows += past(signatures.fitted, padded)
     little = rng.standard_normal((len(signatures.names), draws))
     little *= BACKGROUND * signatures.tolerance[:, None]
     return np.asarray(rows + signatures.columns @ little)
@@ -88,16 +89,10 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
     step = problem.machine.spec.dial.resolution
-    if dials and on_grid(problem.measured[:dials], step):
+    if dials and step > 0 and (off_grid(problem.measured[:dials], step) < _BINARY).all():
         value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
         datum = rng.uniform(0, step, (problem.setup_count, draws))[setup]
         shown = np.round((value + datum + noise[:dials]) / step) * step
         noise[:dials] = shown - value - datum
         return np.asarray(noise)
     return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
-
-
-def on_grid(readings: Array, resolution: float) -> bool:
-    """Whether readings, metres, are all multiples of a dial's step, but for binary fractions."""
-    steps = readings / resolution if resolution > 0 else np.full(1, np.nan)
-    return bool(np.all(np.abs(steps - np.round(steps)) < _OFF_GRID))

@@ -18,18 +18,16 @@ from orthoglide.diagnosis.evidence import Scoring, best_pairs
 from orthoglide.diagnosis.faults import Fault
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Problem
+from orthoglide.fit.least_squares import past
 from orthoglide.geometry import Array
 
+_NONE = 1e-9  # length of a direction, in that of the longest, below which it is rounding
 
-def orthonormal(columns: Array, tolerance: float = 1e-9) -> Array:
+
+def orthonormal(columns: Array) -> Array:
     """Orthonormal basis of columns ``(m, k)``."""
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, singular > tolerance * max(singular.max(initial=0.0), 1e-300)])
-
-
-def past(basis: Array, rows: Array) -> Array:
-    """Rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
-    return np.asarray(rows - basis @ (basis.T @ rows))
+    return np.asarray(left[:, singular > _NONE * max(singular.max(initial=0.0), 1e-300)])
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
 from orthoglide.effects.effect import Effect
@@ -104,6 +104,17 @@ def parameter_words(parameter: Parameter) -> str:
     tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
     behind = tail.get(parameter.direction, f" {parameter.direction}" if parameter.direction else "")
     return f"{words} of leg {parameter.leg}{behind}{where}"
+
+
+def by_effect(names: Iterable[str]) -> tuple[str, ...]:
+    """Parameters in short: several of one effect by its name and how many they are."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(name.partition(".")[0], []).append(name)
+    return tuple(
+        one[0] if len(one) == 1 else f"{effect.replace('_', ' ')} ({len(one)} numbers)"
+        for effect, one in groups.items()
+    )
 
 
 def _resolved(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None]:

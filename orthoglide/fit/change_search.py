@@ -27,9 +27,11 @@ Weighed = tuple[float, State]
 WIDTHS = (1.0, 3.0, 10.0)
 """Tolerances by which something changes, each less likely by as much as it is wider."""
 
+CLASS_WIDTH = 4.0
+"""Rise of chi2 within which two causes cannot be told apart: two sigmas (Wilks)."""
+
 _MOST = 12
 _FEW = 6  # changes of which three may be exchanged for two others
-_CLASS_WIDTH = 4.0  # rise of chi2 within which two changes cannot be told apart (Wilks)
 
 _LIKELY = -np.log(np.array(WIDTHS) * np.sum(1 / np.array(WIDTHS)))
 
@@ -203,7 +205,7 @@ class Hypotheses:
         left = np.diag(left)
         chi2 = self.chi2 - gain - square * met**2 / (1 + square * left)
         scale = max(self.floor, float(chi2[state[k][0]]) / self.dof)
-        near = chi2 <= chi2[state[k][0]] + _CLASS_WIDTH * scale
+        near = chi2 <= chi2[state[k][0]] + CLASS_WIDTH * scale
         near[[place for place, _ in state]] = False
         sizes = square * met / (1 + square * left)
         return {int(j): float(sizes[j]) for j in np.flatnonzero(near)[np.argsort(chi2[near])]}

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import fitted_basis, linearise, normal, nuisances
+from orthoglide.fit.least_squares import covariance, fitted_basis, linearise, normal, nuisances
+from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import solve
 from orthoglide.fit.unknowns import with_free
@@ -25,7 +26,6 @@ from orthoglide.observations import Campaign, ToolCampaign, source
 INCH = 25.4
 """Millimetres."""
 
-_OFF_GRID = 0.06  # of the dial's step: six decimals of a millimetre, in metres, in inches
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
@@ -46,23 +46,18 @@ def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
         InputError: naming the file, and what to do.
     """
     for campaign in campaigns:
-        shown = np.unique(campaign.reading)
-        if dial.resolution <= 0 or len(shown) < _FEWEST or _on_grid(shown, dial) > 0.5:
+        shown, step = np.unique(campaign.reading), dial.resolution
+        if step <= 0 or len(shown) < _FEWEST or np.mean(off_grid(shown, step) < OFF_GRID) > 0.5:
             continue
         for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
                                      (INCH, "inches", "millimetres")):  # fmt: skip
-            if _on_grid(shown * factor, dial) == 1.0:
+            if (off_grid(shown * factor, step) < OFF_GRID).all():
                 raise InputError(
                     f"{source(campaign)}: the readings are multiples of the dial's step of "
                     f"{dial.resolution * 1e3:g} mm only once they are multiplied by {factor:.4g}: "
                     f"they seem to be {meant} taken for {taken}; give reading_mm in millimetres, "
                     f"or correct resolution in the machine file"
                 )
-
-
-def _on_grid(readings: Array, dial: Dial) -> float:
-    steps = readings / dial.resolution
-    return float(np.mean(np.abs(steps - np.round(steps)) < _OFF_GRID))
 
 
 def check_slips(estimate: Estimate) -> None:
@@ -129,13 +124,11 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
     at = linearise(problem, x)
     nuisance = nuisances(problem, at.slopes)
     here = normal(problem, at, nuisance)
-    scale = 1 / np.sqrt(np.diag(here.information))
-    scaled = here.information * scale * scale[:, None]
-    covariance = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) * scale * scale[:, None]
-    step = -covariance @ here.gradient
+    known, _ = covariance(here.jacobian, here.prior)
+    step = -known @ here.gradient
     rest = problem.measured - at.value - at.jacobian @ step
     shown = np.stack([column - nuisance.fitted(column) for column in at.jacobian.T], axis=1)
-    variance = np.einsum("np,pq,nq->n", shown, covariance, shown)
+    variance = np.einsum("np,pq,nq->n", shown, known, shown)
     return rest - nuisance.fitted(rest), np.sqrt(np.maximum(variance, 0.0))
 
 

@@ -39,37 +39,38 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
         method: to solve again with.
     """
     first = estimate.problem
-    if first.earlier is None:
+    known = first.earlier
+    if known is None:
         return estimate
     candidates = [
         Candidate(u.name, 0, {u.name: u.tolerance}, u.tolerance)
         for u in first.unknowns
-        if u.name in first.earlier.names
+        if u.name in known.names
     ]
     found = what_changed(first, estimate.x, candidates) if candidates else None
     if found is None:
         return estimate
     gone = [one.parameter for one in found.moved]
     method = "nested" if method == "auto" else method
-    now = solve(_let_go(first, gone), method=method, start=estimate.x)
-    return replace(now, changes=tuple(_changes(first, now, found)))
+    left = known.without(gone)
+    now = solve(_let_go(first, left, gone), method=method, start=estimate.x)
+    return replace(now, changes=tuple(_changes(known, left, now, found)))
 
 
-def _let_go(problem: Problem, names: Collection[Parameter]) -> Problem:
-    """The problem in which some parameters may be anything."""
-    assert problem.earlier is not None
+def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> Problem:
+    """The problem in which some parameters may be anything, and the rest is as known before."""
     wide = tuple(replace(u, width=max(WIDTHS)) if u.name in names else u for u in problem.unknowns)
-    return replace(problem, unknowns=wide, earlier=problem.earlier.without(names))
+    return replace(problem, unknowns=wide, earlier=left)
 
 
-def _changes(first: Problem, now: Estimate, found: Changed) -> Iterator[Change]:
+def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -> Iterator[Change]:
     """What was found, with the values of both visits."""
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
     for one in found.moved:
         summed = summed_of(tuple(one.sizes), catalogue)
         places = [now.names.index(name) for name in summed]
-        before, apart = _before(first.earlier, now, summed)
+        before, apart = _before(known, left, now, summed)
         sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
@@ -78,7 +79,7 @@ def _changes(first: Problem, now: Estimate, found: Changed) -> Iterator[Change]:
 
 
 def _before(
-    known: Posterior | None, now: Estimate, members: tuple[Parameter, ...]
+    known: Posterior, left: Posterior, now: Estimate, members: tuple[Parameter, ...]
 ) -> tuple[float, float]:
     """Sum of some parameters at the earlier calibration, and the sigma of its change since.
 
@@ -86,20 +87,18 @@ def _before(
     ``s - w^T x``, s the sum now, x what did not change, and w the regression of the sum upon that;
     or of two sums that know nothing of each other, where that is less.
     """
-    assert known is not None
-    assert now.problem.earlier is not None
     at = [known.names.index(name) for name in members]
-    kept = [n for n in now.names if n in now.problem.earlier.names and n not in members]
+    kept = [n for n in now.names if n in left.names and n not in members]
     rest = [known.names.index(n) for n in kept]
     sd = np.sqrt(np.maximum(np.diag(known.covariance), 1e-300))
     unit = known.covariance / sd / sd[:, None]
     across = (unit[np.ix_(rest, at)] * sd[at]).sum(axis=1)
     among = np.linalg.pinv(unit[np.ix_(rest, rest)], rcond=1e-9, hermitian=True)
-    left = known.covariance[np.ix_(at, at)].sum() - across @ among @ across
+    unknown = known.covariance[np.ix_(at, at)].sum() - across @ among @ across
     weights = np.zeros(len(now.names))
     weights[[now.names.index(n) for n in kept]] = -(among @ across) / sd[rest]
     weights[[now.names.index(n) for n in members]] = 1.0
-    given = weights @ now.covariance @ weights + max(left, 0.0)
+    given = weights @ now.covariance @ weights + max(unknown, 0.0)
     alone = np.where(weights == 1.0, 1.0, 0.0)
     apart = alone @ now.covariance @ alone + known.covariance[np.ix_(at, at)].sum()
     return float(known.mean[at].sum()), float(np.sqrt(min(given, apart)))

@@ -19,10 +19,10 @@ from orthoglide.effects import Effect
 from orthoglide.fit.instrument_frame import turned_near
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, Recorded, TcpPoints
+from orthoglide.observations.approach import Ints
 from orthoglide.prediction import Conditions, LinearRows, Model
 
 Frame = Literal["none", "translation", "rigid"]
-Ints = NDArray[np.int64]
 
 SILENT = 1e6
 """Times its sigma: a reading of no weight."""

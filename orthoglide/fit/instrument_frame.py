@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.observations import TcpPoints, ToolCampaign
+from orthoglide.observations.arrays import numbered
 
 _FEWEST = 4  # points
 _SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
@@ -61,7 +62,7 @@ def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
     if len(rows) < 3 * _FEWEST:
         return None
     known = np.column_stack([points.command, points.approach, points.repeat, points.load])[rows]
-    point = np.unique(known, axis=0, return_inverse=True)[1].reshape(-1)
+    point = numbered(known)
     # A point that was visited twice has its first x with its first y and its first z.
     coordinates = [rows[points.axis[rows] == j] for j in range(3)]
     places = [point[points.axis[rows] == j] for j in range(3)]

@@ -9,6 +9,7 @@ nuisances z are linear and are projected out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,20 @@ def predict(problem: Problem, x: Array) -> Array:
     )
 
 
+def past(basis: Array, rows: Array) -> Array:
+    """Rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
+    return np.asarray(rows - basis @ (basis.T @ rows))
+
+
+def whitened(weighing: Weighing, basis: Array, rows: Array) -> Array:
+    """Rows ``(n, ...)``, metres, in units of their noise, past orthonormal columns ``(m, q)`` that
+    have more rows, of what is known before: ``(m, ...)``.
+    """
+    padded = np.zeros((len(basis), *rows.shape[1:]))
+    padded[: len(rows)] = weighing.whiten(rows)
+    return past(basis, padded)
+
+
 @dataclass(frozen=True, repr=False)
 class Nuisances:
     """Columns that the rows contain besides the model.
@@ -62,15 +77,24 @@ class Nuisances:
         columns: ``(n, k)``, factor by factor.
         precision: about zero ``(k,)``: 0 where nothing is known of one.
         placement: which of them are where a dial stands ``(k,)``.
-        basis: orthonormal columns of the whitened, prior-augmented columns ``(n + k, k)``.
         weighing: the noise of the rows.
     """
 
     columns: Array
     precision: Array
     placement: NDArray[np.bool_]
-    basis: Array
     weighing: Weighing
+
+    @cached_property
+    def augmented(self) -> Array:
+        """Whitened columns over the rows of their priors ``(n + k, k)``."""
+        return np.vstack([self.weighing.whiten(self.columns), np.diag(np.sqrt(self.precision))])
+
+    @cached_property
+    def basis(self) -> Array:
+        """Orthonormal columns of ``augmented`` ``(n + k, k)``."""
+        scale = np.linalg.norm(self.augmented, axis=0)
+        return np.linalg.qr(self.augmented / np.where(scale > 0, scale, 1.0))[0]
 
     @property
     def weight(self) -> Array:
@@ -89,17 +113,12 @@ class Nuisances:
 
     def project(self, rows: Array) -> Array:
         """Whitened rows ``(n, ...)`` without what the nuisances explain, ``(n + k, ...)``."""
-        padded = np.zeros((len(self.basis), *rows.shape[1:]))
-        padded[: len(rows)] = self.weighing.whiten(rows)
-        return np.asarray(padded - self.basis @ (self.basis.T @ padded))
+        return whitened(self.weighing, self.basis, rows)
 
     def solve(self, rest: Array) -> Array:
         """The nuisances ``(k,)`` that fit best what the model leaves ``(n,)``, metres."""
-        augmented = np.vstack(
-            [self.weighing.whiten(self.columns), np.diag(np.sqrt(self.precision))]
-        )
         target = np.concatenate([self.weighing.whiten(rest), np.zeros(self.count)])
-        return np.asarray(np.linalg.lstsq(augmented, target, rcond=1e-12)[0])
+        return np.asarray(np.linalg.lstsq(self.augmented, target, rcond=1e-12)[0])
 
     def fitted(self, rest: Array) -> Array:
         """What the nuisances take of what the model leaves ``(n,)``, metres."""
@@ -124,12 +143,8 @@ def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
         columns = np.hstack([columns, problem.curves.columns])
         blocks.append(problem.curves)
     precision = np.concatenate([b.sd for b in blocks]) ** -2.0
-    weighing = problem.weighing
-    augmented = np.vstack([weighing.whiten(columns), np.diag(np.sqrt(precision))])
-    scale = np.linalg.norm(augmented, axis=0)
-    basis, _ = np.linalg.qr(augmented / np.where(scale > 0, scale, 1.0))
     placement = np.concatenate([b.placement for b in blocks])
-    return Nuisances(columns, precision, placement, basis, weighing)
+    return Nuisances(columns, precision, placement, problem.weighing)
 
 
 @dataclass(frozen=True)
@@ -197,18 +212,25 @@ def normal(problem: Problem, at: Linearised, nuisance: Nuisances) -> Normal:
     return Normal(residual, jacobian, *problem.prior_rows, at.x)
 
 
+def known_rows(problem: Problem, nuisance: Nuisances) -> Array:
+    """Rows of what is known before, of unknowns and nuisances ``(q + k, P + k)``."""
+    matrix, _ = problem.prior_rows
+    own = nuisance.augmented[len(problem.measured) :]
+    return np.vstack(
+        [
+            np.hstack([matrix, np.zeros((len(matrix), nuisance.count))]),
+            np.hstack([np.zeros((nuisance.count, matrix.shape[1])), own]),
+        ]
+    )
+
+
 def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array:
     """Orthonormal columns of everything fitted, with its priors ``(n + q + k, P + k)`` or fewer.
 
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
-    matrix, _ = problem.prior_rows
-    count = at.jacobian.shape[1]
-    known = np.zeros((len(matrix) + nuisance.count, count + nuisance.count))
-    known[: len(matrix), :count] = matrix
-    known[len(matrix) :, count:] = np.diag(np.sqrt(nuisance.precision))
     rows = nuisance.weighing.whiten(np.hstack([at.jacobian, nuisance.columns]))
-    full = np.vstack([rows, known])
+    full = np.vstack([rows, known_rows(problem, nuisance)])
     scale = np.linalg.norm(full, axis=0)
     left, singular, _ = np.linalg.svd(full / np.where(scale > 0, scale, 1), full_matrices=False)
     return np.asarray(left[:, singular > 1e-10 * singular.max(initial=0.0)])

@@ -10,7 +10,6 @@ from __future__ import annotations
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.fit.instrument_frame import whole_points
@@ -19,6 +18,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import MINUS, compact
 from orthoglide.observations import TcpPoints, ToolCampaign, source
+from orthoglide.observations.approach import Ints
 from orthoglide.units import MISTAKEN
 
 _FAR = 3e-3  # metres, rms: zeros off by centimetres strain the tool's path by less
@@ -26,7 +26,6 @@ _MENDED = 0.2  # share of it that is left of readings that mean something else
 _STILL = 1e-5  # metres
 _STRETCH = 0.1  # of coordinates of a machine that is about what it should be
 _FEWEST = 4  # readings of a setup that can say so
-Ints = NDArray[np.int64]
 _LETTERS = "xyz"
 _FACTORS = np.array([1.0, *MISTAKEN])
 _FRAMES = [

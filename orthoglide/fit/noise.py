@@ -13,12 +13,16 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, Recorded
+from orthoglide.observations.arrays import numbered
 from orthoglide.units import NOISE
 
 NoiseSource = Literal["declared", "machine", "repeats"]
 
 PUBLISHED_REPEATABILITY = 2e-5
 """Metres: the repeatability stated in 2008, section 4.1; used where nothing better is known."""
+
+OFF_GRID = 0.06
+"""Steps by which six decimals of a millimetre, in metres or inches, miss a multiple of a dial's."""
 
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
 _STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
@@ -77,7 +81,7 @@ def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
     There the true value stands at the edge between them, and a quiet dial shows one or the other:
     a whole step apart, which to its scatter elsewhere would be a slip, or a drift.
     """
-    station = np.unique(campaign.stations, axis=0, return_inverse=True)[1].reshape(-1)
+    station = numbered(campaign.stations)
     low = np.full(int(station.max(initial=-1)) + 1, np.inf)
     high = -low
     np.minimum.at(low, station, campaign.reading)
@@ -85,6 +89,11 @@ def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
     steps = (high - low)[station] / resolution
     edge = (steps > 0.5) & (steps < 1.5) & (resolution > _QUIET * sigma)
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
+
+
+def off_grid(readings: Array, step: float) -> Array:
+    """How far readings ``(n,)`` are from multiples of a dial's step, both metres; in steps."""
+    return np.abs(readings / step - np.round(readings / step))
 
 
 def common_rounding(sigma: ArrayLike, resolution: float) -> Array:

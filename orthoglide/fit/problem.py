@@ -18,6 +18,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
 Beside = TcpReadings | ToolReadings
@@ -285,7 +286,7 @@ def _numbered(tables: Sequence[Array]) -> NDArray[np.int64]:
     """Numbers of equal rows of several tables; rows of different tables are never equal."""
     found, first = [], 0
     for table in tables:
-        number = np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+        number = numbered(table)
         found.append(number + first)
         first += int(number.max(initial=-1)) + 1
     return np.concatenate(found)

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
+from orthoglide.observations.arrays import numbered
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,6 +34,10 @@ class Weighing:
     sigma: Array
     common: Array
     station: NDArray[np.int64]
+
+    def part(self, rows: NDArray[Any]) -> Weighing:
+        """Of some rows, by indices or booleans ``(n,)``."""
+        return Weighing(self.sigma[rows], self.common[rows], numbered(self.station[rows]))
 
     @cached_property
     def weight(self) -> Array:

@@ -4,7 +4,11 @@ The formats and equations are those of the firmware's documentation and sources
 (klippy/kinematics/delta.py, klippy/extras/delta_calibrate.py, bed_mesh.py); the code is our own.
 """
 
+from orthoglide.klipper.agreeing import (
+    disagreements as disagreements,
+)
 from orthoglide.klipper.corrections import (
+    WHERE as WHERE,
     Corrections as Corrections,
     corrections_of as corrections_of,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.klipper.firmware import FITTED, Firmware, shifted
-from orthoglide.klipper.stored import PROBE
+from orthoglide.klipper.stored import CALIBRATION, PROBE
 from orthoglide.notes import Note
 from orthoglide.numerals import signed
 from orthoglide.observations import ToolCampaign
@@ -38,35 +38,49 @@ class _Surface:
     rim: float
 
 
-def disagreements(
-    firmware: Firmware, zero: float, campaigns: Sequence[ToolCampaign]
-) -> Iterator[Note]:
-    """A note for every mesh by which the firmware's radius and angles would be others.
+@dataclass(frozen=True)
+class Disagreement:
+    """Two campaigns that are not of one plate and one set of numbers.
+
+    Attributes:
+        name: of the one that does not fit in.
+        other: of the first that it does not go with.
+        note: both, and what to do.
+    """
+
+    name: str
+    other: str
+    note: Note
+
+
+def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iterator[Disagreement]:
+    """Every mesh by which the firmware's radius and angles would be others.
 
     A cause in the machine bends all surfaces alike; between two of them the plate was bent, or
     the firmware's numbers were changed.
 
     Args:
         firmware: its present numbers.
-        zero: height of the carriages at mechanical zero, metres.
-        campaigns: as imported, heights first.
+        campaigns: as imported.
     """
     alike = list[_Surface]()
-    for campaign in campaigns:
-        if (own := _surface(firmware, zero, campaign)) is None:
+    for campaign in sorted(campaigns, key=lambda c: c.name != CALIBRATION):
+        if (own := _surface(firmware, campaign)) is None:
             continue
         other = next((one for one in alike if _apart(one, own) > _BEYOND), None)
         if other is None:
             alike.append(own)
             continue
         larger = own.change[0] - other.change[0]
-        yield Note(
+        note = Note(
             f"{own.name}.csv and {other.name}.csv are not of one plate and one set of numbers: by "
             f"{own.name}.csv delta_radius would differ by {signed(larger * 1e3, 2)} mm, "
-            f"{abs(larger) * own.rim * 1e3:.2f} mm at the rim. The plate has bent between them, or "
-            f"the numbers were changed: leave the older of the two out, or probe it again",
+            f"{abs(larger) * own.rim * 1e3:.2f} mm at the rim. The plate was bent or turned "
+            f"between them, or the numbers were changed: leave the older of the two out, or probe "
+            f"it again",
             "mesh",
         )
+        yield Disagreement(own.name, other.name, note)
 
 
 def _apart(one: _Surface, other: _Surface) -> float:
@@ -75,10 +89,10 @@ def _apart(one: _Surface, other: _Surface) -> float:
     return float(difference @ np.linalg.solve(sigma**2 * (one.spread + other.spread), difference))
 
 
-def _surface(firmware: Firmware, zero: float, campaign: ToolCampaign) -> _Surface | None:
+def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
     """``None`` where its touches do not tell the six numbers apart."""
     rows = campaign.of_kind("plate")
-    below = campaign.command[rows] + zero - firmware.at_endstop
+    below = campaign.command[rows] + firmware.zero - firmware.at_endstop
 
     def height(numbers: Firmware) -> Array:
         return numbers.points(below + numbers.at_endstop)[:, 2]

@@ -2,113 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 from orthoglide import files
 from orthoglide.errors import FileError
+from orthoglide.klipper.entries import Entry, Section
+from orthoglide.notes import Note
 from orthoglide.text import shown
 
 _SAVED = "#*#"
+_HEADER = re.compile(r"#\*#\s*<-+ *SAVE_CONFIG *-+>")
 _SECTION = re.compile(r"\[([^\]]+)\]")
 _ENTRY = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
 _COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
 _ROW = re.compile(r"[-+.,\d\seE]+$")
 _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
 _DEEPEST = 8  # files that include one another
-_MOST = 1e6  # of anything that a printer's file counts
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A value with the line and file in which its key stands."""
-
-    text: str
-    line: int
-    file: str
-
-
-@dataclass
-class Section:
-    """One section.
-
-    Attributes:
-        name: between the brackets.
-        header: where it stands.
-        entries: values by key, lower case.
-        elsewhere: where else a key may stand: a file that is not here; empty where there is none.
-    """
-
-    name: str
-    header: Entry
-    entries: dict[str, Entry] = field(default_factory=dict)
-    elsewhere: str = ""
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.entries
-
-    def fail(self, key: str, message: str) -> NoReturn:
-        """Refuse the value of a key, or its absence."""
-        at = self.entries.get(key, self.header)
-        raise FileError(f"[{self.name}] {key} {message}", file=at.file, line=at.line)
-
-    def lack(self, key: str) -> NoReturn:
-        """Refuse the absence of a key."""
-        self.fail(
-            key, f"is missing: add it, or take the file that the firmware saved{self.elsewhere}"
-        )
-
-    def number(
-        self, key: str, default: float | None = None, low: float = -_MOST, high: float = _MOST
-    ) -> float:
-        """A number between two limits, the limits themselves excluded."""
-        if key not in self.entries:
-            if default is None:
-                self.lack(key)
-            return default
-        return self._number(key, self.entries[key].text, low, high)
-
-    def whole(self, key: str, default: int | None = None, low: int = 1, high: int = 100000) -> int:
-        """A whole number."""
-        value = self.number(key, default, low - 1, high + 1)
-        if value != int(value):
-            self.fail(key, f"is {value:g}, not a whole number: correct it")
-        return int(value)
-
-    def numbers(self, key: str, count: int | None = None) -> list[float]:
-        """Numbers parted by commas."""
-        if key not in self.entries:
-            self.lack(key)
-        cells = [c.strip() for c in self.entries[key].text.split(",")]
-        if cells and not cells[-1]:
-            cells.pop()
-        if count is not None and len(cells) != count:
-            self.fail(key, f"has {len(cells)} numbers where {count} belong: correct it")
-        return [self._number(key, cell, -1e9, 1e9) for cell in cells]
-
-    def table(self, key: str) -> list[list[float]]:
-        """Rows of numbers, one a line."""
-        if key not in self.entries:
-            self.fail(key, "is missing: probe the mesh again, or remove the profile")
-        lines = [line for line in self.entries[key].text.split("\n") if line.strip()]
-        return [
-            [self._number(key, c.strip(), -1e3, 1e3) for c in line.strip().strip(",").split(",")]
-            for line in lines
-        ]
-
-    def _number(self, key: str, text: str, low: float, high: float) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            self.fail(key, f"is {text[:40]!r}, which is no number: correct it")
-        if not (math.isfinite(value) and low < value < high):
-            self.fail(key, f"is {text[:40]}, out of the range from {low:g} to {high:g}: correct it")
-        return value
 
 
 @dataclass(frozen=True)
@@ -120,12 +33,14 @@ class Config:
         sha256: its digest.
         sections: by name, in the order of the file.
         missing: files that it includes and that are not beside it.
+        notes: what it says twice, and differently.
     """
 
     file: str
     sha256: str
     sections: dict[str, Section]
     missing: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     def section(self, name: str) -> Section:
         """A section that must be there.
@@ -150,10 +65,11 @@ class Config:
 def read_config(path: str | os.PathLike[str]) -> Config:
     """Read a ``printer.cfg`` and the files that it includes, where they stand beside it.
 
-    What the firmware saved at its end goes before what stands above.
+    As in the firmware, what its owner wrote goes before what SAVE_CONFIG wrote at its end.
 
     Raises:
-        FileError: where it is missing, no text, or a line is neither section nor entry.
+        FileError: where it is missing, no text, a line is neither section nor entry, or the
+            firmware would not read what it saved.
     """
     content = files.read_bytes(path, files.TEXT)
     reader = _Reader()
@@ -161,11 +77,55 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     missing = tuple(dict.fromkeys(reader.missing))
     for section in reader.sections.values():
         section.elsewhere = _elsewhere(missing)
-    return Config(shown(path), files.sha256(content), reader.sections, missing)
+    notes = tuple(_twice(reader.twice, shown(path)))
+    return Config(shown(path), files.sha256(content), reader.sections, missing, notes)
+
+
+def _twice(found: list[tuple[str, Entry, Entry]], file: str) -> Iterator[Note]:
+    """A note of values that stand above the header of SAVE_CONFIG and otherwise below it."""
+    if not found:
+        return
+
+    def told(entry: Entry) -> str:
+        where = f"line {entry.line}" + f" of {entry.file}" * (entry.file != file)
+        return where if "\n" in entry.text else f"{entry.text[:40]} ({where})"
+
+    named = "; ".join(f"{name}: {told(own)}, below {told(saved)}" for name, own, saved in found)
+    yield Note(
+        f"{file} has other values above the header of SAVE_CONFIG than below it, and the firmware "
+        f"takes those above, as is done here: {named}. Remove the lines that are not meant",
+        "twice",
+        tuple(entry.line for _, own, saved in found for entry in (own, saved)),
+    )
 
 
 def _elsewhere(missing: tuple[str, ...]) -> str:
     return f" (it may stand in {missing[0]!r}: put that file beside this one)" if missing else ""
+
+
+def _header(lines: list[tuple[int, str]], path: Path) -> int:
+    """Line of the header of SAVE_CONFIG; 1 where there is none.
+
+    Raises:
+        FileError: where the firmware would leave out what stands below it.
+    """
+    found = [number for number, line in lines if _HEADER.match(line.lstrip())]
+    if len(found) > 1:
+        raise FileError(
+            f"a second header of SAVE_CONFIG, after that of line {found[0]}: the firmware reads "
+            f"neither block; remove the older one", file=shown(path), line=found[1],
+        )  # fmt: skip
+    for number, line in lines if found else ():
+        bare = line.strip()
+        if number > found[0] and bare and not bare.startswith(_SAVED):
+            raise FileError(
+                f"{bare[:40]!r} stands below the header of SAVE_CONFIG (line {found[0]}), where "
+                f"the firmware allows lines that begin with {_SAVED} only, and leaves the whole "
+                f"block out: move it above the header",
+                file=shown(path),
+                line=number,
+            )
+    return found[0] if found else 1
 
 
 class _Reader:
@@ -174,21 +134,36 @@ class _Reader:
     def __init__(self) -> None:
         self.sections: dict[str, Section] = {}
         self.missing: list[str] = []
+        self.twice: list[tuple[str, Entry, Entry]] = []
 
     def read(self, content: bytes, path: Path, within: tuple[Path, ...]) -> None:
         """One file's text; ``within``: the files that led here."""
         # A vendor's comments may be in any alphabet: only numbers are read.
         text = files.decode(content, path, errors="replace")
+        lines = list(enumerate(re.split(r"\r\n|\r|\n", text), start=1))
+        first = 1 if within else _header(lines, path)
         own, saved = [], []
-        for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+        for number, line in lines:
             bare = line.lstrip()
-            if bare.startswith(_SAVED):
-                saved.append((number, bare[len(_SAVED) :].removeprefix(" ")))
-            else:
+            if not bare.startswith(_SAVED):
                 own.append((number, line))
+            elif number >= first:
+                saved.append((number, bare[len(_SAVED) :].removeprefix(" ")))
         self._parse(own, path, (*within, path))
         if not within:
-            self._parse(saved, path, (path,), saved=True)
+            self._add_saved(saved, path)
+
+    def _add_saved(self, lines: list[tuple[int, str]], path: Path) -> None:
+        """What SAVE_CONFIG wrote, where nothing else says it."""
+        own, self.sections = self.sections, {}
+        self._parse(lines, path, (path,), saved=True)
+        saved, self.sections = self.sections, own
+        for name, section in saved.items():
+            here = own.setdefault(name, section)
+            for key, entry in section.entries.items():
+                kept = here.entries.setdefault(key, entry)
+                if not kept.same(entry) and name.partition(" ")[0] in _READ:
+                    self.twice.append((f"[{name}] {key}", kept, entry))
 
     def _parse(
         self,

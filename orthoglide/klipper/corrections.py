@@ -9,6 +9,13 @@ from orthoglide.klipper.firmware import TOWERS, Firmware, firmware_of
 from orthoglide.machine import Machine
 from orthoglide.numerals import signed
 
+WHERE = (
+    "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
+    "printer.cfg, and leave #*# before every line; or put the lines above that header and remove "
+    "the old ones: what stands above goes before what stands below. Then RESTART, and probe again."
+)
+"""How new numbers come into the file."""
+
 
 @dataclass(frozen=True)
 class Corrections:

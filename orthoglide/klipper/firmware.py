@@ -48,6 +48,16 @@ class Firmware:
         return np.array(self.endstop) + np.sqrt(np.array(self.arm) ** 2 - self.delta_radius**2)
 
     @property
+    def mean_arm(self) -> float:
+        """What the machine file has as the length of its bars, metres."""
+        return round(float(np.mean(self.arm)), 6)
+
+    @property
+    def zero(self) -> float:
+        """Height of the carriages at mechanical zero of the machine file, metres."""
+        return float(np.sqrt(self.mean_arm**2 - self.delta_radius**2))
+
+    @property
     def towers(self) -> Array:
         """Where the towers stand ``(3, 2)``, metres."""
         turn = np.deg2rad(np.array(self.angle))

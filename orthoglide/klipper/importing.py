@@ -13,11 +13,11 @@ from orthoglide.effects import catalogue_of
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.klipper.agreeing import disagreements
+from orthoglide.klipper.agreeing import Disagreement, disagreements
 from orthoglide.klipper.config import Config, read_config
 from orthoglide.klipper.firmware import TOWERS, Firmware
 from orthoglide.klipper.rods import rods_words
-from orthoglide.klipper.stored import CALLIPER, PROBE, Stored, probe_section
+from orthoglide.klipper.stored import CALIBRATION, CALLIPER, PROBE, Stored, probe_section
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
@@ -41,11 +41,24 @@ class Imported:
         machine: nominal, with the firmware's numbers kept in its provenance.
         campaigns: heights with distances, and each mesh.
         notes: what an owner should know, in sentences.
+        apart: which of the campaigns are not of one plate and one set of numbers.
     """
 
     machine: MachineFile
     campaigns: tuple[ToolCampaign, ...]
     notes: tuple[Note, ...]
+    apart: tuple[Disagreement, ...]
+
+    @property
+    def together(self) -> tuple[str, ...]:
+        """Names of the campaigns that go with one another; none where that is not known.
+
+        Stored heights are steps, and so of whatever numbers; a mesh that is apart from them is not.
+        """
+        if any(one.other != CALIBRATION for one in self.apart):
+            return ()
+        out = {one.name for one in self.apart}
+        return tuple(c.name for c in self.campaigns if c.name not in out)
 
 
 def import_printer(path: str | os.PathLike[str]) -> Imported:
@@ -65,8 +78,7 @@ def import_printer(path: str | os.PathLike[str]) -> Imported:
             f"is {kinematics.text[:40]!r}, not 'delta': only printers of three towers are imported",
         )
     firmware = _firmware(config)
-    arm = round(float(np.mean(firmware.arm)), 6)
-    read = Stored(config, firmware, arm)
+    read = Stored(config, firmware)
     stored = list(read.campaigns())
     if not stored:
         raise FileError(
@@ -74,13 +86,15 @@ def import_printer(path: str | os.PathLike[str]) -> Imported:
             "take the file that the firmware saved",
             file=shown(path),
         )
-    machine = _machine(config, firmware, arm, stored)
+    machine = _machine(config, firmware, stored)
+    apart = tuple(disagreements(firmware, stored))
     notes = (
+        *config.notes,
         *_notes(config, firmware, stored),
-        *disagreements(firmware, read.zero, stored),
+        *(one.note for one in apart),
         *read.notes,
     )
-    return Imported(machine, tuple(stored), notes)
+    return Imported(machine, tuple(stored), notes, apart)
 
 
 def _firmware(config: Config) -> Firmware:
@@ -105,10 +119,8 @@ def _firmware(config: Config) -> Firmware:
     return Firmware(radius, (g, h, i), (a, b, c), (d, e, f))
 
 
-def _machine(
-    config: Config, firmware: Firmware, arm: float, stored: list[ToolCampaign]
-) -> MachineFile:
-    zero = float(np.sqrt(arm**2 - firmware.delta_radius**2))
+def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> MachineFile:
+    arm, zero = firmware.mean_arm, firmware.zero
     every = np.concatenate([*(np.concatenate([c.command, c.second]) for c in stored),
                             _around(config, firmware) - zero])  # fmt: skip
     low, high = float(np.nanmin(every)), float(np.nanmax(every))

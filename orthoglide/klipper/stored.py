@@ -12,10 +12,15 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
-from orthoglide.klipper.config import Config, Section
+from orthoglide.klipper.config import Config
+from orthoglide.klipper.entries import Section
 from orthoglide.klipper.firmware import TOWERS, Firmware
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign, ToolSetup
+
+CALIBRATION = "calibration"
+"""Name of the campaign of heights and distances, which are stored as steps from the endstops: they
+go with any numbers of the firmware, as meshes do not."""
 
 PROBE, CALLIPER, RIM = 1.8e-5, 5e-5, 1e-4
 """Repeatability of a touch of the probe and of a calliper's distance, metres; around the rim only
@@ -38,9 +43,8 @@ class Stored:
         notes: what was noticed while reading, in sentences.
     """
 
-    def __init__(self, config: Config, firmware: Firmware, arm: float) -> None:
-        self.config, self.firmware = config, firmware
-        self.zero = float(np.sqrt(arm**2 - firmware.delta_radius**2))
+    def __init__(self, config: Config, firmware: Firmware) -> None:
+        self.config, self.firmware, self.zero = config, firmware, firmware.zero
         self.notes: list[Note] = []
 
     @cached_property
@@ -53,7 +57,7 @@ class Stored:
         if "delta_calibrate" in self.config.sections:
             rows = [*self._heights(), *self._distances()]
             if rows:
-                yield _campaign("calibration", rows)
+                yield _campaign(CALIBRATION, rows)
         taken = set[str]()
         for section in self.config.named("bed_mesh"):
             profile = section.name.partition(" ")[2]

@@ -122,24 +122,35 @@ class Session:
     def _read(self, sheet: Campaign, number: int) -> Next:
         """Take the readings of one sheet that the file has not yet; what follows from all."""
         wait(self._ahead.values())  # the mechanism serves one at a time
-        plan, expected = self.record.plan(sheet), Expected.of(sheet, self.machine)
+        plan, taken = self.record.plan(sheet), dict[int, float]()
+        expected = Expected.of(sheet, self.machine)
         lead = [k for k, row in enumerate(plan) if row["kind"] == "leg"][-_LEAD:]
-        taken, reading, ahead = dict[int, float](), 0, None
-        for k, planned in enumerate(plan):
-            if k == lead[0]:
-                ahead = self._following(number, len(lead))
-            row = self._recorded(planned)
-            if row is None and planned["kind"] == "leg":
-                row = self._question(sheet, planned, reading, expected, taken)
-            elif row is None:
-                self._mounting(sheet, planned)
-                row = self._move(planned, "go past", "and read nothing")
-            self._at += 1
-            if row["reading_mm"]:
-                taken[reading] = float(row["reading_mm"]) * 1e-3
-            reading += planned["kind"] == "leg"
-        assert ahead is not None
+        for k in range(lead[0]):
+            self._take(sheet, plan, k, expected, taken)
+        ahead = self._following(number, len(lead))
+        for k in range(lead[0], len(plan)):
+            self._take(sheet, plan, k, expected, taken)
         return ahead.result()
+
+    def _take(
+        self,
+        sheet: Campaign,
+        plan: Sequence[Row],
+        k: int,
+        expected: Expected,
+        taken: dict[int, float],
+    ) -> None:
+        """Take one row of a sheet, or find it in the file; its reading joins those taken."""
+        planned, reading = plan[k], sum(row["kind"] == "leg" for row in plan[:k])
+        row = self._recorded(planned)
+        if row is None and planned["kind"] == "leg":
+            row = self._question(sheet, planned, reading, expected, taken)
+        elif row is None:
+            self._mounting(sheet, planned)
+            row = self._move(planned, "go past", "and read nothing")
+        self._at += 1
+        if row["reading_mm"]:
+            taken[reading] = float(row["reading_mm"]) * 1e-3
 
     # --- What was read --------------------------------------------------------------------
 

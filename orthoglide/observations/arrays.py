@@ -47,6 +47,11 @@ OF_READINGS: Mapping[str, Kind] = {
 """What readings of every kind hold."""
 
 
+def numbered(table: Array | Ints) -> Ints:
+    """Numbers from 0 of equal rows of a table, or of equal entries ``(n,)``."""
+    return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+
+
 def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None:
     """Put arrays of their kind in place of what a frozen value was made with.
 

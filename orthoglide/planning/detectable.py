@@ -13,6 +13,7 @@ from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import check_list
 from orthoglide.fit import Estimate, solve
+from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
@@ -22,7 +23,6 @@ from orthoglide.units import Unit
 POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
-_CLASS_WIDTH = 4.0  # change of chi2 within which two effects count as one (Wilks: two sigmas)
 _SAME = 1e-3  # sine between signatures that no size of effect would tell apart
 
 
@@ -198,4 +198,4 @@ def separation() -> float:
     from scipy.special import ndtri
 
     z = float(ndtri(POWER))
-    return z + float(np.sqrt(z**2 + _CLASS_WIDTH))
+    return z + float(np.sqrt(z**2 + CLASS_WIDTH))

@@ -23,6 +23,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, Readings
+from orthoglide.observations.arrays import numbered
 from orthoglide.simulation import simulate
 
 _DATUM = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
@@ -125,8 +126,7 @@ class LinearReadings:
     @cached_property
     def station(self) -> NDArray[np.intp]:
         """Station of each row ``(n,)``."""
-        table = self.campaign.stations
-        return np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+        return numbered(self.campaign.stations)
 
     def covariance(self, one: ArrayLike, other: ArrayLike) -> Array:
         """Covariance ``(a, b)`` of visits to rows of one mounting, parameters and datum given."""

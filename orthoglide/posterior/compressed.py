@@ -75,8 +75,7 @@ def _parts(weighing: Weighing) -> Iterator[tuple[NDArray[np.int64], Weighing]]:
     cuts = starts[np.unique(np.searchsorted(starts, np.arange(0, len(order), _BLOCK)).clip(
         0, len(starts) - 1))]  # fmt: skip
     for rows in np.split(order, cuts[cuts > 0]):
-        station = np.unique(weighing.station[rows], return_inverse=True)[1].reshape(-1)
-        yield rows, Weighing(weighing.sigma[rows], weighing.common[rows], station)
+        yield rows, weighing.part(rows)
 
 
 def _root(square: Array) -> Array:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
 from orthoglide.fit.least_squares import Nuisances
@@ -29,9 +29,10 @@ from orthoglide.posterior.causes import (
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.instead import Alternatives
 from orthoglide.posterior.linear import Group
-from orthoglide.prediction import Conditions
 
 _OFF = 0.1  # tolerances: a background that is worth a word
+
+_NEAREST = 24  # causes and places that are listed as weighed
 
 CREDIBLE = 0.95
 """Probability that a credible set holds the truth."""
@@ -219,8 +220,7 @@ class _Reader:
         """TCP over the workspace by parameter of the machine ``(g, 3, P)``."""
         machine = self.posterior.machine
         names, _, _ = self.posterior.machine_with(self.posterior.mean)
-        where = Conditions.at(workspace(machine.geometry))
-        return machine.model.sensitivities(machine.values, where, names)[1][:, :3]
+        return tcp_slopes(machine, names)
 
     def _located(
         self, member: int, odds: Sequence[tuple[int, float]], probability: float
@@ -253,7 +253,7 @@ class _Reader:
             self._shown(about.rows[:, group.places] @ mean[group.places]),
         )
 
-    def weighed(self, most: int = 24) -> tuple[CandidateScore, ...]:
+    def weighed(self) -> tuple[CandidateScore, ...]:
         """What came nearest to standing out, most probable first."""
         mixture, found = self.posterior.mixture, dict[int, float]()
         for member, _ in mixture.best:
@@ -265,7 +265,7 @@ class _Reader:
         odds = mixture.next_odds()
         for k, p in enumerate(odds):
             found.setdefault(k, float(p))
-        order = sorted(found, key=lambda k: (-round(found[k], 6), self.groups[k].name))[:most]
+        order = sorted(found, key=lambda k: (-round(found[k], 6), self.groups[k].name))[:_NEAREST]
         named = len(self.posterior.about.candidates)
         return tuple(
             CandidateScore(

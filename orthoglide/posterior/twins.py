@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import tcp_slopes
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
-from orthoglide.prediction import Conditions
 
 _FEW = 3.0
 """Tolerances of a parameter that another may replace if no reading and no tool shows it."""
@@ -22,9 +21,7 @@ def tool_slopes(problem: Problem, x: Array) -> Array:
     names, matrix = problem.elementary(last)
     kept = [k for k, name in enumerate(names) if name in machine.catalogue.motions]
     values = {n: v for n, v in problem.values(last, x).items() if n in machine.catalogue.motions}
-    where = Conditions.at(workspace(machine.geometry))
-    _, slopes = machine.model.sensitivities(values, where, [names[k] for k in kept])
-    return slopes[:, :3] @ matrix[kept]
+    return tcp_slopes(machine.with_only(values), [names[k] for k in kept]) @ matrix[kept]
 
 
 def translations(slopes: Array) -> Array:

@@ -38,9 +38,8 @@ def reading_function(effects: tuple[Effect, ...]) -> Any:
     along = share[0] * ends[3:6] + share[1] * ends[9:12] - start
     crossing = start + (place - ca.dot(own, start)) / ca.dot(own, along) * along
     reading, across = sign * ca.dot(sensed, crossing), sign * ca.dot(sideways, crossing)
-    for k, effect in enumerate(effects):
-        assert effect.dial is not None
-        reading = effect.dial(DialReading(reading, across, time), dial[k])
+    for k, shows in enumerate(e.dial for e in effects if e.dial is not None):
+        reading = shows(DialReading(reading, across, time), dial[k])
     return ca.Function("reading", [ends, mounting, dial], [reading])
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import withheld
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
+from orthoglide.klipper import WHERE
 from orthoglide.numerals import compact, plain, signed
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, weak_sentences
@@ -65,11 +66,12 @@ def _kept(found: Located) -> bool:
     return found.members[0].place.of_machine
 
 
-def firmware(advice: FirmwareAdvice, found: Corrections, stands: bool) -> Data:
+def firmware(advice: FirmwareAdvice, found: Corrections, early: str) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
     return {
         "first": advice.first,
-        "stands": stands,
+        "early": early,
+        "where": WHERE,
         "rows": found.rows,
         "height": [f"{v * 1e3:.3f}" for v in found.height],
         "sideways": [f"{v * 1e3:.3f}" for v in found.sideways],

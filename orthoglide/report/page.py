@@ -16,6 +16,7 @@ from orthoglide import __version__
 from orthoglide.figures.style import Drawing
 from orthoglide.pages import rendered
 from orthoglide.report.phrases import listed
+from orthoglide.report.wording import too_early
 from orthoglide.scene import view_html
 from orthoglide.scene.view import view_style
 
@@ -79,7 +80,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
     if result.firmware is not None and result.firmware.corrections is not None:
-        data = follows.firmware(result.firmware, result.firmware.corrections, result.stands)
+        data = follows.firmware(result.firmware, result.firmware.corrections, too_early(result))
         yield Section("firmware", "Numbers for the firmware", data)
     controller = {"rows": ()} if result.firmware else follows.controller(result)
     if controller["rows"]:

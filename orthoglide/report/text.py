@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from orthoglide.numerals import compact, hundredths, signed
 from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import MEANINGS, headline
+from orthoglide.report.wording import MEANINGS, headline, too_early
 from orthoglide.result.firmware import UNSEEN, Unseen
 from orthoglide.text import is_terminal, text_width
 
@@ -53,8 +53,8 @@ def summary(result: Result, ranked: bool = False) -> str:
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
         parts.append(_firmware(result.firmware.corrections))
-        if not result.stands:
-            parts.append(Text("Do not enter these numbers yet: something is left.", style="bold"))
+        if why := too_early(result):
+            parts.append(Text(f"Do not enter these numbers yet: {why}.", style="bold"))
         parts += [Text(line) for line in _unseen(result.firmware.unseen)]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)

@@ -13,7 +13,6 @@ from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
-    from orthoglide.diagnosis.rest import ToolRest
     from orthoglide.fit import Change, Estimate
     from orthoglide.parameters import Parameter
     from orthoglide.posterior import Cause, Curve, Located
@@ -80,6 +79,16 @@ def standing(result: Result) -> str:
     return f"{nothing} wrong that these readings could show beyond the {base}."
 
 
+def too_early(result: Result) -> str:
+    """Why numbers are not to be entered yet, as a clause; empty where they may."""
+    if not result.stands:
+        return (
+            "the verdict says that something is left that nothing explains, and they would be bent "
+            "by it"
+        )
+    return "the verdict warns of what would bend them" if result.cautions else ""
+
+
 def evidence(result: Result) -> str:
     """What speaks for the claim of a closed loop, and what had to be dealt with first."""
     said = [_weighed(result)]
@@ -119,7 +128,8 @@ def _weighed(result: Result) -> str:
         given = f"the {base} set right" + (" and all of it in the model" if result.improved else "")
     if result.posterior is not None and result.posterior.mixture.linear.unnamed.any():
         given += " and small shapes of the plate's own"
-    text = f"With {given}, {_fall(result)}, which is the noise of {_instrument(result)}."
+    of = "the dial" if _dials_alone(result) else "the readings"
+    text = f"With {given}, {_fall(result)}, which is the noise of {of}."
     return text + _alone(result)
 
 
@@ -130,32 +140,32 @@ def where_left(result: Result) -> str:
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch the "
             "plate again, turned by 60 degrees on its seat; what turns with it is its own."
         )
-    if not result.rest:
-        return _left_of_tool(result.rest_of_tool)
-    most = result.rest[0]
-    leg, way = LEGS[most.leg], toward(LEGS[most.axis], most.most)
-    at = f" at posture {most.posture}" if most.posture else ""
-    alike = most.share < 2 / len(result.rest)
-    spread = ", though all dials show some" if alike else ""
-    return (
-        f" The largest part of what is left ({100 * most.share:.0f} %) shows on leg {leg} read "
-        f"along {LEGS[most.axis]}{spread}: there the dial is off by up to "
-        f"{compact(abs(most.most) * 1e3, 2)} mm, toward {way}{at}."
-    )
+    shares = [*(one.share for one in result.rest), *(one.share for one in result.rest_of_tool)]
+    if shares and (points := 1 - sum(shares)) > max(shares):
+        return f" The largest part of what is left ({100 * points:.0f} %) shows in the TCP points."
+    if result.dials_hold_most:
+        one = result.rest[0]
+        where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}"
+        size = f"there the dial is off by up to {compact(abs(one.most) * 1e3, 2)} mm, toward "
+        size += toward(LEGS[one.axis], one.most)
+        size += f" at posture {one.posture}" if one.posture else ""
+        return _largest_part(result, one.share, where, size)
+    return "".join(
+        _largest_part(
+            result, one.share, f"in {one.reads} ({one.setup})",
+            f"up to {compact(abs(one.most) * 1e3, 2)} {one.unit}, with the tool at "
+            f"{one.where[0]} mm",
+        )
+        for one in result.rest_of_tool[:1]
+    )  # fmt: skip
 
 
-def _left_of_tool(rest: Sequence[ToolRest]) -> str:
-    if not rest:
-        return ""
-    most = rest[0]
-    spread = (
-        ", though all readings show some" if len(rest) > 1 and most.share < 2 / len(rest) else ""
-    )
-    return (
-        f" The largest part of what is left ({100 * most.share:.0f} %) shows in {most.reads} "
-        f"({most.setup}){spread}: up to {compact(abs(most.most) * 1e3, 2)} {most.unit}, with the "
-        f"tool at {most.where[0]} mm."
-    )
+def _largest_part(result: Result, share: float, where: str, size: str) -> str:
+    """Where the largest part of what is left shows, and whether it stands out at all."""
+    dials, tool = len(result.rest), len(result.rest_of_tool)
+    alike = dials + tool > 1 and share < 2 / (dials + tool)
+    spread = f", though all {'readings' if tool else 'dials'} show some" if alike else ""
+    return f" The largest part of what is left ({100 * share:.0f} %) shows {where}{spread}: {size}."
 
 
 def _alone(result: Result) -> str:
@@ -187,16 +197,16 @@ def _nothing_explains(result: Result) -> str:
     )
 
 
-def _instrument(result: Result) -> str:
+def _dials_alone(result: Result) -> bool:
     problem = result.after.problem
-    return "the dial" if problem.campaigns and not problem.points else "the readings"
+    return bool(problem.campaigns) and not problem.points
 
 
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
     fit = result.after
     noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
-    whose = "the dial's noise" if _instrument(result) == "the dial" else "the noise of one"
+    whose = "the dial's noise" if _dials_alone(result) else "the noise of one"
     if left > noise:
         return (
             f"Single readings are left with {compact(left, 2)} mm rms, where {whose} is "

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import Corrections, doubted_rods, firmware_of
+from orthoglide.klipper import Corrections, disagreements, doubted_rods, firmware_of
 from orthoglide.machine import Machine
+from orthoglide.notes import Note
 from orthoglide.numerals import compact
+from orthoglide.observations import ToolCampaign
 from orthoglide.posterior import Cause, Explanation
+from orthoglide.request import Request
 from orthoglide.result.actions import confirm
 from orthoglide.result.corrections import unseen_by_firmware
 
@@ -90,6 +93,13 @@ class FirmwareAdvice:
             "cannot_hold": list(self.beyond),
             "unseen_by_seven_points": [one.sentence for one in self.unseen],
         }
+
+
+def apart(request: Request) -> Iterator[Note]:
+    """Readings of an imported machine that are not of one plate and one set of its numbers."""
+    if (old := firmware_of(request.machine)) is not None:
+        read = [c for c in request.points if isinstance(c, ToolCampaign)]
+        yield from (one.note for one in disagreements(old, read))
 
 
 def firmware_advice(

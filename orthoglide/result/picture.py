@@ -61,7 +61,7 @@ def picture(result: Result) -> Picture:
     for change in result.moved:
         first.append(len(options))
         options += _moved(machine, change)
-    if result.word == "unexplained" and result.rest and result.request.searches:
+    if result.word == "unexplained" and result.dials_hold_most and result.request.searches:
         first.append(len(options))
         options.append(_left(result))
     return Picture(posed, stand, tuple(options), tuple(first))

@@ -35,7 +35,8 @@ from orthoglide.posterior import (
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
 from orthoglide.result.corrections import corrections
-from orthoglide.result.firmware import FirmwareAdvice, firmware_advice
+from orthoglide.result.firmware import FirmwareAdvice, apart, firmware_advice
+from orthoglide.result.following import next_measurements
 from orthoglide.result.picture import Picture, picture, view_of
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
 from orthoglide.scene import View
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
 Word = Literal["adequate", "explained", "ambiguous", "located", "partial", "unexplained"]
 
 _HARDLY = 0.95  # of the residuals: a fit that leaves more has not helped
-_MOST_RIVALS = 6  # between which readings are proposed
 
 
 @dataclass(frozen=True)
@@ -293,6 +293,14 @@ class Result(Framed):
         """The same of every instrument at the tool."""
         return rest_of_tool(self.after)
 
+    @property
+    def dials_hold_most(self) -> bool:
+        """Whether the mounting that shows most of what is left is a dial's, and not that of an
+        instrument at the tool; not without dials.
+        """
+        tool = max((one.share for one in self.rest_of_tool), default=-1.0)
+        return any(one.share >= tool for one in self.rest[:1])
+
     @cached_property
     def picture(self) -> Picture:
         """The machine with what was found."""
@@ -313,23 +321,7 @@ class Result(Framed):
     @cached_property
     def next_measurements(self) -> tuple[Suggestion, ...]:
         """What to measure next; nothing is proposed by ``identify``."""
-        from orthoglide import planning
-
-        if not self.request.searches:
-            return ()
-        geometry = self.request.machine.geometry
-        again = tuple(map(planning.repeating, () if self.stands else self.rest_of_tool[:1]))
-        if not geometry.dialled:
-            known = self.after, self.effects, self.machine
-            return (*planning.deciding_instruments(*known), *again)
-        sets = [(c.chosen, *c.rivals) for c in self.effects if c.rivals]
-        sets = sets or [tuple(self.alone[:_MOST_RIVALS])]
-        rivals = [(e.name, e.machine) for each in sets for e in each]
-        pairs = planning.pairs_within(map(len, sets))
-        apart = planning.next_measurements(self.after, rivals, pairs=pairs, directions=())
-        more = planning.next_measurements(self.before)
-        trace = () if self.stands else tuple(planning.tracing(r, geometry) for r in self.rest[:1])
-        return (*(trace or again), *apart, *more)
+        return next_measurements(self) if self.request.searches else ()
 
     @cached_property
     def next_sheet(self) -> Campaign | None:
@@ -372,7 +364,7 @@ class Result(Framed):
     @property
     def cautions(self) -> tuple[str, ...]:
         """What speaks against acting on what was found as it stands, a sentence each."""
-        found = []
+        found = [f"{note}." for note in apart(self.request)]
         if self.word == "partial":
             found.append(
                 "What was found explains only part of what is wrong, and may stand in for "
