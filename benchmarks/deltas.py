@@ -36,18 +36,29 @@ orthoglide import klipper printer.cfg --out DIR
 orthoglide close-loop DIR/*.csv --machine DIR/machine.toml --out OUT
 ```
 
+New numbers in a firmware's own words are given for Klipper only. For a delta under Marlin or
+another firmware write a [machine file](files.md#layout) with `kind = "linear-delta"`, and touch the
+plate by a sheet (`orthoglide design --owns plate --machine machine.toml --out plate.csv`). Its
+owner gets the verdict with its causes, from `export` zeros of the three carriages and lengths of
+the arms, and compensated commands; no values for `M665` and `M666`, and what `M503` prints is not
+read.
+
 The importer reads what the firmware stores: its numbers, the heights and distances of
 `[delta_calibrate]` with their step positions, and meshes, taken as probed with the numbers that
-are stored now. What the firmware does not store (the platform's radius, the distance of an arm's
-rods, how far the nozzle hangs below the joints) is taken as 32, 50 and 40 mm; the sizes of causes
-that turn the platform depend on it. Correct them in `machine.toml`.
+are stored now. Where a key stands above the header of SAVE_CONFIG and below it, the one above
+counts, as in the firmware, and both lines are told. What the firmware does not store (the
+platform's radius, the distance of an arm's rods, how far the nozzle hangs below the joints) is
+taken as 32, 50 and 40 mm; the sizes of causes that turn the platform depend on it. Correct them in
+`machine.toml`.
 
 The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
 holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms
 that it has fitted differ from the rods by more than half a millimetre, the report begins with
 that. Arms are taken as alike to 0.05 mm; of rods that were measured, give the sigma of the
 measurement beside `leg_length` in `machine.toml`. Meshes that cannot be of one plate and one set of
-numbers with the heights, or with one another, are named when they are imported.
+numbers with the heights, or with one another, are named when they are imported, and left out of
+the command that is proposed; a result that was made of them all the same warns, and its numbers are
+not to be entered.
 
 A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches. Many
@@ -63,6 +74,12 @@ standard deviations of {sizes} mm are expected of those of the second, third and
 degree. No cause in the machine is named for what they may draw, however well distances fix the
 towers. Where they are needed to explain what is left, the verdict is *partial* or *unexplained*,
 and says that the plate may be behind it. The rms *with what was found* is past such shapes.
+
+For a second visit, paste the numbers where the report says, `RESTART`, `BED_MESH_CALIBRATE`,
+`SAVE_CONFIG`, and import into a new folder. Stored heights are steps and stay valid;
+`DELTA_CALIBRATE` would put numbers of its own in the place of those pasted. Travel in an imported
+file counts from the numbers that the firmware had; campaigns of other numbers do not go with it
+and are refused.
 
 What your instruments would find on a machine like yours can be tried before anything is measured:
 

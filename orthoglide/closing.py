@@ -44,6 +44,7 @@ from orthoglide.result import Result, Word
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
+    from orthoglide.diagnosis.changes import Change
     from orthoglide.figures.style import Drawing
 
 __all__ = ["Cause", "Verdict", "close_loop", "judge", "run"]
@@ -173,53 +174,63 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
-    before = account_for_changes(solve(problem))
-    since = before.changes
-    check_slips(before)
-    problem = before.problem
-    from orthoglide.diagnosis.blunders import examine, without
-    from orthoglide.diagnosis.changes import separated
-
+    read = account_for_changes(solve(problem))
+    check_slips(read)
     progress(Step("faults"))
-    findings = examine(before)
-    blunders, changes = findings.blunders, findings.changes
-    faulty = before if blunders else None
-    if blunders:
-        problem = without(problem, blunders)
-        blunders = _with_rivals(before, blunders)
-    # What a change put right is no cause now; what is still wrong is named as one. Without dials it
-    # is not known which one of several it was.
-    causes = [
-        c
-        for c in changes
-        if c.is_cause
-        and c.parameter not in before.names
-        and (problem.campaigns or not c.members[1:])
-    ]
-    if changes:
-        problem = separated(problem, [c for c in changes if c not in causes])
-        problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
-    if blunders or changes:
-        before = solve(problem)
+    before, blunders, changes, causes = _set_right(read)
     progress(Step("testing"))
-    known = full_posterior(before, [c.parameter for c in causes])
+    known = full_posterior(before, causes)
     progress(Step("allowing"))
-    found, left = outstanding(known, [c.parameter for c in causes]), remains(known)
+    found, left = outstanding(known, causes), remains(known)
     if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
     word = _word(found, left)
     verdict = Verdict(
         request, word, before, before if word == "unexplained" else known.after,
         found.causes, found.located,
-        found.weighed, left, known, blunders, faulty=faulty,
+        found.weighed, left, known, blunders,
+        faulty=read if blunders else None,
         alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
     changed = (
-        *(now for c in since if (now := c.now(verdict.after)).is_larger_than_sigma),
+        *(now for c in read.changes if (now := c.now(verdict.after)).is_larger_than_sigma),
         *(c.measured(verdict.after) for c in changes),
     )
     progress(Step("judging"))
     return judge(replace(verdict, changed=changed))
+
+
+def _set_right(
+    read: Estimate,
+) -> tuple[Estimate, tuple[Blunder, ...], tuple[Change, ...], list[str]]:
+    """Set faulty rows aside, and let what changed between campaigns change.
+
+    Args:
+        read: the fit of the readings as they stand.
+
+    Returns:
+        The fit then, the faults, the changes, and the parameters of those that are causes.
+    """
+    from orthoglide.diagnosis.blunders import examine, without
+    from orthoglide.diagnosis.changes import separated
+
+    problem, findings = read.problem, examine(read)
+    blunders, changes = findings.blunders, findings.changes
+    if blunders:
+        problem = without(problem, blunders)
+        blunders = _with_rivals(read, blunders)
+    # What a change put right is no cause now; what is still wrong is named as one. Without dials it
+    # is not known which one of several it was.
+    causes = [
+        c
+        for c in changes
+        if c.is_cause and c.parameter not in read.names and (problem.campaigns or not c.members[1:])
+    ]
+    if changes:
+        problem = separated(problem, [c for c in changes if c not in causes])
+        problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
+    fit = solve(problem) if blunders or changes else read
+    return fit, blunders, changes, [c.parameter for c in causes]
 
 
 def _with_rivals(read: Estimate, blunders: Sequence[Blunder]) -> tuple[Blunder, ...]:

@@ -291,6 +291,82 @@ def test_wrong_usage(arguments: tuple[str, ...], here: Path) -> None:
     assert os.listdir(here) == ["experiment2.csv"]
 
 
+IDLE = [
+    (("design", "--owns", "leg", "--criterion", "d-optimal"), "--owns and --criterion exclude"),
+    (("design", "--owns", "leg", "--free", "nonsense"), "--owns and --free exclude each other"),
+    (("design", "--owns", "leg", "--want", "nonsense"), "--owns and --want exclude each other"),
+    (("design", "--owns", "leg", "--noise", "0.01"), "--owns and --noise exclude each other"),
+    (("design", "--owns", "leg", "--detect"), "--owns and --detect exclude each other"),
+    (("design", "sheet.csv", "--owns", "leg"), "--owns and SHEET.csv exclude each other"),
+    (("design", "--seed", "3"), "--seed has no effect without --owns or --detect"),
+    (("simulate", "--sheet", "a.csv", "--kind", "sweep"), "--sheet and --kind exclude"),
+    (("simulate", "--exact", "--noise", "0.5"), "--exact and --noise exclude each other"),
+    (("simulate", "--exact", "--seed", "5"), "--exact and --seed exclude each other"),
+    (("identify", "experiment2.csv", "--frame", "none"), "--frame has no effect without --fit-tcp"),
+    (("diagnose", "experiment2.csv", "--frame", "rigid"), "--frame has no effect without"),
+    (("rehearse", "--sheet", "a.csv", "--owns", "leg"), "sheet and owns exclude each other"),
+    (("rehearse", "--dask", "tcp://here:1", "--jobs", "1"), "--dask and --jobs exclude each other"),
+    (("tolerances", "--tcp", "0.05", "--noise", "0.01"), "without --calibrated-by: add it"),
+    (("forward", "310", "310", "310", "--effects-file", "a.py"), "no effect without --machine"),
+    (("view", "--effects-file", "a.py"), "--effects-file has no effect without MACHINE"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), IDLE, ids=[" ".join(a[:4]) for a, _ in IDLE])
+def test_options_without_effect_are_refused(
+    arguments: tuple[str, ...], words: str, here: Path
+) -> None:
+    needed = {"simulate": ("--machine", "m.toml", "--out", "x.csv"), "identify": ("--out", "x"),
+              "view": ("--out", "x.html")}  # fmt: skip
+    result = run(*arguments, *needed.get(arguments[0], ()))
+    assert (result.exit_code, result.stdout) == (2, ""), result.output
+    assert result.stderr.startswith("orthoglide: ")
+    assert words in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
+def test_what_has_an_effect_is_taken(here: Path) -> None:
+    og.Machine.nominal().save("m.toml")
+    made = ("simulate", "--machine", "m.toml", "--exact")
+    done(*made, "--seed", "5", "--tcp", "t.csv", "--out", "a.csv")
+    done(*made, "--seed", "6", "--tcp", "u.csv", "--out", "b.csv")
+    assert (here / "a.csv").read_bytes() == (here / "b.csv").read_bytes()
+    assert (here / "t.csv").read_bytes() != (here / "u.csv").read_bytes()
+    done("simulate", "--machine", "m.toml", "--sheet", "a.csv", "--seed", "1", "--out", "c.csv")
+    done("design", "--owns", "leg", "--seed", "1", "--quiet")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("demo",), ("diagnose", "a.csv"), ("check", "a.csv", "b.csv"), ("rehearse",),
+        ("design", "--detect"), ("design", "--owns", "leg"),
+        ("simulate", "--machine", "m.toml", "--out", "a.csv"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_seed_counts_from_zero(command: tuple[str, ...], here: Path) -> None:
+    result = run(*command, "--seed", "-1")
+    assert result.exit_code == 2
+    assert result.stderr == "orthoglide: --seed must be 0 or more, not -1\n"
+
+
+def test_a_sheet_of_the_tool_is_told_where_dials_are_read(here: Path) -> None:
+    done("design", "--owns", "tcp", "--quiet", "--out", "s.csv")
+    for command, words in (
+        (("design", "s.csv"), "design --owns says what its instruments tell"),
+        (("tolerances", "--tcp", "0.05", "--calibrated-by", "s.csv"), "name one of dials"),
+        (("measure", "--sheet", "s.csv", "--out", "m.csv"), "give it to close-loop"),
+    ):
+        result = run(*command)
+        assert result.exit_code == 2
+        assert "s.csv: holds readings at the tool (tcp): " in result.stderr
+        assert words in result.stderr
+    with pytest.raises(og.FileError, match=r"at the tool \(tcp\).*og\.read_readings"):
+        og.read_campaign("s.csv", require_readings=False)
+
+
 def test_results_are_never_overwritten(here: Path) -> None:
     (here / "full").mkdir()
     (here / "full" / "thesis.tex").write_text("dear")

@@ -61,6 +61,33 @@ def test_two_visits_are_compared(imported: Path, tmp_path: Path) -> None:
     assert "Nothing changed" in told
 
 
+def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) -> None:
+    """Their commands count from other numbers; a file that does not say so is read as ever."""
+    text = (DATA / "electrocally.cfg").read_text()
+    old = re.search(r"delta_radius = ([0-9.]+)", text)
+    assert old is not None
+    (tmp_path / "printer.cfg").write_text(
+        text.replace(old[0], f"delta_radius = {float(old[1]) + 0.1}")
+    )
+    run("import", "klipper", tmp_path / "printer.cfg", "--out", tmp_path / "two")
+    first, second = imported / "calibration.csv", tmp_path / "two" / "mesh-default.csv"
+    both = ("--machine", tmp_path / "two" / "machine.toml", "--out", tmp_path / "o")
+    told = run("close-loop", first, second, *both, code=2)
+    assert "calibration.csv, line 2: was imported with other numbers of the firmware" in told
+    assert "take the machine.toml of its own import" in told
+    assert "other numbers" in run("check", first, second, *both[:2], code=2)
+    plain = tmp_path / "plain.csv"
+    rows = [line.split(",") for line in first.read_text().splitlines()]
+    assert rows[0][-1] == "firmware"
+    plain.write_text("\n".join(",".join(row[:-1]) for row in rows))
+    run("identify", plain, second, *both)
+    result = tmp_path / "o" / "result.json"
+    assert "same numbers" in run("rerun", result)
+    calibrated = tmp_path / "o" / "calibrated.toml"
+    run("identify", second, "--machine", calibrated, "--out", tmp_path / "again")
+    run("identify", first, "--machine", calibrated, "--out", tmp_path / "no", code=2)
+
+
 def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> None:
     machine = imported / "machine.toml"
     for command in (
@@ -77,6 +104,8 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,10\n30,-20,5\n")
     run("compensate", tmp_path / "path.csv", "--machine", calibrated, "--out", tmp_path / "to.csv")
     run("export", "--machine", calibrated, "--out", tmp_path / "exported")
+    alone = ("export", "--machine", calibrated, "--zeros-only", "--out", tmp_path / "alone")
+    assert "all its numbers or none" in run(*alone, code=2)
     text = (tmp_path / "exported" / "controller.txt").read_text()
     assert "To paste:\n[printer]\ndelta_radius: " in text
     assert "zero" not in text.replace("z = 0", "")

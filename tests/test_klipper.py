@@ -258,6 +258,9 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     reasons = " ".join(s["reason"] for s in told["next_measurements"])
     assert "turned by 60 degrees" in reasons
     assert "level on the platform" in reasons
+    sheet = "orthoglide design --owns incline --machine machine.toml --out incline.csv"
+    assert sheet in next(a["words"] for a in told["actions"] if a["action"] == "measure")
+    assert sheet in unescape((done / "report.html").read_text())
     page = (done / "report.html").read_text()
     assert "To undo" in page
     assert "Numbers for the firmware" in page

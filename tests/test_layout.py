@@ -54,6 +54,19 @@ def points(count: int = 12, seed: int = 0) -> np.ndarray:
     return np.stack([r * np.cos(t), r * np.sin(t), 0.15 * rng.random(count)], axis=1)
 
 
+def test_a_stroke_that_lays_the_arms_flat_leaves_a_workspace_that_closes() -> None:
+    """Carriages may go lower than any command: the map of the workspace stays where arms hold."""
+    nominal = Machine(MachineFile(geometry=replace(DELTA, stroke=(-0.3, 0.42))))
+    where = workspace(nominal.geometry)
+    p = nominal.forward(where)
+    assert np.hypot(*p[:, :2].T).max() > 0.15
+    for name in (n for n in map(str, NAMES) if n.split(".")[1] == "a"):
+        for size in (-3, 3):
+            wrong = nominal.with_parameters({name: size * nominal.tolerance(name)})
+            assert np.isfinite(wrong.forward(where)).all()
+            assert np.abs(wrong.forward(wrong.inverse(p)) - p).max() < 1e-8
+
+
 @pytest.fixture(scope="module")
 def machine() -> Machine:
     return Machine(MachineFile(geometry=DELTA))

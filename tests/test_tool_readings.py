@@ -78,6 +78,23 @@ def read(tmp_path: Path, content: str, spec: MachineFile = SPEC) -> tuple[object
     return read_readings(file, spec)
 
 
+def test_the_sign_of_an_inclination_is_that_of_the_higher_side() -> None:
+    """About x more where +y is higher, about y more where +x is lower; with a minus the other."""
+    leaning = MACHINE.with_parameters({"rail_tilt.a.tangential": 6e-3, "mount_tilt.b.a": 8e-3})
+    commands = np.repeat(MACHINE.inverse(places(12)), 4, axis=0)
+    names = ("travel_a_mm", "travel_b_mm", "travel_c_mm")
+    frame = {"kind": ["incline"] * 48, "setup": ["level"] * 48, "direction": ["x", "-x", "y", "-y"]
+             * 12, "reading_mrad": [0.0] * 48}  # fmt: skip
+    frame |= {name: (commands[:, k] * 1e3).tolist() for k, name in enumerate(names)}
+    level = ToolCampaign.from_frame(frame, machine_file=SPEC)
+    shown = ToolReadings.of(level, leaning).predict(leaning.model, leaning.values)
+    R = leaning.pose(commands).R
+    y_up, x_up = R[:, 2, 1], R[:, 2, 0]
+    assert np.abs([y_up, x_up]).max() > 1e-3
+    wanted = np.stack([y_up, -y_up, -x_up, x_up], axis=1)[np.arange(48), np.arange(48) % 4]
+    assert np.abs(shown - wanted).max() < 1e-4  # turns of the second order
+
+
 ALL = ("plate", "tcp", "distance", "ballbar", "incline")
 
 

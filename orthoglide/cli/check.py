@@ -47,8 +47,6 @@ def check(
 
     if out is not None:
         check_folder(out)
-    if seed < 0:
-        raise InputError(f"--seed must be 0 or more, not {seed}")
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.checking import check as compare

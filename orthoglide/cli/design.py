@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import exclude, need
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import tell, wrapped
 from orthoglide.cli.writing import write_sheet, write_texts
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from orthoglide.planning import Repeats
 
 _COUNT = 24
+_OTHERWISE = (
+    "design --owns says what its instruments tell, and rehearse --sheet how often it would find "
+    "what is wrong"
+)
 
 
 @click.command()
@@ -71,6 +76,12 @@ def design(
     )
     from orthoglide.planning.wording import detectable_rows, index_rows, pair_rows, repeats_row
 
+    exclude(
+        "owns", "campaigns", "free", "criterion", "want", "detect", "noise",
+        because="every instrument has a sheet and a noise of its own, and its smallest effects "
+        "are told anyway",
+    )  # fmt: skip
+    need("seed", "owns", "detect")
     if out is not None:
         check_new(out)
     machine = opt.load_machine(machine_path)
@@ -147,10 +158,10 @@ def _of_owned(
 
 def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
     """The sheets given, or the protocols there are."""
-    from orthoglide.observations import protocol, read_campaign
+    from orthoglide.observations import protocol
 
     if paths:
-        read = [read_campaign(p, machine.spec, require_readings=False) for p in paths]
+        read = [opt.dial_sheet(p, machine, _OTHERWISE) for p in paths]
         return {c.name: c for c in read}
     return {kind: protocol(kind, machine.geometry) for kind in opt.PROTOCOLS}  # type: ignore[arg-type]
 

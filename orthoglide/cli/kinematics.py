@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import need
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_texts
 from orthoglide.errors import InputError
@@ -103,6 +104,7 @@ def _run(
     table: Path | None,
     out: Path | None,
 ) -> None:
+    need("effects_file", "machine_path")
     if (table is None) != (out is None):
         raise InputError("--csv and --out go together: name a file to read and a file to write")
     if (table is None) == (not numbers):

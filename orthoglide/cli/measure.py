@@ -39,12 +39,12 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
     standard deviations; that nothing is wrong is believed after 90 readings.
     """
     from orthoglide.measuring import Record, Session, Stopped
-    from orthoglide.observations import read_campaign
 
     if most < 2:
         raise InputError(f"--most must be 2 or more, not {most}")
     machine = opt.load_machine(machine_path)
-    first = None if sheet is None else read_campaign(sheet, machine.spec, require_readings=False)
+    otherwise = "measure asks for dials on legs; fill it in and give it to close-loop"
+    first = None if sheet is None else opt.dial_sheet(sheet, machine, otherwise)
     record = Record(out, machine.spec)
     session = Session(machine, record, _ask, say, sheet=first, most=most)
     try:

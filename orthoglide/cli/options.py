@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orthoglide.cli.terminal import say
-from orthoglide.errors import InputError
+from orthoglide.errors import FileError, InputError
+from orthoglide.text import shown
 from orthoglide.units import NOISE
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
+    from orthoglide.observations import Campaign
 
 Decorator = Callable[[Any], Any]
 
@@ -54,9 +56,18 @@ effects = click.option(
     "--effects-file", type=PATH, metavar="FILE.py",
     help="Python file with effects of your own, beside the catalogue.",
 )  # fmt: skip
+
+
+def _seed_of(_: Any, __: Any, value: int) -> int:
+    if value < 0:
+        raise InputError(f"--seed must be 0 or more, not {value}")
+    return value
+
+
 seed = click.option(
-    "--seed", type=int, default=0, show_default=True, help="Seed of all random draws."
-)
+    "--seed", type=int, default=0, show_default=True, callback=_seed_of,
+    help="Seed of all random draws.",
+)  # fmt: skip
 quiet = click.option(
     "--quiet",
     is_flag=True,
@@ -117,11 +128,11 @@ def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Dec
     )  # fmt: skip
 
 
-run_options = together(
-    seed,
+said_options = together(
     quiet,
     click.option("--json", "as_json", is_flag=True, help="Print result.json and nothing else."),
 )
+run_options = together(seed, said_options)
 
 fit_options = together(
     click.option("--own", type=Names(), default=(), metavar="NAME,...",
@@ -135,6 +146,26 @@ fit_options = together(
                  help="How the instrument of --fit-tcp may stand to the machine."),
     noise("from machine file, rows or repeats"),
 )  # fmt: skip
+
+
+def dial_sheet(path: Path, machine: Machine, otherwise: str) -> Campaign:
+    """A measuring sheet of dials on legs, filled in or not.
+
+    Args:
+        path: its file.
+        machine: that is to be measured.
+        otherwise: what to do with a sheet of readings at the tool, as a clause.
+
+    Raises:
+        FileError: where it cannot be read, or holds readings at the tool.
+    """
+    from orthoglide.observations import ToolCampaign, read_readings
+
+    sheet = read_readings(path, machine.spec, require_readings=False)[-1]
+    if isinstance(sheet, ToolCampaign):
+        kinds = ", ".join(dict.fromkeys(sheet.kind))
+        raise FileError(f"holds readings at the tool ({kinds}): {otherwise}", file=shown(path))
+    return sheet
 
 
 def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine:

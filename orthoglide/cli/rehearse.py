@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import exclude
 from orthoglide.cli.progress import progress
 from orthoglide.cli.run import keep_on_interrupt
 from orthoglide.cli.terminal import tell
@@ -51,8 +52,7 @@ def rehearse(
     """
     from orthoglide.rehearsal import rehearse as run
 
-    if jobs is not None and dask is not None:
-        raise InputError("--jobs and --dask exclude each other: the cluster has its own workers")
+    exclude("dask", "jobs", because="the cluster has its own workers")
     machine = opt.load_machine(machine_path)
     if out is not None:
         name = click.format_filename(out)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import need
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say, tell
 from orthoglide.cli.writing import write_results
@@ -46,8 +47,7 @@ def read_request(
     from orthoglide.observations import read_tcp
     from orthoglide.request import Request
 
-    if seed < 0 and command != "identify":
-        raise InputError(f"--seed must be 0 or more, not {seed}")
+    need("frame", "fit_tcp")
     if not campaigns and not fit_tcp:
         raise InputError("name at least one campaign, or TCP points with --fit-tcp")
     machine = opt.load_machine(machine_path, effects_file)

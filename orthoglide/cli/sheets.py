@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import exclude
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
@@ -70,12 +71,14 @@ def simulate(
     from orthoglide.files import check_new
     from orthoglide.observations import csv_text, protocol, read_readings, readings_text, tcp_rows
 
+    exclude("sheet", "kind", because="a sheet has rows of its own")
+    exclude("exact", "noise", because="exact readings have none")
+    if tcp is None:
+        exclude("exact", "seed", because="nothing is drawn but the points of --tcp")
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
     for path in filter(None, (out, tcp)):
         check_new(path)
-    if seed < 0:
-        raise InputError(f"--seed must be 0 or more, not {seed}")
     added = opt.quantities("--error", errors)
     machine = opt.load_machine(machine_path).with_parameters(added)
     draw = np.random.default_rng(seed)

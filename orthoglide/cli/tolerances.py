@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import need
 from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
 
@@ -29,9 +30,9 @@ def tolerances(
     Linear, from the tolerances of the machine file taken as standard deviations: all scaled alike,
     and shared out so that every effect makes the same part of the error.
     """
-    from orthoglide.observations import read_campaign
     from orthoglide.planning import needed_tolerances
 
+    need("noise", "sheet")
     if not _LEAST <= tcp_mm <= _MOST:
         raise InputError(
             f"--tcp must be a positive number of millimetres from {_LEAST:g} to {_MOST:g}, "
@@ -40,7 +41,7 @@ def tolerances(
     machine = opt.load_machine(machine_path)
     answers = [needed_tolerances(machine, tcp_mm * 1e-3)]
     if sheet is not None:
-        read = read_campaign(sheet, machine.spec, require_readings=False)
+        read = opt.dial_sheet(sheet, machine, "name one of dials on legs")
         answers.append(needed_tolerances(machine, tcp_mm * 1e-3, read, noise))
     say("\n\n".join(map(str, answers)), needed=True)
 

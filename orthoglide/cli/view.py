@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 import orthoglide.cli.options as opt
+from orthoglide.cli.idle import need
 from orthoglide.cli.terminal import say
 
 
@@ -26,6 +27,7 @@ def view(machine: Path | None, out: Path, effects_file: Path | None) -> None:
     from orthoglide.pictures import causes_of, option, view as view_of
     from orthoglide.scene import drawing, view_page
 
+    need("effects_file", "machine")
     shown = opt.load_machine(machine, effects_file)
     causes = causes_of(shown)
     options = [option(shown, words, values) for words, values in causes[:1]]

@@ -12,7 +12,8 @@ from orthoglide.numerals import signed
 WHERE = (
     "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
     "printer.cfg, and leave #*# before every line; or put the lines above that header and remove "
-    "the old ones: what stands above goes before what stands below. Then RESTART, and probe again."
+    "the old ones: what stands above goes before what stands below. Then RESTART, and probe the "
+    "mesh again (BED_MESH_CALIBRATE); DELTA_CALIBRATE would put numbers of its own in their place."
 )
 """How new numbers come into the file."""
 

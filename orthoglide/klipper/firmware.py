@@ -8,6 +8,7 @@ at height h_i holds the nozzle at (x, y, z) where
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.errors import InputError
+from orthoglide.files import sha256
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.reduction.spheres import intersect_spheres
@@ -98,6 +100,12 @@ class Firmware:
             "arm_length_mm": [_mm(v) for v in self.arm],
             "position_endstop_mm": [_mm(v) for v in self.endstop],
         }
+
+    @property
+    def mark(self) -> str:
+        """What tells these numbers from others, short; no spreadsheet takes it for a number."""
+        text = json.dumps(self.as_dict(), sort_keys=True)
+        return f"klipper-{sha256(text.encode())[:8]}"
 
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> Firmware:

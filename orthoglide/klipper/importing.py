@@ -154,6 +154,7 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
             "klipper": {
                 "file": Path(config.file).name,
                 "sha256": config.sha256,
+                "numbers": firmware.mark,
                 **firmware.as_dict(),
                 "assumed_mm": {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
             }

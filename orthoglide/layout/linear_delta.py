@@ -15,6 +15,9 @@ Triple = tuple[float, float, float]
 _ACROSS = ("radial", "tangential")
 _WAYS = (("down", "downward"), ("up", "upward"))
 _HELD = ("zero", "bar_length", "place")
+_FLATTEST = float(np.sin(np.deg2rad(15.0)))
+"""Of an arm against the plate: flatter ones hold the tool's height badly, and errors of some
+millimetres leave them too short."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,8 @@ class LinearDelta:
         return -L < low < 0 < high
 
     def reach(self, L: float, r: float, lowest: float) -> float:
-        """Radius on the plate within which no carriage goes below the travel ``lowest``, metres.
+        """Radius on the plate within which no carriage goes below the travel ``lowest`` and no arm
+        is flatter than 15 degrees (or half as high as over the centre), metres.
 
         Args:
             L: length of the arms, metres.
@@ -93,7 +97,8 @@ class LinearDelta:
         for leg in self.legs(L, r):
             height = leg.carriage[2] - leg.platform[2]
             flat = float(np.hypot(*(leg.carriage - leg.platform)[:2]))
-            reach.append(np.sqrt(L**2 - max(height + lowest, 0.0) ** 2) - flat)
+            least = max(height + lowest, min(_FLATTEST * L, height / 2))
+            reach.append(np.sqrt(L**2 - least**2) - flat)
         return float(min(reach))
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:

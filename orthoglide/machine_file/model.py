@@ -135,6 +135,12 @@ class MachineFile:
         """What a page calls the machine, whether it has a name or not."""
         return self.name or "The machine"
 
+    @property
+    def firmware(self) -> str:
+        """Mark of the firmware's numbers that travel was computed with; empty of others."""
+        kept = self.provenance.get("klipper")
+        return str(kept.get("numbers", "")) if isinstance(kept, Mapping) else ""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))
         object.__setattr__(

@@ -71,6 +71,7 @@ TOOL_COLUMNS: dict[str, Column] = {
     "kind": Column(choice({kind: kind for kind in KINDS})),
     "setup": Column(label),
     "direction": Column(DIRECTION, (0, 1)),
+    "firmware": Column(label, ""),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
 

@@ -27,6 +27,7 @@ from orthoglide.observations.columns import (
     order_of,
 )
 from orthoglide.observations.table import Column, Table, frame_table, read_table
+from orthoglide.observations.tool import KINDS
 
 
 def read_campaign(
@@ -97,6 +98,11 @@ def campaign_of_table(
         FileError: naming the line and what would be right.
     """
     machine = machine_file or nominal_machine_file()
+    if of_tool := set(KINDS).intersection(table.values("kind", Column(str, ""))):
+        table.fail(
+            f"holds readings at the tool ({', '.join(sorted(of_tool))}), and is no campaign of "
+            f"dials on legs alone: read it with og.read_readings"
+        )
     if not machine.geometry.dialled:
         table.fail(
             f"holds dials on the legs, or is read as if it did, and this machine's layout is "

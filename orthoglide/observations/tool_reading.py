@@ -129,6 +129,7 @@ def _tool(table: Table, name: str, machine: MachineFile, require_readings: bool)
     kinds = table.values("kind", TOOL_COLUMNS["kind"])
     reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
     warnings = table.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
+    _check_firmware(table, machine)
     command, order = commands(table, names, machine), order_of(table)
     check_sequence(command, order, table.lines, table.fail)
     setups, setup = _setups(table, kinds)
@@ -151,6 +152,18 @@ def _tool(table: Table, name: str, machine: MachineFile, require_readings: bool)
     if require_readings or np.isfinite(made.reading).all():
         check_tool(made, table.fail)
     return made
+
+
+def _check_firmware(table: Table, machine: MachineFile) -> None:
+    """Refuses commands that were computed with other numbers of a firmware than the machine's."""
+    for row, mark in enumerate(table.values("firmware", TOOL_COLUMNS["firmware"])):
+        if mark and machine.firmware and mark != machine.firmware:
+            table.fail(
+                f"was imported with other numbers of the firmware ({mark}) than "
+                f"{machine.file or 'the machine file'} ({machine.firmware}): take the machine.toml "
+                f"of its own import, and leave out the campaigns of the other numbers",
+                row,
+            )
 
 
 def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:

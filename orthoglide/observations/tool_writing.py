@@ -31,6 +31,7 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
     ]
     needed = {
         "direction": directed.any(),
+        "firmware": machine.firmware != "",
         "time_s": np.isfinite(campaign.time).any(),
         "temperature_C": np.isfinite(campaign.temperature).any(),
         "load_N": campaign.load.any(),
@@ -57,5 +58,6 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "reading_mrad": numbers(np.where(angles, campaign.reading, np.nan), MM),
         "sigma_mm": numbers(np.where(angles, np.nan, campaign.sigma), MM),
         "sigma_mrad": numbers(np.where(angles, campaign.sigma, np.nan), MM),
+        "firmware": [machine.firmware] * len(campaign),
     }
     return rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})

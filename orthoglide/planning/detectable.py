@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.signatures import signatures
+from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import check_list
 from orthoglide.fit import Estimate, solve
 from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
 from orthoglide.planning.linear import foreseen
@@ -133,11 +135,7 @@ def smallest_effects(
     best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
     threshold = float(np.quantile(best, 1 - level))
     single = [c for c in scoring.candidates if c.size == 1]
-    columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
-    length = np.linalg.norm(columns, axis=0)
-    cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
-    kinds = np.array([c.effect for c in single])
-    cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
+    length, cosine = _likeness(seen, single)
     found = []
     for k, candidate in enumerate(single):
         if names and not {candidate.effect, candidate.name} & set(names):
@@ -167,6 +165,16 @@ def as_expected(
 ) -> Estimate:
     """Zeros and lengths identified from the readings predicted for them."""
     return solve(foreseen(machine, campaign, noise), method="nested")
+
+
+def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:
+    """Lengths of signatures ``(k,)``, and cosines ``(k, k)`` between those of different effects."""
+    columns = np.column_stack([np.zeros((len(seen.residual), 0)), *(seen.of(c) for c in single)])
+    length = np.linalg.norm(columns, axis=0)
+    cosine = np.abs(columns.T @ columns) / np.multiply.outer(length, length)
+    kinds = np.array([c.effect for c in single])
+    cosine[np.equal.outer(kinds, kinds)] = 0.0  # members of one effect are no rivals here
+    return length, cosine
 
 
 def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from orthoglide.prediction import Conditions
 
 _DIRECTIONS = 12
 _TELLS = 4.0  # sigmas
+_SHEET = "orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
 _TURN = np.pi / 3  # of a plate on its seat: the lobes of a shape of three come to its hollows
 
 
@@ -57,25 +58,25 @@ def deciding(
         pairs += [
             (chosen, _readings_of(other, fit, machine)) for other in (*cause.same, *cause.rivals)
         ]
-    for what, unit, sigma, of in (
-        ("distances between holes or pillars around the rim and across it, each with its own width "
-         "and the part's shrinkage", "mm", REPEATABILITY["distance"], _distances),
-        ("a level on the platform, read about x and y around the rim", "mrad",
-         REPEATABILITY["incline"], _turns),
-        ("a mesh with the plate turned by 60 degrees on its seat, as a setup of its own", "mm",
-         REPEATABILITY["plate"], _turned),
+    for kind, what, unit, of in (
+        ("distance", "distances between holes or pillars around the rim and across it, each with "
+         "its own width and the part's shrinkage", "mm", _distances),
+        ("incline", "a level on the platform, read about x and y around the rim", "mrad", _turns),
+        ("plate", "a mesh with the plate turned by 60 degrees on its seat, as a setup of its own",
+         "mm", _turned),
     ):  # fmt: skip
         best = max(pairs, key=lambda pair: _apart(of(*pair)), default=None)
         if best is None:
             continue
-        apart = _apart(of(*best))
+        apart, sigma = _apart(of(*best)), REPEATABILITY[kind]
         if apart < _TELLS * sigma:
             continue
         one, other = (s.words for s in best)
         found.append(
             (
                 f"{what}: it differs by up to {compact(apart * 1e3, 2)} {unit} between two of them "
-                f"({one}; {other}), and one reading repeats to {compact(sigma * 1e3, 2)} {unit}",
+                f"({one}; {other}), and one reading repeats to {compact(sigma * 1e3, 2)} {unit} "
+                f"(a sheet for it: {_SHEET.format(kind)})",
                 apart / sigma,
             )
         )

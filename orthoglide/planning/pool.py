@@ -96,16 +96,12 @@ def visible(station: Station, setup: Setup) -> bool:
 def reading_pool(
     geometry: Geometry | None = None,
     *,
-    gauges: Sequence[float] = GAUGES,
-    bars: Sequence[int] = BARS,
     load: float = 0.0,
 ) -> Campaign:
     """Every reading there is to choose from, as a campaign without readings.
 
     Args:
         geometry: whose stroke and lengths count; the nominal one if None.
-        gauges: places of the dials, fractions of the leg.
-        bars: what may be touched.
         load: at the TCP, newtons.
 
     Returns:
@@ -118,8 +114,8 @@ def reading_pool(
     for leg in range(3):
         reach = stations(leg, geometry)
         for axis in ((leg + 1) % 3, (leg + 2) % 3):
-            for gauge in gauges:
-                for bar in bars:
+            for gauge in GAUGES:
+                for bar in BARS:
                     setup = dial_at(geometry, leg, axis, gauge, bar)
                     rows += [(len(setups), s) for s in reach if visible(s, setup)]
                     setups.append(replace(setup, name=f"next-{setup.name}"))
