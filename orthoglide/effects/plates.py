@@ -52,7 +52,7 @@ PLATE_TREFOIL = Effect(
         mm,
         lambda p, v: (
             f"turn {_plate(p)} by 60 degrees and measure again: expect its three lobes "
-            f"of {mm(v)} to turn with it, high where they were low"
+            f"of {mm(v)} to turn with it: low toward {_lobe(p.direction, v)} degrees"
         ),
     ),
     group="plate",
