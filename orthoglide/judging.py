@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,18 +10,47 @@ import numpy as np
 
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import fitted_basis, linearise, nuisances
+from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array, moved_onto
 from orthoglide.machine import Machine
+from orthoglide.numerals import ByUnit
 from orthoglide.observations import Readings, TcpPoints
 from orthoglide.prediction import Conditions
 
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Readings of another campaign, predicted without those scored; metres."""
+    """Readings of another campaign, predicted without those scored.
+
+    Attributes:
+        before_rms: of lengths by the base model, metres; nan where none was read.
+        after_rms: by the extended model.
+        before_turn_rms: of inclinations by the base model, radians; nan where none was read.
+        after_turn_rms: by the extended model.
+    """
 
     before_rms: float
     after_rms: float
+    before_turn_rms: float = float("nan")
+    after_turn_rms: float = float("nan")
+
+    @property
+    def before(self) -> ByUnit:
+        """By the base model."""
+        return ByUnit(self.before_rms, self.before_turn_rms)
+
+    @property
+    def after(self) -> ByUnit:
+        """By the extended model."""
+        return ByUnit(self.after_rms, self.after_turn_rms)
+
+    @property
+    def worse(self) -> bool:
+        """Whether the extended model predicts them worse, all told: the geometric mean of what it
+        does to lengths and to inclinations.
+        """
+        before, after = (math.prod(both.shown.values()) for both in (self.before, self.after))
+        return after > before
 
 
 def hold_out(
@@ -42,13 +72,13 @@ def hold_out(
         held: out, of any kinds.
         own: families or parameters that each campaign has for itself.
     """
-    scores = [_left_out(values, machine, held, own) for values in (before, after)]
-    return HoldOut(*scores)
+    first, last = (_left_out(values, machine, held, own) for values in (before, after))
+    return HoldOut(first.length, last.length, first.turn, last.turn)
 
 
 def _left_out(
     values: Mapping[str, float], machine: Machine, held: Sequence[Readings], own: Sequence[str]
-) -> float:
+) -> ByUnit:
     kept = machine.catalogue.of_machine(values)
     problem = assemble(held, machine.with_only(kept), own or machine.catalogue.base)
     if own:
@@ -61,8 +91,8 @@ def _left_out(
     rest = problem.measured - at.value
     residual = rest - nuisance.fitted(rest)
     share = np.sum(fitted_basis(problem, nuisance, at)[: len(rest)] ** 2, axis=1)
-    scored = share < 1 - 1e-6
-    return float(np.sqrt(np.mean((residual[scored] / (1 - share[scored])) ** 2)))
+    scored = np.where(share < 1 - 1e-6, 1 - share, np.nan)
+    return rms_by_unit(residual / scored, problem.turned)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 _MOST_DECIMALS = 6
 _PLAIN = 1e6  # below, a number is no power of ten
@@ -58,3 +59,25 @@ def probability(p: float) -> str:
     if not math.isfinite(p):
         return "–"
     return "below 10⁻⁶" if p < 1e-6 else compact(p, 2) if p < 0.1 else f"{p:.2f}"
+
+
+class ByUnit(NamedTuple):
+    """One figure of readings, of lengths and of inclinations apart: the two never add up.
+
+    Attributes:
+        length: metres; nan where no length was read.
+        turn: radians; nan where no inclination was read.
+    """
+
+    length: float
+    turn: float
+
+    @property
+    def shown(self) -> dict[str, float]:
+        """What is known of it by the unit in which people read it, mm or mrad."""
+        both = zip(("mm", "mrad"), self, strict=True)
+        return {unit: value * 1e3 for unit, value in both if math.isfinite(value)}
+
+    def said(self, digits: int = 2) -> str:
+        """With its units: ``0.01 mm``, ``0.01 mm and 0.02 mrad``."""
+        return " and ".join(f"{compact(v, digits)} {unit}" for unit, v in self.shown.items()) or "–"

@@ -180,7 +180,7 @@ def test_the_key_numbers_are_on_the_page() -> None:
     assert claim(result_of()) == headline(result_of())
     assert claim(result_of()) in text
     assert "x −0.51, y +0.55, z −1.72 mm" in text
-    assert "leg lengths nominal to 0.02 mm" in text
+    assert "leg lengths not seen by these readings" in text  # told by the priors alone
     assert "from 0.32 to 0.14 mm" in text
     assert "6.4 times the noise" in text
     for name, value in estimate.values.items():

@@ -1,15 +1,26 @@
 """Dials, tracker and level in one campaign: what is told of each is in its own unit and share."""
 
+import csv
+import io
+import json
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from orthoglide.closing import Verdict, close_loop
+from orthoglide.closing import Verdict, close_loop, run
+from orthoglide.fit import Estimate, identify
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Dial
+from orthoglide.notes import Note
 from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.report import report_files, result_text, summary
+from orthoglide.report.found import before_and_after
+from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import headline, where_left
+from orthoglide.request import Request
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -26,17 +37,19 @@ def dials() -> Campaign:
 def tool(
     kinds: tuple[str, ...], noise: float = 2e-6, odd: float = 0.0, errors: dict[str, float] = ERRORS
 ) -> ToolCampaign:
-    """Places read by a tracker along all axes, or by a level about two; some are odd."""
+    """Places read by a tracker along all axes, or by a level about two, or touched; odd ones."""
     rng = np.random.default_rng(11)
-    rho = MACHINE.inverse(rng.uniform(-0.05, 0.05, (14, 3)))
+    high = [1.0, 1.0, 0.0 if "plate" in kinds else 1.0]
+    rho = MACHINE.inverse(rng.uniform(-0.05, 0.05, (24, 3)) * high)
     truth = MACHINE.with_parameters(errors)
     pose, rows = truth.pose(rho), []
     turn = 0.5 * (pose.R[:, [2, 0, 1], [1, 2, 0]] - pose.R[:, [1, 2, 0], [2, 0, 1]])
     for kind in kinds:
-        seen = turn if kind == "incline" else pose.p
-        for k, j in np.ndindex(14, 2 if kind == "incline" else 3):
+        seen = {"tcp": pose.p, "incline": turn, "plate": pose.p[:, 2:]}[kind]
+        for k, j in np.ndindex(len(rho), {"tcp": 3, "incline": 2, "plate": 1}[kind]):
             value = seen[k, j] + noise * rng.standard_normal() + odd * rng.choice([-1, 1])
-            rows.append((kind, kind, "xyz"[j], *rho[k] * 1e3, value * 1e3, kind == "incline"))
+            way = "" if kind == "plate" else "xyz"[j]
+            rows.append((kind, kind, way, *rho[k] * 1e3, value * 1e3, kind == "incline"))
     names = ("kind", "setup", "direction", "rho_x_mm", "rho_y_mm", "rho_z_mm")
     frame = {name: [row[k] for row in rows] for k, name in enumerate(names)}
     frame["reading_mm"] = ["" if row[7] else row[6] for row in rows]
@@ -80,3 +93,137 @@ def test_a_single_dial_is_not_all_dials() -> None:
     vars(one).update(rest=(replace(odd_tool().rest[0], share=1.0),), rest_of_tool=())
     assert "(100 %) shows on leg" in where_left(one)
     assert "though" not in where_left(one)
+
+
+TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
+
+
+@cache
+def with_level() -> Verdict:
+    """A hinge that hardly moves the tool, and turns the platform."""
+    return close_loop([tool(("tcp", "incline"), errors=TWISTED)], MACHINE)
+
+
+@cache
+def level_alone() -> Verdict:
+    return close_loop([tool(("incline",), errors=TWISTED)], MACHINE)
+
+
+def left_of(verdict: Verdict, of: str, stage: Estimate) -> float:
+    (points,) = verdict.after.problem.tool_campaigns
+    return float(np.sqrt(np.mean(stage.residuals[points.of_kind(of)] ** 2)) * 1e3)
+
+
+def test_millimetres_and_milliradians_are_told_apart() -> None:
+    verdict = with_level()
+    before, after = verdict.before, verdict.after
+    mm, mrad = (
+        [left_of(verdict, kind, stage) for stage in (before, after)] for kind in ("tcp", "incline")
+    )
+    assert mrad[0] > 50 * mrad[1]
+    told = json.loads(result_text(verdict))
+    for side, k in (("before", 0), ("after", 1)):
+        assert told[side]["rms_mm"] == pytest.approx(mm[k])
+        assert told[side]["rms_mrad"] == pytest.approx(mrad[k])
+        assert told[side]["cv_rms_mrad"] < 2 * mrad[k]
+        assert told[side]["max_mrad"] < 4 * mrad[k]
+    assert told["noise_mm"] == pytest.approx(0.01)
+    assert told["noise_mrad"] == pytest.approx(0.02)
+    assert all("readings_rms_mrad" in item for item in told["budget"])
+    said = rf"from [\d.]+ to {mm[1]:.3f} mm rms, and (falls )?from {mrad[0]:.3f} to [\d.]+ mrad rms"
+    assert re.search(said, headline(verdict))
+    shown = {(tile.what, tile.unit): tile for tile in before_and_after(verdict)}
+    assert float(shown["Readings", "mrad rms left"].before) == pytest.approx(mrad[0], abs=1e-3)
+    assert float(shown["Readings", "mm rms left"].after) == pytest.approx(mm[1], abs=5e-4)
+    assert shown["Noise of a reading", "mrad, sigma"].after == "0.02"
+    rows = {row.what: row for row in score_rows(verdict)}
+    assert float(rows["residuals, rms, mrad"].before) == pytest.approx(mrad[0], abs=1e-3)
+    assert float(rows["largest residual, mm"].after) < 4 * mm[1]
+    assert f"{mrad[1]:.4f} mrad" in repr(after)
+    assert f"{mm[1]:.4f} mm" in repr(after)
+
+
+def test_of_a_level_alone_nothing_is_in_millimetres() -> None:
+    verdict = level_alone()
+    told = json.loads(result_text(verdict))
+    assert told["noise_mm"] is None
+    assert told["before"]["rms_mm"] is None
+    assert told["before"]["rms_mrad"] == pytest.approx(left_of(verdict, "incline", verdict.before))
+    assert " mrad rms, which is the noise" in headline(verdict)
+    assert " mm rms" not in headline(verdict)
+    assert {tile.unit.split()[0].strip(",") for tile in before_and_after(verdict)} == {"mrad"}
+    assert not any(", mm" in row.what for row in score_rows(verdict))
+    assert " mm" not in repr(verdict.after)
+
+
+def test_what_readings_do_not_see_is_not_called_nominal() -> None:
+    """A level sees no zeros: an offset of 0.5 mm was told as nominal to 0.02 mm."""
+    level = tool(("incline",), errors={"joint_offset.x": 5e-4})
+    said = headline(run(Request("identify", (), MACHINE, points=(level,))))
+    assert "nominal to" not in said
+    assert "Joint offsets not seen by these readings" in said
+    assert "the noise of a reading (0.02 mrad)" in said
+
+
+def test_residuals_stand_under_their_units() -> None:
+    verdict = with_level()
+    (points,) = verdict.after.problem.tool_campaigns
+    table = list(csv.DictReader(io.StringIO(report_files(verdict)["residuals.csv"])))
+    assert [row["kind"] for row in table] == list(points.kind)
+    residuals = verdict.after.residuals * 1e3
+    for row, left, reading in zip(table, residuals, points.reading * 1e3, strict=True):
+        own, other = ("mrad", "mm") if row["kind"] == "incline" else ("mm", "mrad")
+        assert float(row[f"residual_after_{own}"]) == pytest.approx(left, abs=1e-6)
+        # A tracker's frame is turned to the machine before it is fitted.
+        assert float(row[f"reading_{own}"]) == pytest.approx(reading, abs=2e-6)
+        figures = [v for k, v in row.items() if k.endswith(f"_{other}") and not k.startswith("rho")]
+        assert set(figures) == {""}
+        assert row["direction"] in set("xyz")
+
+
+FEW_NOISES = {"plate": 2e-5, "incline": 2e-5}
+
+
+def quiet(verdict: Verdict) -> list[Note]:
+    return [note for note in verdict.after.warnings if note.kind == "quiet"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor", "unit"), [("incline", 57.3, "degrees"), ("plate", 25.4, "inches")]
+)
+def test_readings_in_a_large_unit_are_asked_about(kind: str, factor: float, unit: str) -> None:
+    """They are so small that any machine fits them: nothing was said of it."""
+    given = tool((kind,), FEW_NOISES[kind])
+    small = replace(given, reading=given.reading / factor)
+    verdict = close_loop([small], MACHINE)
+    assert verdict.word == "adequate"  # of an instrument that is simply better it would be right
+    (note,) = quiet(verdict)
+    assert note.startswith(f"tool, setup '{kind}': the readings are ")
+    times = float(re.search(r"are ([\d.]+) times quieter", note)[1])
+    assert 0.5 * factor < times < 2 * factor
+    assert ("0.02 mrad" if kind == "incline" else "0.02 mm") + ", the usual figure" in note
+    assert f"as {unit}?" in note
+    assert note in json.loads(result_text(verdict))["warnings"]
+    assert "times quieter" in " ".join(summary(verdict).split())
+    assert "times quieter" in report_files(verdict)["report.html"]
+    # Of the same readings in their unit, and of an instrument four times better, nothing is said.
+    assert not quiet(close_loop([given], MACHINE))
+    assert not quiet(close_loop([tool((kind,), FEW_NOISES[kind] / 4)], MACHINE))
+
+
+def test_an_instrument_beside_others_is_asked_about_by_itself() -> None:
+    given = tool(("tcp", "incline"), 1e-5)
+    small = np.where(given.of_kind("incline"), given.reading / 57.3, given.reading)
+    (note,) = quiet(close_loop([replace(given, reading=small)], MACHINE))
+    assert "setup 'incline'" in note
+
+
+def test_exact_dials_are_asked_about_unless_that_was_declared() -> None:
+    read = dials()
+    exact = read.with_readings(MACHINE.model.readings({"joint_offset.x": 5e-4}, read))
+    unknown = Machine(replace(MACHINE.spec, dial=Dial(resolution=0.0, repeatability=5e-6)))
+    (note,) = [n for n in identify(exact, unknown).warnings if n.kind == "quiet"]
+    assert "dials: the readings are more than 1000 times quieter" in note
+    assert "0.005 mm, as the machine file has it" in note
+    declared = identify(exact, unknown, noise=1e-9, method="nested")
+    assert not [n for n in declared.warnings if n.kind == "quiet" and "unit" in n]

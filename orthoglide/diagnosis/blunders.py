@@ -26,6 +26,7 @@ from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
 from orthoglide.fit.factors import SILENT
 from orthoglide.fit.least_squares import known_rows
+from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
@@ -175,7 +176,9 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
 
 
 def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[float, float]:
-    """Least cost of a linearised fit to some readings ``(n,)``, with steps free, and its rms."""
+    """Least cost of a linearised fit to some readings ``(n,)``, with steps free, and the root mean
+    square that it leaves of lengths.
+    """
     problem, nuisance, at = estimate.problem, estimate.nuisance, estimate.at
     if not kept.any():
         return 0.0, 0.0
@@ -193,7 +196,8 @@ def _left(estimate: Estimate, kept: NDArray[np.bool_], steps: Array) -> tuple[fl
     scale = np.where(scale > 0, scale, 1.0)
     found = np.linalg.lstsq(rows / scale, aim, rcond=1e-10)[0] / scale
     left = aim - rows @ found
-    return float(left @ left), float(np.sqrt(np.mean((rest - columns[kept] @ found) ** 2)))
+    rest = rest - columns[kept] @ found
+    return float(left @ left), rms_by_unit(rest, problem.turned[kept]).length
 
 
 def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:

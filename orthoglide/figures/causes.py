@@ -65,7 +65,7 @@ def draw_causes(causes: Sequence[Cause]) -> Drawing:
 
 @dataclass(frozen=True)
 class Pattern:
-    """One setup: what is left without a cause, and what each rival makes of it; millimetres.
+    """One setup: what is left without a cause, and what each rival makes of it; mm or mrad.
 
     Attributes:
         mounting: the setup.
@@ -119,7 +119,7 @@ def _patterns(cause: Cause, after: Estimate) -> list[Pattern]:
 
 
 def _mean(values: Array, station: NDArray[np.intp]) -> Array:
-    """By station, millimetres."""
+    """By station, millimetres or milliradians."""
     return np.asarray(np.bincount(station, values) / np.bincount(station) * 1e3)
 
 
@@ -143,11 +143,15 @@ def draw_signatures(cause: Cause, after: Estimate, place: int) -> Drawing:
     patterns = _shown(_patterns(cause, after))
     width, height = style.PANEL[0], 2.1
     figure, corners = style.sheet(len(patterns), height, strip=0.3)
-    reach = 1.15 * max(float(np.max(np.abs(p.left) + p.noise)) for p in patterns)
+    reach: dict[str, float] = {}
+    for one in patterns:
+        most, unit = 1.15 * float(np.max(np.abs(one.left) + one.noise)), one.mounting.unit
+        reach[unit] = max(reach.get(unit, 0.0), most)
     for (left, top), pattern in zip(corners, patterns, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 0.75)
         handles = _draw_pattern(axes, pattern)
-        axes.set_ylim(-reach, reach)
+        far = reach[pattern.mounting.unit]
+        axes.set_ylim(-far, far)
         style.few_ticks(axes)
     names = [one.name for one in cause.explanations[:MOST_CURVES]]
     figure.legend(handles, names, loc="upper left", ncols=4, bbox_to_anchor=(0.0, 1.0),
@@ -177,7 +181,7 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
     axes.axhline(0, color=style.MUTED, linewidth=0.6)
     axes.set_title(pattern.mounting.title)
     axes.set_xlabel(pattern.mounting.label, labelpad=2)
-    axes.set_ylabel("mm")
+    axes.set_ylabel(pattern.mounting.unit)
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.05)
     return handles

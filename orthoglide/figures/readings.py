@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Panel:
-    """One setup: readings and predictions about the middle of the fit, millimetres."""
+    """One setup: readings and predictions about the middle of the fit, mm or mrad."""
 
     mounting: Mounting
     measured: Array
@@ -56,15 +57,12 @@ def draw_readings(estimate: Estimate, before: Array) -> Drawing:
     setups = _panels(estimate, before)
     width, height = style.PANEL
     figure, corners = style.sheet(len(setups), height, strip=0.3)
-    reach = 1.12 * max(
-        float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups
-    )
-    left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
-    left_over = max(left_over, 2.4 * float(max(s.sigma.max() for s in setups)))
+    reach = {unit: _reach(some) for unit, some in _by_unit(setups).items()}
     for (left, top), setup in zip(corners, setups, strict=True):
         axes = style.place_axes(figure, left + 0.56, top + 0.3, width - 0.68, height - 1.4)
         handles = _draw_setup(axes, setup)
-        axes.set_ylim(-reach, reach)
+        far, left_over = reach[setup.mounting.unit]
+        axes.set_ylim(-far, far)
         style.few_ticks(axes)
         axes.tick_params(labelbottom=False, bottom=False)
         below = style.place_axes(figure, left + 0.56, top + height - 1.0, width - 0.68, 0.55)
@@ -78,6 +76,20 @@ def draw_readings(estimate: Estimate, before: Array) -> Drawing:
     )  # fmt: skip
     title = "Readings and fit by setup"
     return style.multiples("readings", title, figure, corners, height, axes=2)
+
+
+def _by_unit(setups: Sequence[_Panel]) -> dict[str, list[_Panel]]:
+    found: dict[str, list[_Panel]] = {}
+    for setup in setups:
+        found.setdefault(setup.mounting.unit, []).append(setup)
+    return found
+
+
+def _reach(setups: Sequence[_Panel]) -> tuple[float, float]:
+    """How far up panels go that are to be compared: readings, and what is left of them."""
+    most = max(float(np.abs(np.concatenate([s.measured, s.fit, s.before])).max()) for s in setups)
+    left_over = 1.2 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
+    return 1.12 * most, max(left_over, 2.4 * float(max(s.sigma.max() for s in setups)))
 
 
 def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
@@ -98,7 +110,7 @@ def _draw_setup(axes: Axes, setup: _Panel) -> list[Any]:
     (dots,) = axes.plot(setup.x, setup.measured, color=style.DATA, linestyle="none", marker="o",
                         markersize=3.6 if len(x) < 12 else 2.4, markeredgewidth=0)  # fmt: skip
     axes.set_title(setup.mounting.title)
-    axes.set_ylabel("mm")
+    axes.set_ylabel(setup.mounting.unit)
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
     axes.margins(x=0.05)
     return [dots, line, band, was]
@@ -113,7 +125,7 @@ def _draw_left(axes: Axes, setup: _Panel) -> None:
     axes.plot(setup.x, setup.measured - setup.fit, color=style.DATA, linestyle="none", marker="o",
               markersize=3 if len(setup.x) < 12 else 2.2, markeredgewidth=0)  # fmt: skip
     axes.set_xlabel(setup.mounting.label, labelpad=2)
-    axes.set_ylabel("left, mm")
+    axes.set_ylabel(f"left, {setup.mounting.unit}")
     axes.yaxis.set_label_coords(style.LABEL, 0.5)
 
 
@@ -125,8 +137,7 @@ def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
     figure = style.new_figure(style.SINGLE, height)
     margin = min(0.2 + 0.055 * max(map(len, names)), 1.6)
     axes = style.place_axes(figure, margin, 0.32, style.SINGLE - margin - 0.12, height - 0.78)
-    noise = 2 * estimate.problem.noise.typical * 1e3
-    axes.axvspan(-noise, noise, color=style.BAND, alpha=0.35, linewidth=0, label="noise, ± 2 sigma")
+    _draw_noise(axes, setups, estimate.problem.one_reading.shown)
     axes.axvline(0, color=style.MUTED, linewidth=0.6)
     for k, setup in enumerate(setups):
         place, label = np.full(len(setup.x), float(k)), "_" if k else ""
@@ -138,12 +149,28 @@ def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
                   label=label or "after")  # fmt: skip
     reach = 1.1 * max(float(np.abs(s.measured - s.before).max()) for s in setups)
     after = 1.1 * max(float(np.abs(s.measured - s.fit).max()) for s in setups)
-    reach = max(reach, after, noise * 1.2)
+    noise = max(estimate.problem.one_reading.shown[s.mounting.unit] for s in setups)
+    reach = max(reach, after, 2 * noise * 1.2)
     axes.set_xlim(-reach, reach)
     axes.set_ylim(len(setups) - 0.4, -0.6)
     style.few_ticks(axes, across=6)
     axes.set_yticks(range(len(setups)), names, color=style.INK)
-    axes.set_xlabel("reading less prediction, mm", labelpad=2)
+    units = " or ".join(_by_unit(setups))
+    axes.set_xlabel(f"reading less prediction, {units}", labelpad=2)
     figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
                   bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0))  # fmt: skip
     return Drawing("residuals", "Residuals by setup, before and after", style.svg_text(figure))
+
+
+def _draw_noise(axes: Axes, setups: Sequence[_Panel], noise: Mapping[str, float]) -> None:
+    """Two sigmas of a reading behind all setups, those of a level by themselves."""
+    look: Any = {"color": style.BAND, "alpha": 0.35, "linewidth": 0}
+    label = "noise, ± 2 sigma"
+    if len(noise) == 1:
+        (sigma,) = noise.values()
+        axes.axvspan(-2 * sigma, 2 * sigma, label=label, **look)
+        return
+    wide = [2 * noise[s.mounting.unit] for s in setups]
+    axes.barh(
+        range(len(setups)), [2 * w for w in wide], 1.0, [-w for w in wide], label=label, **look
+    )

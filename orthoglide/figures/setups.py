@@ -29,6 +29,7 @@ class Mounting:
         rows: of all readings ``(m,)``.
         x: travel of the touched leg's carriage in millimetres, or place in the file ``(m,)``.
         side: of the approach of that leg's own axis ``(m,)``.
+        unit: in which people read it.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Mounting:
     rows: NDArray[np.intp]
     x: Array
     side: Array
+    unit: str
 
 
 def mountings(problem: Problem) -> Iterator[Mounting]:
@@ -66,4 +68,5 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
                 title = f"{read.name}: coordinate {setup} of the TCP"
                 points = np.flatnonzero(np.isfinite(read.p[:, k]))
                 x, side = points + 1.0, read.approach[points, k]
-            yield Mounting(name, title, label, part.start + there, x, side)
+            unit = "mrad" if factor.turned[there[0]] else "mm"
+            yield Mounting(name, title, label, part.start + there, x, side, unit)

@@ -18,6 +18,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.notes import Note
+from orthoglide.numerals import ByUnit
 from orthoglide.units import Unit
 
 if TYPE_CHECKING:
@@ -154,19 +155,21 @@ class Estimate(Framed):
             text = f"{name:<24} {value / unit.si:+.4g} +- {sigma / unit.si:.2g} {unit.name}"
             lines.append(text + ("   (on its bound)" if name in self.on_bound else ""))
         s = self.scores
+        known = np.isfinite(s.deviation_rms)
+        deviations = f"deviations {s.deviation_rms * 1e3:.3f} mm, " if known else ""
         lines.append(
-            f"residual rms {s.rms * 1e3:.4f} mm, deviations {s.deviation_rms * 1e3:.3f} mm, "
-            f"chi2 {s.chi2:.1f} on {s.dof:.0f} degrees of freedom"
+            f"residual rms {_to_tenths(s.left)}, {deviations}chi2 {s.chi2:.1f} on {s.dof:.0f} "
+            f"degrees of freedom"
         )
         lines.extend(str(weak) for weak in self.weak)
         lines.extend(self.warnings)
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        readings, rms = len(self.problem.measured), self.scores.rms * 1e3
+        readings = len(self.problem.measured)
         return (
             f"<Estimate of {len(self.names)} parameters from {readings} readings: residual rms "
-            f"{rms:.4f} mm>"
+            f"{_to_tenths(self.scores.left)}>"
         )
 
     @property
@@ -200,3 +203,8 @@ class Estimate(Framed):
         from orthoglide.figures.draw import draw_fit
 
         return draw_fit(self, what)
+
+
+def _to_tenths(left: ByUnit) -> str:
+    """What is left, to tenths of a micrometre and of a microradian."""
+    return " and ".join(f"{value:.4f} {unit}" for unit, value in left.shown.items())

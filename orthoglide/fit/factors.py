@@ -77,6 +77,11 @@ class OfFile:
         return self.points.reading
 
     @property
+    def turned(self) -> NDArray[np.bool_]:
+        """Which are inclinations, radians ``(n,)``; all others are lengths, metres."""
+        return np.zeros(len(self.points), dtype=bool)
+
+    @property
     def setup(self) -> Ints:
         """The mounting of each."""
         return self.points.setup
@@ -174,6 +179,11 @@ class TcpReadings:
     def measured(self) -> Array:
         """The coordinates, point by point."""
         return np.asarray(self.points.p[self.known])
+
+    @property
+    def turned(self) -> NDArray[np.bool_]:
+        """None is an inclination ``(n,)``."""
+        return np.zeros(len(self.measured), dtype=bool)
 
     @property
     def sigma(self) -> Array:

@@ -125,7 +125,9 @@ def assemble(
     level = noise_of(campaigns, machine.spec.dial, noise)
     readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
     if readings and not campaigns and noise is None:
-        sigma = np.concatenate([r.sigma for r in readings])
+        sigma = np.concatenate([r.sigma[~r.turned] for r in readings])
+        if not len(sigma):  # a level alone
+            sigma = np.concatenate([r.sigma for r in readings])
         told = all(np.isfinite(p.sigma).all() for p in points)
         typical = float(np.sqrt(np.mean(sigma**2)))
         level = replace(level, typical=typical, source="declared" if told else level.source)

@@ -36,7 +36,8 @@ class Noise:
 
     Attributes:
         sigma: by campaign, each ``(n,)``, metres: what averaging repeats reduces.
-        typical: one figure for a single reading, metres, all counted.
+        typical: one figure for a single reading of a length, metres, all counted; radians where
+            nothing but inclinations was read.
         source: where it comes from.
         common: standard deviation of what a dial rounds away alike at every visit to a station,
             metres; 0 where the scatter of the readings spreads the rounding out.

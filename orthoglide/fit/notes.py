@@ -9,6 +9,7 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.quiet import quiet_parts
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
@@ -42,13 +43,14 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     if estimate.sigma_scale > 1:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
-            f"{problem.noise.typical * 1e3:.3f} mm (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
+            f"{problem.one_reading.said()} (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
             f"degrees of freedom): the model lacks something, and all sigmas take the readings for "
             f"{estimate.sigma_scale:.1f} times as noisy"
         )
         found.append(Note(text, "lack_of_fit"))
     else:
-        found += [*quieter(estimate), *slips(estimate)]
+        found += slips(estimate)
+    found += [*quiet_parts(estimate)] or [*quieter(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -82,13 +84,13 @@ def quieter(estimate: Estimate) -> Iterator[Note]:
 
     problem, scores = estimate.problem, estimate.scores
     told = all(np.isfinite(f.points.sigma).all() for f in problem.points if problem.campaigns)
-    if problem.noise.source != "declared" or not told:
+    if problem.noise.source != "declared" or not told or estimate.sigma_scale > 1:
         return
     if chdtr(max(scores.dof, 1e-9), _HALF**2 * scores.chi2) < _CHANCE:
         times = np.sqrt(scores.dof / max(scores.chi2, 1e-300))
         yield Note(
             f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
-            f"({compact(problem.noise.typical * 1e3, 2)} mm; chi2 {compact(scores.chi2, 2)} on "
+            f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
             f"{scores.dof:.0f} degrees of freedom): correct it, as faults may hide in it",
             "quiet",
         )

@@ -17,6 +17,7 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, ToolCampaign
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
@@ -155,13 +156,25 @@ class Problem:
 
     @cached_property
     def measured(self) -> Array:
-        """All rows ``(n,)``, metres."""
+        """All rows ``(n,)``, metres or radians."""
         return np.concatenate([f.measured for f in self.factors])
 
     @cached_property
+    def turned(self) -> NDArray[np.bool_]:
+        """Which rows are inclinations, radians ``(n,)``; all others are lengths, metres."""
+        return np.concatenate([f.turned for f in self.factors])
+
+    @cached_property
     def sigma(self) -> Array:
-        """Standard deviation of all rows ``(n,)``, metres."""
+        """Standard deviation of all rows ``(n,)``, metres or radians."""
         return np.concatenate([*self.noise.sigma, *(f.sigma for f in self.points)])
+
+    @property
+    def one_reading(self) -> ByUnit:
+        """Standard deviation of a single reading: of a length, and of an inclination."""
+        length = float("nan") if self.turned.all() else self.noise.typical
+        turns = self.sigma[self.turned]
+        return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
 
     @cached_property
     def weighing(self) -> Weighing:

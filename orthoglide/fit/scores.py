@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, fitted_basis, normal
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
+from orthoglide.numerals import ByUnit
 
 LACK_OF_FIT = 0.01
 """Probability of calling what is left of a complete model a lack of fit."""
@@ -16,18 +18,21 @@ LACK_OF_FIT = 0.01
 
 @dataclass(frozen=True)
 class Scores:
-    """Figures of one fit; metres where not dimensionless.
+    """Figures of one fit; metres where not dimensionless and not said otherwise.
 
     Attributes:
-        rms: root mean square of the residuals, datums fitted.
+        rms: root mean square of the residuals of lengths, datums fitted; nan where none was read.
         deviation_rms: the papers' figure: residuals of the averaged deviations from each setup's
             first posture; nan where no dial was read.
-        max: largest residual.
+        max: largest residual of a length.
         chi2: of the data and their nuisances.
         prior_chi2: of what is known before.
         dof: degrees of freedom: rows, less datums, less what the data determine of the unknowns.
         lack_of_fit_p: probability of a chi2 this large were the model complete.
-        cv_rms: residuals of stations left out, datum refitted; nan where none can be.
+        cv_rms: residuals of stations left out, lengths, datum refitted; nan where none can be.
+        turn_rms: as ``rms`` of inclinations, radians; nan where none was read.
+        turn_max: as ``max``.
+        turn_cv_rms: as ``cv_rms``.
     """
 
     rms: float
@@ -38,11 +43,27 @@ class Scores:
     dof: float
     lack_of_fit_p: float
     cv_rms: float
+    turn_rms: float = float("nan")
+    turn_max: float = float("nan")
+    turn_cv_rms: float = float("nan")
 
     @property
-    def shown_rms(self) -> float:
-        """The papers' figure where dials were read, else of all readings, metres."""
-        return self.rms if np.isnan(self.deviation_rms) else self.deviation_rms
+    def left(self) -> ByUnit:
+        """What is left of single readings, root mean square."""
+        return ByUnit(self.rms, self.turn_rms)
+
+    @property
+    def left_out(self) -> ByUnit:
+        """The same of stations left out."""
+        return ByUnit(self.cv_rms, self.turn_cv_rms)
+
+    @property
+    def told(self) -> ByUnit:
+        """The papers' figure where dials were read, else what is left of lengths; beside it what is
+        left of inclinations.
+        """
+        dials = np.isfinite(self.deviation_rms)
+        return ByUnit(self.deviation_rms if dials else self.rms, self.turn_rms)
 
     @property
     def cost(self) -> float:
@@ -63,16 +84,34 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
     residual = rest - nuisance.fitted(rest)
     dof = max(len(rest) - nuisance.free - here.determined, 0.0)
     dof = round(dof, 6)  # what is left behind is rounding
+    turned, largest = problem.turned, np.abs(residual)
+    left = rms_by_unit(residual, turned)
+    left_out = rms_by_unit(_left_out(problem, nuisance, at, residual), turned)
     return Scores(
-        rms=float(np.sqrt(np.mean(residual**2))),
+        rms=left.length,
         deviation_rms=deviation_rms(problem, residual),
-        max=float(np.max(np.abs(residual))),
+        max=float(largest[~turned].max()) if not turned.all() else float("nan"),
         chi2=here.chi2,
         prior_chi2=here.prior_chi2(at.x),
         dof=dof,
         lack_of_fit_p=_lack_of_fit(problem, nuisance, here, nuisance.weighing.within(rest)),
-        cv_rms=left_out_rms(problem, nuisance, at, residual),
+        cv_rms=left_out.length,
+        turn_rms=left.turn,
+        turn_max=float(largest[turned].max()) if turned.any() else float("nan"),
+        turn_cv_rms=left_out.turn,
     )
+
+
+def rms_by_unit(rows: Array, turned: NDArray[np.bool_]) -> ByUnit:
+    """Root mean square of what is known of rows.
+
+    Args:
+        rows: ``(n,)``, metres or radians; nan where nothing is known.
+        turned: which are radians ``(n,)``.
+    """
+    known = np.isfinite(rows)
+    parts = (rows[known & ~turned], rows[known & turned])
+    return ByUnit(*(float(np.sqrt(np.mean(p**2))) if len(p) else float("nan") for p in parts))
 
 
 def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: float) -> float:
@@ -127,8 +166,9 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
 
 
-def left_out_rms(problem: Problem, nuisance: Nuisances, at: Linearised, residual: Array) -> float:
-    """Root mean square of readings predicted with every visit to their station left out, metres.
+def _left_out(problem: Problem, nuisance: Nuisances, at: Linearised, residual: Array) -> Array:
+    """Residuals ``(n,)`` of readings predicted with every visit to their station left out; nan
+    where nothing predicts them.
 
     With leverage ``H`` of the linear problem (unknowns, nuisances, priors), the residual of a
     block g left out is ``(1 - H_gg)^-1 r_g``.
@@ -146,6 +186,4 @@ def left_out_rms(problem: Problem, nuisance: Nuisances, at: Linearised, residual
         # A setup's datum is gone with its last other station: nothing predicts such a block.
         kept = np.linalg.eigvalsh(block)[:, 0] > 1e-6
         left_out[rows[kept]] = np.linalg.solve(block[kept], whitened[rows[kept], None])[..., 0]
-    left_out = nuisance.weighing.metres(left_out)
-    known = np.isfinite(left_out)
-    return float(np.sqrt(np.mean(left_out[known] ** 2))) if known.any() else float("nan")
+    return nuisance.weighing.metres(left_out)

@@ -14,8 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, without_place, workspace
+from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
+from orthoglide.numerals import ByUnit
 from orthoglide.posterior.everything import FullPosterior
 
 _DRAWS = 400
@@ -33,7 +35,8 @@ class BudgetItem:
         sigma: of that.
         tolerances: largest of its parameters, in tolerances.
         beyond_tolerance: probability that any of them is beyond its tolerance.
-        readings_rms: root mean square of its part of the readings, datums fitted.
+        readings_rms: root mean square of its part of the readings of lengths, datums fitted; nan
+            where none was read.
         tcp_mean: mean of its part of the tool's error.
         tcp_sigma: standard deviation of that.
         gain: by how much the mean error of the tool falls if it is put right.
@@ -42,6 +45,7 @@ class BudgetItem:
             readings do not know of it.
         compensated_sigma: standard deviation of that.
         share: ``gain`` over the mean error.
+        readings_turn_rms: as ``readings_rms`` of inclinations, radians.
     """
 
     cause: str
@@ -58,6 +62,7 @@ class BudgetItem:
     compensated: float
     compensated_sigma: float
     share: float
+    readings_turn_rms: float = float("nan")
 
 
 def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
@@ -92,7 +97,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
         compensated = total - _mean_length(drawn - known_part)
         tolerance = np.array([machine.tolerance(n) for n in names])
         size, single = np.abs(known.mean[at] + off[:, at]) / tolerance, len(at) == 1
-        length = _mean_length(part)
+        length, shown = _mean_length(part), _shown(posterior, names)
         found.append(
             BudgetItem(
                 cause,
@@ -101,7 +106,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 float(np.sqrt(known.covariance[at[0], at[0]])) if single else float("nan"),
                 float(np.max(np.abs(known.mean[at]) / tolerance)),
                 float(np.mean((size > 1).any(axis=1))),
-                _shown(posterior, names),
+                shown.length,
                 float(length.mean()),
                 float(length.std()),
                 float(gain.mean()),
@@ -109,6 +114,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 float(compensated.mean()),
                 float(compensated.std()),
                 float(gain.mean() / max(total.mean(), 1e-12)),
+                shown.turn,
             )
         )
     return tuple(sorted(found, key=lambda item: (-item.gain, item.cause)))
@@ -181,12 +187,13 @@ def _mean_length(errors: Array) -> Array:
     return np.asarray(np.linalg.norm(errors.reshape(len(errors), -1, 3), axis=2).mean(axis=1))
 
 
-def _shown(posterior: FullPosterior, names: Sequence[str]) -> float:
-    """Root mean square of a cause's part of the readings at the mean, metres."""
+def _shown(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
+    """Root mean square of a cause's part of the readings at the mean."""
     about, mean = posterior.about, posterior.mean
     at = [k for k, n in enumerate(about.problem.names) if n.plain in set(names)]
     for place in posterior.places:
         if set(place.effect.motions) & set(names):
             at += about.coefficients(place).tolist()
     rows = about.rows[:, at] @ mean[at]
-    return float(np.sqrt(np.mean((rows - posterior.before.nuisance.fitted(rows)) ** 2)))
+    rows = rows - posterior.before.nuisance.fitted(rows)
+    return rms_by_unit(rows, about.problem.turned)

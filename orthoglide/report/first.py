@@ -95,7 +95,7 @@ def finding(result: Result) -> Data:
         "evidence": evidence(result) if searches else "",
         "tiles": tiles(result),
         "printer": result.firmware is not None and result.firmware.corrections is not None,
-        "open": compact(after.scores.rms * 1e3, 2) if not result.stands or lacking else "",
+        "open": after.scores.left.said() if not result.stands or lacking else "",
         "legs": bool(after.problem.campaigns),
         "loses": any(map(loses, result.effects))
         or any(map(loses, result.located))

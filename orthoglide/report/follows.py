@@ -225,7 +225,7 @@ def method(result: Result) -> Data:
         "method": _METHODS[fit.method],
         "iterations": fit.iterations,
         "optimality": compact(fit.optimality, 1),
-        "noise": compact(problem.noise.typical * 1e3, 2),
+        "noise": problem.one_reading.said(),
         "source": _SOURCES[problem.noise.source],
         "dials": bool(problem.campaigns),
         "placement": compact(problem.machine.spec.dial.placement * 1e3, 2),

@@ -11,14 +11,14 @@ from orthoglide.effects.words import toward
 from orthoglide.figures.causes import MOST_CURVES
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import compact, decimals_for, plain, probability, signed
+from orthoglide.numerals import ByUnit, compact, decimals_for, plain, probability, signed
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence
 from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import effects_named, located_words
 
 if TYPE_CHECKING:
-    from orthoglide.posterior import Cause
+    from orthoglide.posterior import BudgetItem, Cause
     from orthoglide.result import Result
 
 Data = dict[str, Any]
@@ -52,26 +52,34 @@ def before_and_after(result: Result) -> list[BeforeAfter]:
     before, after = result.before, result.after
     start = before.scores if result.improved else result.nominal
     found = [
-        _tile("Readings", start.shown_rms, after.scores.shown_rms, "mm rms left"),
-        _tile("Stations left out", start.cv_rms, after.scores.cv_rms, "mm rms"),
+        *_tiles("Readings", start.told, after.scores.told, "rms left"),
+        *_tiles("Stations left out", start.left_out, after.scores.left_out, "rms"),
     ]
-    if result.hold_out is not None:
-        held = result.hold_out
-        found.append(_tile("Readings held out", held.before_rms, held.after_rms, "mm rms"))
+    if (held := result.hold_out) is not None:
+        found += _tiles("Readings held out", held.before, held.after, "rms")
     if result.tcp is not None:
         errors = result.tcp["translation"]
         first = errors.before if result.improved else errors.nominal
-        found.append(_tile("TCP, best shift removed", first[0], errors.after[0], "mm mean error"))
-    noise = after.problem.noise.typical * 1e3
-    found.append(BeforeAfter("Noise of a reading", "", compact(noise, 2), "mm, sigma"))
+        was, now = (ByUnit(length, math.nan) for length in (first[0], errors.after[0]))
+        found += _tiles("TCP, best shift removed", was, now, "mean error")
+    noise = after.problem.one_reading.shown
+    found += [
+        BeforeAfter("Noise of a reading", "", compact(value, 2), f"{unit}, sigma")
+        for unit, value in noise.items()
+    ]
     return found
 
 
-def _tile(what: str, before: float, after: float, unit: str) -> BeforeAfter:
-    if not math.isfinite(before + after):
-        return BeforeAfter(what, "", "–", unit)
-    places = decimals_for(min(before, after) * 1e3, 3)
-    return BeforeAfter(what, f"{before * 1e3:.{places}f}", f"{after * 1e3:.{places}f}", unit)
+def _tiles(what: str, before: ByUnit, after: ByUnit, figure: str) -> list[BeforeAfter]:
+    """A tile a unit."""
+    found = []
+    for unit, now in after.shown.items():
+        was = before.shown.get(unit, math.nan)
+        places = decimals_for(min(was, now), 3)
+        found.append(
+            BeforeAfter(what, f"{was:.{places}f}", f"{now:.{places}f}", f"{unit} {figure}")
+        )
+    return found or [BeforeAfter(what, "", "–", f"mm {figure}")]
 
 
 def faults(result: Result) -> Data:
@@ -93,8 +101,8 @@ def left(result: Result) -> Data:
     """The pattern of what is left."""
     return {
         "pattern": [sentence(text) for text in result.pattern],
-        "rms": compact(result.after.scores.rms * 1e3, 2),
-        "noise": compact(result.after.problem.noise.typical * 1e3, 2),
+        "rms": result.after.scores.left.said(),
+        "noise": result.after.problem.one_reading.said(),
         "rows": [
             {
                 "setup": rest.setup,
@@ -192,7 +200,7 @@ def budget(result: Result) -> Data:
                 "words": result.short(item.cause),
                 "tolerances": compact(item.tolerances, 2),
                 "beyond": f"{item.beyond_tolerance:.2f}",
-                "readings": f"{item.readings_rms * 1e3:.4f}",
+                "readings": _of_readings(item),
                 "tcp": f"{item.tcp_mean * 1e3:.4f} ± {item.tcp_sigma * 1e3:.4f}",
                 "gain": f"{plain(item.gain * 1e3, 4)} ± {item.gain_sigma * 1e3:.4f}",
                 "compensated": (
@@ -203,6 +211,12 @@ def budget(result: Result) -> Data:
             for item in result.budget[:_MOST_ITEMS]
         ]
     }
+
+
+def _of_readings(item: BudgetItem) -> str:
+    """A cause's part of the readings; those of lengths are in millimetres, as the column says."""
+    shown = ByUnit(item.readings_rms, item.readings_turn_rms).shown
+    return ", ".join(f"{v:.4f}{' mrad' if unit == 'mrad' else ''}" for unit, v in shown.items())
 
 
 def apart(result: Result, figures: Figures) -> Data:

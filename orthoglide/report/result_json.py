@@ -60,6 +60,9 @@ def _mapping(result: Result) -> dict[str, Any]:
         and {
             "before_rms_mm": _mm(result.hold_out.before_rms),
             "after_rms_mm": _mm(result.hold_out.after_rms),
+            **_mrad(
+                before_rms=result.hold_out.before_turn_rms, after_rms=result.hold_out.after_turn_rms
+            ),
         },
         "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
         "effects": [_cause(cause) for cause in result.effects],
@@ -122,7 +125,8 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
             "toml": machine_text(spec),
             "npz": kept and b64encode(posterior_bytes(kept, spec.sha256)).decode(),
         },
-        "noise_mm": _mm(after.problem.noise.typical),
+        "noise_mm": _mm(after.problem.one_reading.length),
+        **_mrad(noise=after.problem.one_reading.turn),
         "noise_source": after.problem.noise.source,
         "sigma_scale": number(after.sigma_scale),
     }
@@ -138,7 +142,13 @@ def _scores(scores: Scores) -> dict[str, Any]:
         "dof": number(scores.dof),
         "lack_of_fit_p": number(scores.lack_of_fit_p),
         "cv_rms_mm": _mm(scores.cv_rms),
+        **_mrad(rms=scores.turn_rms, max=scores.turn_max, cv_rms=scores.turn_cv_rms),
     }
+
+
+def _mrad(**radians: float) -> dict[str, float | None]:
+    """Keys of what is known of inclinations: none where none was read."""
+    return {f"{key}_mrad": _mm(v) for key, v in radians.items() if math.isfinite(v)}
 
 
 def _tcp(errors: TcpErrors) -> dict[str, Any]:
@@ -218,6 +228,7 @@ def _budget(item: BudgetItem, result: Result) -> dict[str, Any]:
         "tolerances": number(item.tolerances, _SHORT),
         "beyond_tolerance": number(item.beyond_tolerance, _SHORT),
         "readings_rms_mm": _mm(item.readings_rms, _SHORT),
+        **_mrad(readings_rms=item.readings_turn_rms),
         "tcp_mean_mm": _mm(item.tcp_mean, _SHORT),
         "tcp_sigma_mm": _mm(item.tcp_sigma, _SHORT),
         "gain_mm": _mm(item.gain, _SHORT),

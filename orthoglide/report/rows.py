@@ -81,18 +81,24 @@ def score_rows(result: Result) -> list[ScoreRow]:
     """Figures of the nominal machine, the base model and the final one."""
     stages = (result.nominal, result.before.scores, result.after.scores)
     rows = [
-        ScoreRow(what, *millimetres([getattr(s, name) for s in stages]))
-        for what, name in (
-            ("deviations, rms, mm", "deviation_rms"),
-            ("residuals, rms, mm", "rms"),
-            ("largest residual, mm", "max"),
-            ("stations left out, rms, mm", "cv_rms"),
+        ScoreRow(f"{what}, {unit}", *millimetres([getattr(s, name) for s in stages]))
+        for what, unit, name in (
+            ("deviations, rms", "mm", "deviation_rms"),
+            ("residuals, rms", "mm", "rms"),
+            ("residuals, rms", "mrad", "turn_rms"),
+            ("largest residual", "mm", "max"),
+            ("largest residual", "mrad", "turn_max"),
+            ("stations left out, rms", "mm", "cv_rms"),
+            ("stations left out, rms", "mrad", "turn_cv_rms"),
         )
+        if unit in stages[0].left.shown
     ]
     held = result.hold_out
     if held is not None:
-        scores = millimetres([held.before_rms, held.after_rms])
-        rows.append(ScoreRow("readings held out, rms, mm", "", *scores))
+        for unit, *pair in zip(("mm", "mrad"), held.before, held.after, strict=True):
+            if unit in held.before.shown:
+                what = f"readings held out, rms, {unit}"
+                rows.append(ScoreRow(what, "", *millimetres(pair)))
     for alignment, words in _ALIGNMENTS.items() if result.tcp else ():
         errors = result.tcp[alignment]  # type: ignore[index]
         pairs = (errors.nominal, errors.before, errors.after)
@@ -111,7 +117,9 @@ def score_rows(result: Result) -> list[ScoreRow]:
 
 
 def millimetres(metres: Sequence[float]) -> list[str]:
-    """Lengths with as many decimals as the smallest is worth; a dash where there is none."""
+    """Lengths in millimetres, or turns in milliradians, with as many decimals as the smallest is
+    worth; a dash where there is none.
+    """
     known = [v for v in metres if math.isfinite(v)]
     places = max(decimals_for(min(known, default=0.0) * 1e3, 4), 3)
     return [f"{v * 1e3:.{places}f}" if math.isfinite(v) else "–" for v in metres]

@@ -12,19 +12,20 @@ import numpy as np
 from orthoglide import __version__
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations import ToolCampaign
+from orthoglide.observations import Campaign, TcpPoints, ToolCampaign
+from orthoglide.observations.tool import DIRECTED
 from orthoglide.text import csv_text
 
 if TYPE_CHECKING:
-    from orthoglide.observations import Campaign
     from orthoglide.request import Request
     from orthoglide.result import Result
 
 _FIGURES = (
-    "reading_mm", "sigma_mm",
-    "predicted_nominal_mm", "predicted_before_mm", "predicted_after_mm",
-    "residual_nominal_mm", "residual_before_mm", "residual_after_mm",
+    "reading_{}", "sigma_{}",
+    "predicted_nominal_{}", "predicted_before_{}", "predicted_after_{}",
+    "residual_nominal_{}", "residual_before_{}", "residual_after_{}",
 )  # fmt: skip
+_IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _FIGURES) for unit in ("mm", "mrad"))
 
 
 def _places(geometry: Geometry) -> tuple[str, ...]:
@@ -67,31 +68,39 @@ def _origin(request: Request) -> dict[str, Any]:
 
 
 def residual_table(result: Result) -> str:
-    """The text of ``residuals.csv``: nominal, before and after; faulty rows last, set aside."""
+    """The text of ``residuals.csv``: nominal, before and after; faulty rows last, set aside.
+
+    Figures of inclinations have columns of their own, where any were read.
+    """
     problem, base = result.after.problem, result.before
-    measured = problem.measured
+    measured, turned = problem.measured, problem.turned
     predicted = (base.predicted_before, base.predicted, result.after.predicted)
     columns = [measured, problem.sigma, *predicted, *(measured - p for p in predicted)]
-    figures = np.column_stack(columns)
-    rows = list[list[Any]]()
-    for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
-        for row, values in enumerate(figures[part]):
-            rows.append([*_cells(campaign, row), *map(_mm, values), ""])
-    for points, part in zip(
-        problem.points, problem.factor_rows[len(problem.campaigns) :], strict=True
-    ):
-        if isinstance(points.points, ToolCampaign):
-            for row, values in enumerate(figures[part]):
-                rows.append([*_tool_cells(points.points, row), *map(_mm, values), ""])
-            continue
-        for values, point, axis in zip(figures[part], points.point, points.setup, strict=True):
-            places = [points.name, int(points.points.line[point]), "", "", LEGS[axis], ""]
-            places += [*map(_mm, points.points.command[point]), "", "", int(point) + 1]
-            rows.append([*places, *map(_mm, values), ""])
+    figures, rows = np.column_stack(columns), list[list[Any]]()
+    none, several = [""] * len(_FIGURES), bool(turned.any())
+
+    def add(cells: list[Any], row: int, kind: str) -> None:
+        shown = [*map(_mm, figures[row])]
+        mrad = shown if turned[row] else none
+        rows.append(
+            [*cells, *(none if turned[row] else shown), "", kind, *(mrad if several else ())]
+        )
+
+    for each, part in zip(problem.factors, problem.factor_rows, strict=True):
+        factor: Any = each
+        read = factor.points
+        for k, row in enumerate(range(part.start, part.stop)):
+            if isinstance(read, Campaign):
+                add(_cells(read, k), row, "leg")
+            elif isinstance(read, ToolCampaign):
+                add(_tool_cells(read, k), row, read.kind[k])
+            else:
+                add(_point_cells(read, int(factor.point[k]), int(factor.setup[k])), row, "tcp")
     for campaign, row, kind in _set_aside(result):
-        empty = [""] * (len(_FIGURES) - 1)
-        rows.append([*_cells(campaign, row), _mm(campaign.reading[row]), *empty, kind])
-    return csv_text((*_places(problem.machine.geometry), *_FIGURES, "set_aside"), rows)
+        first = [*_cells(campaign, row), _mm(campaign.reading[row]), *none[1:], kind, "leg"]
+        rows.append([*first, *(none if several else ())])
+    last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
+    return csv_text((*_places(problem.machine.geometry), *_IN_MM, *last), rows)
 
 
 def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:
@@ -113,13 +122,31 @@ def _cells(campaign: Campaign, row: int) -> list[Any]:
 
 
 def _tool_cells(tool: ToolCampaign, row: int) -> list[Any]:
-    setup = tool.setups[tool.setup[row]]
+    setup, direction = tool.setups[tool.setup[row]], ""
+    if setup.kind in DIRECTED:
+        direction = f"{'-' if tool.sign[row] < 0 else ''}{LEGS[tool.axis[row]]}"
     return [
-        tool.name, tool.line[row], setup.name, "", setup.kind, tool.posture[row],
+        tool.name, tool.line[row], setup.name, "", direction, tool.posture[row],
         *map(_mm, tool.command[row]), "", tool.repeat[row], tool.order[row],
     ]  # fmt: skip
 
 
+def _point_cells(points: TcpPoints, point: int, axis: int) -> list[Any]:
+    command = map(_mm, points.command[point])
+    return [
+        points.name,
+        int(points.line[point]),
+        "",
+        "",
+        LEGS[axis],
+        "",
+        *command,
+        "",
+        "",
+        point + 1,
+    ]
+
+
 def _mm(metres: float) -> str:
-    """Millimetres to a nanometre: further digits are rounding."""
+    """Millimetres to a nanometre, milliradians to a nanoradian: further digits are rounding."""
     return f"{round(float(metres) * 1e3, 6) + 0.0:.6f}"

@@ -13,7 +13,7 @@ from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.report.phrases import listed, sentence
 
 if TYPE_CHECKING:
-    from orthoglide.fit import Change, Estimate
+    from orthoglide.fit import Change, Estimate, Scores
     from orthoglide.parameters import Parameter
     from orthoglide.posterior import Cause, Curve, Located
     from orthoglide.result import Result
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
 _MATTERS = 1.5  # times what the base leaves: so much more without it makes it the first to be said
+_UNSEEN = 0.9  # of its tolerance: a value known no better than this is known from that alone
 _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
 _FEW = 2.0  # degrees of freedom
 _MOST_ALONE = 8
@@ -216,19 +217,14 @@ def _dials_alone(result: Result) -> bool:
 
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
-    fit = result.after
-    noise, left = fit.problem.noise.typical * 1e3, fit.scores.rms * 1e3
+    noise, left = result.after.problem.one_reading, result.after.scores.left
     whose = "the dial's noise" if _dials_alone(result) else "the noise of one"
-    if left > noise:
-        return (
-            f"Single readings are left with {compact(left, 2)} mm rms, where {whose} is "
-            f"{compact(noise, 2)} mm."
-        )
+    if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
+        return f"Single readings are left with {left.said()} rms, where {whose} is {noise.said()}."
     return (
-        f"What is left of single readings ({compact(left, 2)} mm rms) is no larger than "
-        f"{whose} of {compact(noise, 2)} mm; it is significant by its pattern over setups and "
-        f"postures, which noise alone would show with probability "
-        f"{probability(result.left.p_value)}."
+        f"What is left of single readings ({left.said()} rms) is no larger than {whose} of "
+        f"{noise.said()}; it is significant by its pattern over setups and postures, which noise "
+        f"alone would show with probability {probability(result.left.p_value)}."
     )
 
 
@@ -279,15 +275,28 @@ def alternatives(cause: Cause) -> str:
 
 def _fall(result: Result) -> str:
     start = result.before.scores if result.improved else result.nominal
-    known = math.isfinite(start.deviation_rms)  # of dials only
-    figures = [s.deviation_rms if known else s.rms for s in (start, result.after.scores)]
-    first, after = (v * 1e3 for v in figures)
-    places = decimals_for(after, 3)
-    verb = "hardly falls" if after > _SLIGHT * first else "falls"
-    return (
-        f"the difference between readings and prediction {verb} from {first:.{places}f} to "
-        f"{after:.{places}f} mm rms"
-    )
+    return f"the difference between readings and prediction {_falls(start, result.after.scores)}"
+
+
+def _falls(before: Scores, after: Scores) -> str:
+    """``falls from 0.3 to 0.01 mm rms``, and so on for inclinations where there are any."""
+    parts, last = [], ""
+    for unit, now in after.told.shown.items():
+        was = before.told.shown[unit]
+        verb = "hardly falls" if now > _SLIGHT * was else "falls"
+        parts.append(f"{verb if verb != last else ''} {_from_to(was, now)} {unit} rms".strip())
+        last = verb
+    return ", and ".join(parts)
+
+
+def _from_to(was: float, now: float) -> str:
+    """``from 0.36 to 0.01``, with more decimals where the two would look alike or be nothing."""
+    for most in (3, 6):
+        places = decimals_for(now, most)
+        first, last = f"{was:.{places}f}", f"{now:.{places}f}"
+        if first != last and float(last) > 0:
+            break
+    return f"from {first} to {last}"
 
 
 # --- Of an identification -------------------------------------------------------------------
@@ -308,25 +317,29 @@ def _found(fit: Estimate) -> str:
 
 def _gain(fit: Estimate) -> str:
     """What the fit does to the deviations."""
-    before, after = fit.nominal.shown_rms * 1e3, fit.scores.shown_rms * 1e3
-    verb = "hardly change" if after > _HARDLY * before else "reduce"
-    places = decimals_for(after, 3)
-    return f"{verb} the deviations from {before:.{places}f} to {after:.{places}f} mm"
+    parts, last = [], ""
+    before, after = fit.nominal.told.shown, fit.scores.told.shown
+    for unit, now in after.items():
+        verb = "hardly change" if now > _HARDLY * before[unit] else "reduce"
+        what = f"{verb} {'them' if last else 'the deviations'} " if verb != last else ""
+        parts.append(f"{what}{_from_to(before[unit], now)} {unit}")
+        last = verb
+    return ", and ".join(parts)
 
 
 def _rest(fit: Estimate) -> str:
     """What remains, against the noise."""
-    noise = compact(fit.problem.noise.typical * 1e3, 2)
+    noise = fit.problem.one_reading.said()
     if fit.scores.dof <= 0:
         return "no reading is left over to judge the fit by"
     if fit.sigma_scale > 1:
         return (
-            f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise} mm): "
+            f"what is left is {fit.sigma_scale:.2g} times the noise of a reading ({noise}): "
             f"the machine, or the measurement, has an error that {effects_named(fit)} cannot "
             f"explain"
         )
     return (
-        f"what is left is no more than the noise of a reading ({noise} mm): these readings show "
+        f"what is left is no more than the noise of a reading ({noise}): these readings show "
         f"no further error"
     )
 
@@ -350,18 +363,32 @@ def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]
     for name in every:
         if name.effect == effect:
             groups.setdefault(name.campaign, []).append(name)
-    phrases, noise = [], fit.problem.noise.typical
+    phrases = []
     for campaign, names in groups.items():
-        largest = max(abs(fit.values[name]) for name in names)
         what = effect.replace("_", " ") + ("s" if len(names) > 1 else "")
         where = f" ({campaign})" if campaign else ""
-        if largest <= noise:
-            phrases.append(f"{what} nominal to {compact(noise * 1e3, 1)} mm{where}")
+        if near := _near_nominal(fit, names):
+            phrases.append(f"{what} {near}{where}")
             continue
         values = ", ".join(f"{n.member or n.leg} {_value(fit, n, False)}" for n in names)
         unit = fit.problem.machine.catalogue[effect].unit
         phrases.append(f"{what} {values}{unit.behind}{where}")
     return phrases
+
+
+def _near_nominal(fit: Estimate, names: Sequence[Parameter]) -> str:
+    """What is said of lengths that are off by no more than the noise of a reading; else empty.
+
+    They are nominal to that noise only where the readings know them as well as that.
+    """
+    half = fit.coverage_factor * max(fit.sigmas[name] for name in names)
+    noise = fit.problem.one_reading.length
+    within = half if math.isnan(noise) else noise
+    if max(abs(fit.values[name]) for name in names) > within:
+        return ""
+    if all(fit.sigmas[n] > _UNSEEN * fit.problem.machine.tolerance(n) for n in names):
+        return "not seen by these readings"
+    return f"nominal to {compact(max(within, half) * 1e3, 1)} mm"
 
 
 def _value(fit: Estimate, name: Parameter, with_unit: bool = True) -> str:

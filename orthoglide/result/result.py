@@ -121,7 +121,8 @@ class Result(Framed):
         """Whether the readings are predicted better than by the base: by causes found, or by the
         background of everything.
         """
-        return self.found or self.after.scores.rms < _HARDLY * self.before.scores.rms
+        before, after = (fit.scores.left.shown for fit in (self.before, self.after))
+        return self.found or any(after[unit] < _HARDLY * was for unit, was in before.items())
 
     @property
     def share(self) -> float:
@@ -372,7 +373,7 @@ class Result(Framed):
                 "a controller, before it is confirmed."
             )
         held = self.hold_out
-        if self.found and held is not None and held.after_rms > held.before_rms:
+        if self.found and held is not None and held.worse:
             found.append(
                 "The readings held out are predicted worse with the cause than without it: it does "
                 "not carry over to them, so do not act on it before it is confirmed."

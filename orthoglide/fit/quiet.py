@@ -1,0 +1,112 @@
+"""Setups whose readings agree with a fit far better than their noise lets expect.
+
+An instrument may be better than was assumed. But readings in a unit that is too large, as inches
+or degrees, are small numbers, and so is what a fit leaves of them: the machine looks sound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.least_squares import fitted_basis
+from orthoglide.fit.problem import Factor, Problem
+from orthoglide.notes import Note
+from orthoglide.numerals import compact
+from orthoglide.observations import Campaign, ToolCampaign, source
+
+# Of the noise; inches are 25 times too small, degrees 57 times, and what the machine does in a way
+# that no fit explains is left of them as well.
+_QUIET = {"usual": 0.1, "told": 0.2}
+_FEWEST = 10.0  # degrees of freedom: noise alone leaves a tenth of itself once in 4e8 such setups
+_EXACT = 1e-8  # metres or radians: whose noise is declared this small is not measured but computed
+_FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
+_MOST = 1e3  # times quieter, from which the figure says nothing more
+
+
+class _Part(NamedTuple):
+    """Readings of one instrument.
+
+    Attributes:
+        where: its file and setup, for people.
+        rows: of all readings ``(m,)``.
+        told: where the noise comes from, in words; empty of the usual figure.
+        declare: where it may be declared.
+    """
+
+    where: str
+    rows: NDArray[np.intp]
+    told: str
+    declare: str
+
+
+def quiet_parts(estimate: Estimate) -> Iterator[Note]:
+    """A sentence for every setup of an instrument at the tool, and for all dials of a file, that is
+    left with next to nothing of its noise.
+    """
+    problem, left = estimate.problem, estimate.residuals
+    square = problem.weighing.whiten(left) ** 2
+    leverage = None
+    for part in _parts(problem):
+        limit = _QUIET["told" if part.told else "usual"] ** 2
+        rows, sigma = part.rows, float(np.sqrt(np.mean(problem.sigma[part.rows] ** 2)))
+        if sigma < _EXACT or len(rows) < _FEWEST or square[rows].mean() > limit:
+            continue
+        if leverage is None:
+            basis = fitted_basis(problem, estimate.nuisance, estimate.at)
+            leverage = np.sum(basis[: len(left)] ** 2, axis=1)
+        dof = float(np.sum(1 - leverage[rows]))
+        if dof >= _FEWEST and (ratio := float(square[rows].sum()) / dof) < limit:
+            yield Note(_said(problem, part, sigma, ratio), "quiet")
+
+
+def _said(problem: Problem, part: _Part, sigma: float, ratio: float) -> str:
+    turned = bool(problem.turned[part.rows[0]])
+    unit, other = ("mrad", "degrees") if turned else ("mm", "inches")
+    times = 1 / np.sqrt(max(ratio, _MOST**-2))
+    count = f"more than {_MOST:.0f}" if times >= _MOST else compact(times, 2)
+    return (
+        f"{part.where}: the readings are {count} times quieter than the noise assumed of them "
+        f"({compact(sigma * 1e3, 2)} {unit}, {part.told or 'the usual figure'}): are they in "
+        f"another unit, as {other}? If not, "
+        f"{'correct' if part.told else 'declare'} the instrument's noise{part.declare}"
+    )
+
+
+def _parts(problem: Problem) -> Iterator[_Part]:
+    for factor, span in zip(problem.factors, problem.factor_rows, strict=True):
+        rows, points = np.arange(span.start, span.stop), factor.points
+        if isinstance(points, Campaign):
+            yield _Part(source(points), rows, _of_dials(problem), f"{_IN_FILE}[dial_mm]")
+        elif isinstance(points, ToolCampaign):
+            for k, setup in enumerate(points.setups):
+                own = factor.setup == k
+                if own.any():
+                    yield _Part(
+                        f"{source(points)}, setup {setup.name!r}", rows[own],
+                        _of_tool(problem, factor, own, setup.kind),
+                        f"{_IN_FILE}[instrument.{setup.kind}]",
+                    )  # fmt: skip
+        else:
+            told = "as declared" if np.isfinite(points.sigma).any() else ""
+            yield _Part(source(points), rows, told, " in a column sigma_mm")
+
+
+def _of_dials(problem: Problem) -> str:
+    if problem.noise.source == "machine":
+        return _FROM_FILE if problem.machine.spec.dial.repeatability else ""
+    return "as declared" if problem.noise.source == "declared" else "from their repeats"
+
+
+def _of_tool(problem: Problem, factor: Factor, own: NDArray[np.bool_], kind: str) -> str:
+    told = np.isfinite(factor.points.sigma[own]).all()
+    if told or (problem.noise.source == "declared" and not problem.campaigns):
+        return "as declared"
+    instrument = problem.machine.spec.instruments.get(kind)
+    if instrument is not None and instrument.repeatability:
+        return _FROM_FILE
+    return ""
