@@ -477,6 +477,41 @@ def test_repeats_of_an_instrument_are_visits_from_one_side(tmp_path: Path) -> No
     assert ToolReadings.of(visits, MACHINE).sigma == pytest.approx(2e-6, rel=1.5)
 
 
+@pytest.mark.parametrize("bow", [2e-5, 1e-4, 3e-4])
+def test_a_bowed_plate_is_no_bar_far_beyond_its_tolerance(bow: float) -> None:
+    """To a plate alone both look the same, and a base of wide priors would take either."""
+    spec = replace(Machine.nominal().spec, instruments={"plate": Instrument(repeatability=3e-6)})
+    machine = Machine(spec)
+    sheet = sheet_of(machine, "plate")
+    assert isinstance(sheet, ToolCampaign)
+    off = machine.with_parameters({"joint_offset.x": 5e-4, "joint_offset.y": -3e-4})
+    seen = og.simulate(off, sheet, seed=5)
+    p = machine.forward(seen.command)
+    square = (p[:, 0] ** 2 + p[:, 1] ** 2) / np.max(p[:, 0] ** 2 + p[:, 1] ** 2)
+    verdict = og.close_loop([replace(seen, reading=seen.reading - bow * square)], machine)
+    after = verdict.after
+    assert abs(after.values["leg_length.z"]) < 2 * after.sigmas["leg_length.z"] < 1e-3
+    if bow > 5e-5:
+        (found,) = verdict.effects
+        told = {e.name: e.values for e in found.explanations}["plate_bow.plate"]
+        assert told["plate_bow.plate"] == pytest.approx(bow, rel=0.2)
+
+
+def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
+    """Two setups on one plate show that their shapes agree, and not what they are."""
+    machine = Machine(replace(SPEC, tolerance=of_printers(MACHINE.catalogue)))
+    once = sheet_of(machine, "plate")
+    assert isinstance(once, ToolCampaign)
+    for setups in (("bed",), ("bed", "again")):
+        read = [replace(og.simulate(machine, once, noise=2e-5, seed=k), name=s,
+                        setups=(replace(once.setups[0], name=s),))
+                for k, s in enumerate(setups)]  # fmt: skip
+        posterior = og.close_loop(read, machine).posterior
+        assert posterior is not None
+        hidden = {n.setup for n in posterior.invisible if n.effect == "plate_bow"}
+        assert hidden == set(setups)
+
+
 # --- what is simulated is what an instrument gives ------------------------------------------------
 
 

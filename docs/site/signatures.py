@@ -72,6 +72,8 @@ def illustrate(page: Path) -> None:
     head, _, rest = text.partition("\n## ")
     text = f"{head}{_KEY}\n## {rest}"
     for effect in sheet.machine.catalogue.values():
+        if effect.plate:  # no dial on a leg shows it
+            continue
         begin, title, body = text.partition(f"\n### {effect.name}\n")
         said, shown = draw(effect, sheet, page.parent / "images")
         machine, readings = (f"images/{shown}-{part}.svg" for part in ("machine", "readings"))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 import orthoglide.cli.options as opt
-from orthoglide.cli.idle import exclude, need
+from orthoglide.cli.idle import exclude
 from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import tell, wrapped
 from orthoglide.cli.writing import write_sheet, write_texts
@@ -81,7 +81,6 @@ def design(
         because="every instrument has a sheet and a noise of its own, and its smallest effects "
         "are told anyway",
     )  # fmt: skip
-    need("seed", "owns", "detect")
     if out is not None:
         check_new(out)
     machine = opt.load_machine(machine_path)

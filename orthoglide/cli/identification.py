@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
 @opt.fit_options
 @click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
-@opt.said_options
+@opt.run_options
 def identify(
     campaigns: tuple[Path, ...],
     out: Path,

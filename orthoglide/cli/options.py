@@ -128,11 +128,11 @@ def noise(otherwise: str = "the machine file's", least: float = NOISE[0]) -> Dec
     )  # fmt: skip
 
 
-said_options = together(
+run_options = together(
+    seed,
     quiet,
     click.option("--json", "as_json", is_flag=True, help="Print result.json and nothing else."),
 )
-run_options = together(seed, said_options)
 
 fit_options = together(
     click.option("--own", type=Names(), default=(), metavar="NAME,...",

@@ -73,8 +73,6 @@ def simulate(
 
     exclude("sheet", "kind", because="a sheet has rows of its own")
     exclude("exact", "noise", because="exact readings have none")
-    if tcp is None:
-        exclude("exact", "seed", because="nothing is drawn but the points of --tcp")
     if tcp is not None and os.path.realpath(tcp) == os.path.realpath(out):
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
     for path in filter(None, (out, tcp)):

@@ -248,7 +248,9 @@ class Catalogue(Mapping[str, Effect]):
         return 1.0 if parameter.direction == first else -1.0
 
 
-CATALOGUE = Catalogue((*drives.EFFECTS, *rails.EFFECTS, *bars.EFFECTS, *dials.EFFECTS))
+CATALOGUE = Catalogue(
+    (*drives.EFFECTS, *rails.EFFECTS, *bars.EFFECTS, *dials.EFFECTS, *plates.EFFECTS)
+)
 """The package's own effects on the Orthoglide."""
 
 
@@ -257,7 +259,7 @@ def catalogue_of(names: LegNames) -> Catalogue:
     """The package's own effects on a layout; one object for each."""
     if names == CATALOGUE.legs:
         return CATALOGUE
-    effects = (*CATALOGUE.effects, *rails.OF_TOWERS, *plates.EFFECTS)
+    effects = (*CATALOGUE.effects, *rails.OF_TOWERS)
     return Catalogue(tuple(replace(e, names=names) for e in effects), names)
 
 

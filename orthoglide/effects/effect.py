@@ -30,7 +30,7 @@ from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit, to_si
 
-Group = Literal["structure", "drive", "temperature", "load", "dial"]
+Group = Literal["structure", "drive", "temperature", "load", "dial", "plate"]
 Shape = Callable[[Any, Any], Any]
 """Height of a plate at (x, y), both over the largest measured radius, for one unit."""
 
@@ -53,7 +53,7 @@ class Effect:
         members: from what stands behind the leg in a parameter's name (``""`` where nothing does)
             to its motions, for a leg (0, 1, 2); see :func:`once` and :func:`sideways`.
         words: how a fitted value is said, and the test on the machine that confirms it.
-        group: ``structure``, ``drive``, ``temperature``, ``load`` or ``dial``.
+        group: ``structure``, ``drive``, ``temperature``, ``load``, ``dial`` or ``plate``.
         paired: whether the parameters of a leg are one cause, as a sine with its cosine.
         instead_of: a condition that explains it better: it is weighed only where that condition
             was not recorded.

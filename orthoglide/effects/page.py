@@ -12,6 +12,7 @@ GROUPS = {
     "temperature": "Temperature",
     "load": "Load",
     "dial": "Dials",
+    "plate": "Plates",
 }
 """Headings of the page, by group of the catalogue, in their order."""
 
@@ -23,7 +24,8 @@ What real machines have and the nominal one lacks, printed by `python -m orthogl
 - **Tolerance** is the standard deviation to expect of a carefully built machine, and the prior of
   the parameter; your own goes into `[tolerance]` of the [machine file](files.md).
 - **Parameters** carry a leg (`x`, `y`, `z`) and, where a second letter follows, the direction of
-  the error ([conventions](conventions.md#signs-of-errors)); those of dials the name of the setup.
+  the error ([conventions](conventions.md#signs-of-errors)); those of dials and plates the
+  name of the setup.
 - **Together** lists patterns that symmetry makes likely, one parameter each.
 - {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are identified always.
 """
@@ -51,7 +53,7 @@ def _overview() -> str:
 
 
 def _section(effect: Effect) -> str:
-    names = [f"`{n}`" for n in effect.parameters()] or [f"`{effect.name}.SETUP`"]
+    names = [f"`{n}`" for n in effect.parameters(("SETUP",))]
     members = [
         f"`{n}`" for n in CATALOGUE.structured(effect.name, _SETUPS if effect.of_dial else ())
     ]

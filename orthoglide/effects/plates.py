@@ -31,7 +31,7 @@ PLATE_BOW = Effect(
             f"{more(v, 'middle', 'ends')}"
         ),
     ),
-    group="dial",
+    group="plate",
     plate=(("", lambda x, y: x**2 + y**2),),
 )
 
@@ -52,10 +52,10 @@ PLATE_TREFOIL = Effect(
         mm,
         lambda p, v: (
             f"turn {_plate(p)} by 60 degrees and measure again: expect its three lobes "
-            f"of {mm(v)} to turn with it, high where they were low"
+            f"of {mm(v)} to turn with it: low toward {_lobe(p.direction, v)} degrees"
         ),
     ),
-    group="dial",
+    group="plate",
     plate=(
         ("cos", lambda x, y: x**3 - 3 * x * y**2),
         ("sin", lambda x, y: 3 * x**2 * y - y**3),

@@ -63,6 +63,7 @@ class Everything:
         value: readings where everything is zero, as linearised ``(n,)``, metres.
         known_rows: what an earlier calibration says of the parameters: matrix and target.
         asked: parameters beyond the base whose conditions the readings vary.
+        outside: square of what the readings have where nothing could show.
         apart: of the prediction from its linearisation at the mean, sigmas.
     """
 
@@ -78,6 +79,7 @@ class Everything:
     value: Array
     known_rows: tuple[Array, Array]
     asked: tuple[Parameter, ...]
+    outside: float
     apart: float = float("nan")
 
     @property
@@ -182,9 +184,11 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         quiet = tuple(s for s in SHARES if s <= _QUIET)
         linear = replace(linear, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
+    reduced = _reduced(linear)
+    outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return Everything(
-        wide, x, scale, found, causes, _reduced(linear), by_name, translations(slopes), rows,
-        value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone),
+        wide, x, scale, found, causes, reduced, by_name, translations(slopes), rows,
+        value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside,
     )  # fmt: skip
 
 

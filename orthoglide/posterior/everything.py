@@ -5,26 +5,31 @@ The readings are linearised at the posterior's own mean, again until that no lon
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from orthoglide.effects.places import Place
-from orthoglide.errors import ClosureError, SolverError
+from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.solving import assessed
+from orthoglide.fit.solving import assessed, solve
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+from orthoglide.notes import Note
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.columns import Everything, everything
 from orthoglide.posterior.mixture import LEAST_SHARE, Averaged, Mixture
 
 _LINEARISATIONS = 3
+_DOUBT = 3.0
+"""Log of the odds, twenty to one, that a base beyond its tolerances has to have against all else,
+or all else against it, for the other not to count."""
+
 _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
 linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
@@ -41,16 +46,27 @@ class FullPosterior:
         before: the fit of the base.
         about: the readings linearised at the mean.
         mixture: of the explanations.
+        instead: a fit of the base, far beyond its tolerances, that the readings do not rule out.
     """
 
     before: Estimate
     about: Everything
     mixture: Mixture
+    instead: Estimate | None = None
 
     @property
     def mean(self) -> Array:
         """Of all coefficients, in their units ``(C,)``."""
         return self.mixture.mean
+
+    @property
+    def evidence(self) -> float:
+        """Log of what the readings weigh for the best explanation. A base that is so many
+        tolerances off was expected that much less.
+        """
+        widths = np.array([u.width for u in self.before.problem.unknowns])
+        fit = self.mixture.total(self.mixture.best) - self.about.outside / 2
+        return float(fit - np.log(widths).sum())
 
     @property
     def next_point(self) -> Array:
@@ -94,9 +110,17 @@ class FullPosterior:
         """Parameters beyond the base that would not show at three tolerances: what they draw is
         drawn by the base, by the instruments' nuisances or by a plate's own shape, or is too small.
         """
-        shown = TOLERANCES * np.linalg.norm(self.mixture.scales[0].basis.columns, axis=0)
+        columns = self.mixture.scales[0].basis.columns
         place = {n: k for k, n in enumerate(self.about.problem.names)}
-        return tuple(n for n in self.about.asked if shown[place[n]] < _SHOWN)
+        plate = {e.name for e in self.about.problem.machine.catalogue.effects if e.plate}
+
+        def shown(name: Parameter) -> float:
+            # One plate has one shape, in how many setups it may have been probed.
+            same = [n for n in place if (n.effect, n.direction) == (name.effect, name.direction)]
+            each = same if name.effect in plate else [name]
+            return TOLERANCES * float(np.linalg.norm(columns[:, [place[n] for n in each]].sum(1)))
+
+        return tuple(n for n in self.about.asked if shown(n) < _SHOWN)
 
     @cached_property
     def unknowns(self) -> Posterior:
@@ -164,7 +188,19 @@ class FullPosterior:
         at = linearise(problem, x)
         estimate = assessed(problem, nuisances(problem, at.slopes), at, "posterior",
                             len(mixture.children), self.about.apart)  # fmt: skip
-        return replace(estimate, covariance=self.unknowns.covariance, weak=self.before.weak)
+        return replace(
+            estimate,
+            covariance=self.unknowns.covariance,
+            weak=self.before.weak,
+            warnings=(*estimate.warnings, *self._instead()),
+        )
+
+    def _instead(self) -> Iterator[Note]:
+        """What of the base could be wrong in place of what is told."""
+        for note in () if self.instead is None else self.instead.warnings:
+            if note.kind == "tolerance":
+                far = note.partition(":")[0]
+                yield Note(f"these readings fit as well if {far}: measure it", "instead")
 
     def _curves(self, prior: Array) -> Block | None:
         """Rows by the places that stand out and by the plates' own shapes, as nuisances."""
@@ -180,13 +216,38 @@ class FullPosterior:
 def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior:
     """Weigh everything that could be wrong against the readings.
 
+    A base fitted far beyond its tolerances may be bent by what stands within its own: both are
+    weighed, the base with its priors as wide as it asks for and everything at its tolerance.
+
     Args:
-        before: the fit of the base.
+        before: the fit of the base; the result's own may keep the tolerances that this one left.
         given: causes that stand out whatever the readings say.
 
     Raises:
         SolverError: where the mean does not settle.
     """
+    at_tolerance = before.problem.at_tolerance()
+    if at_tolerance is before.problem:
+        return _settled(before, given)
+    try:
+        other = _settled(solve(at_tolerance, widen=False), given)
+    except NumericsError:
+        return _settled(before, given)
+    sound = other.about.apart < _SETTLED
+    try:
+        found = _settled(before, given)
+    except SolverError:
+        if sound:
+            return other
+        raise
+    less = found.evidence - other.evidence
+    if not sound or less > _DOUBT:
+        return found
+    return replace(other, instead=before if less > -_DOUBT else None)
+
+
+def _settled(before: Estimate, given: Sequence[str]) -> FullPosterior:
+    """The posterior linearised at its own mean."""
     try:
         found = best = _about(before, given)
         for _ in range(_LINEARISATIONS - 1):

@@ -204,8 +204,12 @@ class _Reader:
     def _same_tool(self, one: Explanation, other: Explanation) -> bool:
         """Whether two causes put the tool in the same places, over the workspace.
 
-        What differs by less than half the noise of one reading, no reading would show.
+        What differs by less than half the noise of one reading, no reading would show. What is
+        wrong with an instrument is nothing that is wrong with the machine.
         """
+        of = self.posterior.machine.catalogue.effect_of
+        if of(one.name).of_dial != of(other.name).of_dial:
+            return False
         apart = np.array([other.machine[n] - v for n, v in one.machine.items()])
         moved = self._slopes @ apart
         noise = self.posterior.before.problem.noise.typical

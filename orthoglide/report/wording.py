@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
+_MATTERS = 1.5  # times what the base leaves: so much more without it makes it the first to be said
 _UNSEEN = 0.9  # of its tolerance: a value known no better than this is known from that alone
 _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
 _FEW = 2.0  # degrees of freedom
@@ -70,14 +71,25 @@ def standing(result: Result) -> str:
             f"These readings are too few to look for causes with: what the "
             f"{effects_named(result.before)} leave over is next to nothing."
         )
+    first = _to_enter(result)
     if result.improved:
         return (
-            f"No single cause stands out: everything is off by a little, about "
-            f"{compact(result.share, 1)} of its tolerance."
+            f"{first}No single cause stands out{' beyond that' if first else ''}: everything is "
+            f"off by a little, about {compact(result.share, 1)} of its tolerance."
         )
-    nothing = "Nothing else is" if result.changed else "Nothing is"
+    nothing = "Nothing else is" if result.changed or first else "Nothing is"
     base = effects_named(result.before)
-    return f"{nothing} wrong that these readings could show beyond the {base}."
+    return f"{first}{nothing} wrong that these readings could show beyond the {base}."
+
+
+def _to_enter(result: Result) -> str:
+    """What the numbers of a controller or a firmware are off by, where that is what is wrong."""
+    of_base = [a for a in result.actions if a.kind == "zeros"]
+    if result.nominal.rms < _MATTERS * result.before.scores.rms or not of_base:
+        return ""
+    if result.firmware is not None and result.firmware.corrections is not None:
+        return f"The firmware's numbers are off, {result.firmware.corrections.words}. "
+    return f"The zeros of the drives are off. {of_base[0].words}. "
 
 
 def too_early(result: Result) -> str:
