@@ -198,8 +198,8 @@ def compare_effects(
 
     Args:
         machine: dimensions and tolerances; its identified parameters are left out.
-        names: effects, parameters or structured members; the whole catalogue where absent. Dials
-            by the campaign's first setup.
+        names: effects, parameters or structured members; all but those of plates where absent.
+            Dials by the campaign's first setup.
         circumstances: see there.
 
     Raises:
@@ -207,7 +207,8 @@ def compare_effects(
     """
     comparison = Comparison(machine, circumstances)
     plain, setups = comparison.machine, [setup.name for setup in comparison.campaign.setups]
-    chosen = plain.catalogue.expand(plain.catalogue if names is None else names, setups[:1])
+    every = [name for name, effect in plain.catalogue.items() if not effect.plate]
+    chosen = plain.catalogue.expand(every if names is None else names, setups[:1])
     rows = []
     for name in chosen:
         value = plain.tolerance(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,16 +109,22 @@ def owned_instruments(
     for kind in INSTRUMENTS:
         if kind not in sheets and (kind != "leg" or machine.geometry.dialled):
             more = [*sheets.values(), sheet_of(machine, kind)]
-            gains.append(_gain(kind, tells, smallest_effects(machine, more, seed=seed)))
+            of_machine = {e.name for e in machine.catalogue.effects if not e.of_dial}
+            gained = smallest_effects(machine, more, seed=seed)
+            gains.append(_gain(kind, tells, gained, of_machine))
     return Owned(sheets, tells, tuple(gains))
 
 
-def _gain(kind: str, before: Detectability, after: Detectability) -> Gain:
+def _gain(
+    kind: str, before: Detectability, after: Detectability, of_machine: Collection[str]
+) -> Gain:
+    """What an instrument tells of the machine: to show its own faults nobody reads it."""
+
     def within(found: Detectability, what: str) -> dict[str, str]:
         return {
             s.name.partition("@")[0]: s.effect
             for s in found.smallest
-            if s.elementary and getattr(s, what) <= LARGEST * s.tolerance
+            if s.elementary and s.effect in of_machine and getattr(s, what) <= LARGEST * s.tolerance
         }
 
     members: dict[str, set[str]] = {}

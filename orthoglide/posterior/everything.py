@@ -227,7 +227,10 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
         SolverError: where the mean does not settle.
     """
     at_tolerance = before.problem.at_tolerance()
-    if at_tolerance is before.problem:
+    # What changed since a calibration, or between campaigns, is known to be no such base.
+    unknowns = before.problem.unknowns
+    changed = before.problem.earlier is not None or any(u.name.campaign for u in unknowns)
+    if changed or at_tolerance is before.problem:
         return _settled(before, given)
     try:
         other = _settled(solve(at_tolerance, widen=False), given)
