@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
+from orthoglide.fit.factors import Block
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
 from orthoglide.fit.tool import ToolReadings, expected_sigma
 from orthoglide.geometry import Array
@@ -117,17 +118,22 @@ def _at_the_tool(
         check_noise(noise, 0.0)
     own = machine.spec.instruments
     level = expected_sigma(sheet, own) if noise is None else noise
-    shown = at.value.copy()
+    shown, block = at.value.copy(), factor.nuisances(at.slopes)
     for k in range(len(sheet.setups)):
         rows = np.flatnonzero(sheet.setup == k)
-        shown[rows] = _misplaced(factor, at.slopes, k, rows, draw)
+        shown[rows] = _misplaced(factor, at.slopes, block, k, rows, draw)
     shown = shown + draw.normal(scale=level, size=len(sheet))
     steps = np.array([(own[k].resolution or 0.0) if k in own else 0.0 for k in sheet.kind])
     return replace(blank, reading=np.round(_rounded(shown, steps), 12))
 
 
 def _misplaced(
-    factor: ToolReadings, slopes: Array, k: int, rows: NDArray[np.intp], draw: np.random.Generator
+    factor: ToolReadings,
+    slopes: Array,
+    block: Block,
+    k: int,
+    rows: NDArray[np.intp],
+    draw: np.random.Generator,
 ) -> Array:
     """What an instrument shows ``(m,)`` that stands somewhere near the place its sheet says.
 
@@ -137,6 +143,7 @@ def _misplaced(
     Args:
         factor: the sheet's readings.
         slopes: places of the tool and readings of the instrument in place ``(n, 4)``.
+        block: what datum, plane and scale draw.
         k: the setup.
         rows: its rows ``(m,)``.
         draw: where to draw from.
@@ -152,7 +159,6 @@ def _misplaced(
         shift, turn = draw.normal(scale=_DATUM, size=(2, 3))
         seen = Rotation.from_rotvec(turn).apply(p) + shift
         return np.asarray(sign * seen[np.arange(len(rows)), axis])
-    block = factor.nuisances(slopes)
     own = block.columns[rows].any(axis=0)
     off = draw.normal(scale=np.minimum(block.sd[own], _DATUM))
     return np.asarray(slopes[rows, 3] + block.columns[np.ix_(rows, own)] @ off)

@@ -9,13 +9,12 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.quiet import quiet_parts
+from orthoglide.fit.quiet import quieter
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
-_HALF = 2.0  # times that noise may be declared too large without a word
 _SAID = 8  # lines
 
 
@@ -50,7 +49,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += [*quiet_parts(estimate)] or [*quieter(estimate)]
+    found += quieter(estimate)
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -74,27 +73,6 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         )
         found.append(Note(text, "second_order"))
     return tuple(found)
-
-
-def quieter(estimate: Estimate) -> Iterator[Note]:
-    """Readings that scatter so much less than was declared that the figure must be wrong: a chi2
-    that would be too small even if they had half of that noise.
-    """
-    from scipy.special import chdtr
-
-    problem, scores = estimate.problem, estimate.scores
-    told = all(np.isfinite(f.points.sigma).all() for f in problem.points if problem.campaigns)
-    if problem.noise.source != "declared" or not told or estimate.sigma_scale > 1:
-        return
-    if chdtr(max(scores.dof, 1e-9), _HALF**2 * scores.chi2) < _CHANCE:
-        times = np.sqrt(scores.dof / max(scores.chi2, 1e-300))
-        yield Note(
-            f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
-            f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
-            f"{scores.dof:.0f} degrees of freedom): correct it, as faults may hide in it, or the "
-            f"unit of the readings",
-            "quiet",
-        )
 
 
 def slips(estimate: Estimate) -> Iterator[Note]:

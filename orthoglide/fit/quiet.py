@@ -1,4 +1,4 @@
-"""Setups whose readings agree with a fit far better than their noise lets expect.
+"""Readings that agree with a fit far better than their noise lets expect.
 
 An instrument may be better than was assumed. But readings in a unit that is too large, as inches
 or degrees, are small numbers, and so is what a fit leaves of them: the machine looks sound.
@@ -26,6 +26,8 @@ _FEWEST = 10.0  # degrees of freedom: noise alone leaves a tenth of itself once 
 _EXACT = 1e-8  # metres or radians: whose noise is declared this small is not measured but computed
 _DECLARED = "as declared"
 _FROM_FILE, _IN_FILE = "as the machine file has it", " in the machine file, "
+_HALF = 2.0  # times that noise may be declared too large without a word
+_CHANCE = 1e-3  # of readings with half of the noise declared that are said to be too quiet
 _MOST = 1e3  # times quieter, from which the figure says nothing more
 
 
@@ -45,7 +47,12 @@ class _Part(NamedTuple):
     declare: str
 
 
-def quiet_parts(estimate: Estimate) -> Iterator[Note]:
+def quieter(estimate: Estimate) -> tuple[Note, ...]:
+    """Sentences on readings that are too quiet: by instrument, or else all together."""
+    return tuple(_by_part(estimate)) or tuple(_all_together(estimate))
+
+
+def _by_part(estimate: Estimate) -> Iterator[Note]:
     """A sentence for every setup of an instrument at the tool, and for all dials of a file, that is
     left with next to nothing of its noise.
     """
@@ -63,6 +70,27 @@ def quiet_parts(estimate: Estimate) -> Iterator[Note]:
         dof = float(np.sum(1 - leverage[rows]))
         if dof >= _FEWEST and (ratio := float(square[rows].sum()) / dof) < limit:
             yield Note(_said(problem, part, sigma, ratio), "quiet")
+
+
+def _all_together(estimate: Estimate) -> Iterator[Note]:
+    """Readings that scatter so much less than was declared that the figure must be wrong: a chi2
+    that would be too small even if they had half of that noise.
+    """
+    from scipy.special import chdtr
+
+    problem, scores = estimate.problem, estimate.scores
+    told = all(np.isfinite(f.points.sigma).all() for f in problem.points if problem.campaigns)
+    if problem.noise.source != "declared" or not told or estimate.sigma_scale > 1:
+        return
+    if chdtr(max(scores.dof, 1e-9), _HALF**2 * scores.chi2) < _CHANCE:
+        times = np.sqrt(scores.dof / max(scores.chi2, 1e-300))
+        yield Note(
+            f"the readings scatter {compact(times, 2)} times less than the noise that was declared "
+            f"({problem.one_reading.said()}; chi2 {compact(scores.chi2, 2)} on "
+            f"{scores.dof:.0f} degrees of freedom): correct it, as faults may hide in it, or the "
+            f"unit of the readings",
+            "quiet",
+        )
 
 
 def _said(problem: Problem, part: _Part, sigma: float, ratio: float) -> str:

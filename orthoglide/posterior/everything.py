@@ -236,15 +236,14 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
         other = _settled(solve(at_tolerance, widen=False), given)
     except NumericsError:
         return _settled(before, given)
-    sound = other.about.apart < _SETTLED
+    if other.about.apart >= _SETTLED:
+        return _settled(before, given)
     try:
         found = _settled(before, given)
     except SolverError:
-        if sound:
-            return other
-        raise
+        return other
     less = found.evidence - other.evidence
-    if not sound or less > _DOUBT:
+    if less > _DOUBT:
         return found
     return replace(other, instead=before if less > -_DOUBT else None)
 
