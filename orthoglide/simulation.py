@@ -114,10 +114,8 @@ def _at_the_tool(
     if exact:
         return replace(blank, reading=at.value)
     draw = _draws(seed)
-    if noise is not None:
-        check_noise(noise, 0.0)
     own = machine.spec.instruments
-    level = expected_sigma(sheet, own) if noise is None else noise
+    level = expected_sigma(sheet, own) if noise is None else check_noise(noise, 0.0)
     shown, block = at.value.copy(), factor.nuisances(at.slopes)
     for k in range(len(sheet.setups)):
         rows = np.flatnonzero(sheet.setup == k)
@@ -245,8 +243,7 @@ def _noise(machine: Machine, noise: float | None) -> float:
     if noise is None:
         repeatability = machine.spec.dial.repeatability
         return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
-    check_noise(noise, 0.0)
-    return noise
+    return check_noise(noise, 0.0)
 
 
 def _draws(seed: Seed) -> np.random.Generator:

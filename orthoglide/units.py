@@ -47,13 +47,16 @@ MISTAKEN = {
 
 
 def to_si(number: str | int | float | Decimal, factor: float = 1.0) -> float:
-    """The SI value nearest to a decimal given in a unit worth ``factor`` (a power of ten)."""
-    return float(Decimal(str(number)).scaleb(_places(factor)))
+    """The SI value nearest to a decimal given in a unit worth ``factor`` (a power of ten).
+
+    Zero has no sign: random generators refuse a standard deviation of -0.
+    """
+    return float(Decimal(str(number)).scaleb(_places(factor))) + 0.0
 
 
 def from_si(value: float, factor: float = 1.0) -> Decimal:
     """The shortest decimal in a unit worth ``factor`` that `to_si` turns back into ``value``."""
-    return Decimal(f"{Decimal(repr(float(value))).scaleb(-_places(factor)):f}")
+    return Decimal(f"{Decimal(repr(float(value) + 0.0)).scaleb(-_places(factor)):f}")
 
 
 def _places(factor: float) -> int:

@@ -136,6 +136,16 @@ def test_a_machine_in_a_result_that_is_none(key: str, value: object, tmp_path: P
     assert spoilt_result(lambda r: r["machine"].update({key: value}), tmp_path) == ("", 2)
 
 
+@pytest.mark.parametrize("noise", ["0", "-0.0"])
+def test_a_zero_has_no_sign(noise: str, tmp_path: Path) -> None:
+    """No generator draws with a standard deviation of -0: case 41278."""
+    given = f"placement = {noise}".encode()
+    machine = fuzz.originals()["machine"].encode().replace(b"placement = 1.0", given)
+    assert given in machine
+    asked = ("simulate", "--machine", "m", "--out", "out", "--noise", noise)
+    assert fuzz.run_case(fuzz.Case(0, {"m": machine}, asked), tmp_path) == ("", 0)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
 def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
     whole = fuzz.originals()["result"].encode()

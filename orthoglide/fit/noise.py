@@ -150,8 +150,9 @@ def repeated(campaigns: Sequence[Campaign]) -> bool:
     return any(len(np.unique(c.stations, axis=0)) < len(c) for c in campaigns)
 
 
-def check_noise(noise: float, least: float = NOISE[0]) -> None:
-    """Refuses what no instrument scatters by, such as millimetres taken for metres.
+def check_noise(noise: float, least: float = NOISE[0]) -> float:
+    """The noise, a zero without its sign; refuses what no instrument scatters by, such as
+    millimetres taken for metres.
 
     Raises:
         InputError: saying what is possible.
@@ -161,6 +162,7 @@ def check_noise(noise: float, least: float = NOISE[0]) -> None:
             f"the noise must be a standard deviation in metres, from {least:g} to {NOISE[1]:g}, "
             f"not {noise:g}"
         )
+    return noise + 0.0
 
 
 def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> Noise:
