@@ -24,6 +24,7 @@ from orthoglide.geometry import Array
 _MOST_STEPS = 60
 _SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown
 _ROUNDING = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
+_FLAT = 1e-9  # of the cost: less is lost in its rounding, and so are steps along weak directions
 _SLOW = 0.1  # Gauss-Newton that shrinks its steps less than this wants second derivatives
 
 
@@ -41,12 +42,15 @@ def solve_nested(
     Raises:
         SolverError: where the steps do not settle.
     """
-    at, previous = start, np.inf
+    at, previous, cost = start, np.inf, np.inf
     for iteration in range(_MOST_STEPS):
         here = normal(problem, at, nuisance)
         # On its bound and pushed outward an unknown stays; the others settle among themselves.
         free = np.flatnonzero(~(problem.on_bound(at.x) & (here.gradient * at.x < 0)))
         scale = 1 / np.sqrt(np.maximum(np.diag(here.information), 1e-300))[free]
+        slope = float(np.max(np.abs(here.gradient[free]) * scale, initial=0.0))
+        if slope <= _SETTLED and here.cost > cost * (1 - _FLAT):
+            return at, iteration
         step = np.zeros(len(at.x))
         step[free] = _solve(here.information[np.ix_(free, free)], -here.gradient[free], scale)
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
@@ -56,7 +60,8 @@ def solve_nested(
         misfit = max(1.0, float(np.sqrt(here.cost / len(problem.measured))))
         if size <= _SETTLED or previous / 2 <= size <= _ROUNDING * misfit:
             return at, iteration
-        at, previous = linearise(problem, _search(problem, nuisance, here, step)), size
+        at = linearise(problem, _search(problem, nuisance, here, step))
+        previous, cost = size, here.cost
     raise SolverError(
         "the identification did not settle; free fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},

@@ -117,6 +117,8 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     nuisance = nuisances(problem, first.slopes)
     _determined(problem, first, nuisance)
     near = linearise(problem, _one_step(problem, first, nuisance))
+    if start is not None and _cost(problem, near, nuisance) > _cost(problem, first, nuisance):
+        near = first  # from a fit nearby the step went too far
     nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
@@ -147,6 +149,10 @@ def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array
     spread, _ = covariance(here.jacobian, known)
     step = spread @ -here.gradient
     return np.asarray(np.clip(first.x + step, -problem.bound, problem.bound))
+
+
+def _cost(problem: Problem, at: Linearised, nuisance: Nuisances) -> float:
+    return normal(problem, at, nuisance).cost
 
 
 def _determined(problem: Problem, first: Linearised, nuisance: Nuisances) -> None:
