@@ -21,6 +21,7 @@ from orthoglide.fit import (
     readings_of,
     solve,
     sorted_out,
+    tempered,
 )
 from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
@@ -185,6 +186,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
     word = _word(found, left)
+    if word == "unexplained":
+        before = tempered(before)
     verdict = Verdict(
         request, word, before, before if word == "unexplained" else known.after,
         found.causes, found.located,

@@ -398,6 +398,28 @@ def test_a_trackers_frame_is_turned_to_the_machine_found(
     assert found.scores.chi2 < 1.0
 
 
+def test_intervals_of_readings_ten_times_as_noisy_as_declared_hold_the_truth(
+    tracked: tuple[Machine, ToolCampaign],
+) -> None:
+    """As wide as the noise seen, about values that believed the noise declared: 49 were outside."""
+    machine, sheet = tracked
+    rng, outside, names = np.random.default_rng(5), 0, base_of(machine)
+    for seed in range(24):
+        true = {p: float(rng.normal(0, machine.tolerance(p))) for p in names}
+        seen = og.simulate(machine.with_parameters(true), sheet, noise=1e-3, seed=seed)
+        declared = replace(seen, sigma=np.full(len(seen), 1e-4))
+        found = og.identify([declared], machine, list(machine.catalogue.base))
+        assert 8 < found.sigma_scale < 12
+        held = [low <= true[p] <= high for p in names for low, high in [found.interval(p)]]
+        outside += held.count(False)
+    assert 4 <= outside <= 27  # of 288, 14.4 expected
+
+
+def base_of(machine: Machine) -> list[str]:
+    """Parameters of the base."""
+    return [p for e in machine.catalogue.base for p in machine.catalogue[e].parameters()]
+
+
 def test_a_ball_is_where_the_machine_found_has_it() -> None:
     """Zeros some millimetres off: squares of the ball's shift were a sound machine's errors."""
     machine = Machine.nominal()

@@ -25,6 +25,7 @@ from orthoglide.fit.solving import (
     Method as Method,
     solve as solve,
 )
+from orthoglide.fit.tempering import tempered as tempered
 from orthoglide.fit.unknowns import (
     build_problem as build_problem,
     build_unknowns as build_unknowns,

@@ -43,9 +43,12 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
             f"{problem.one_reading.said()} (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
-            f"degrees of freedom): the model lacks something, and all sigmas take the readings for "
-            f"{estimate.sigma_scale:.1f} times as noisy"
+            f"degrees of freedom): the model lacks something"
         )
+        if estimate.method != "posterior":  # which allows for more errors instead
+            text += (
+                f", and all sigmas take the readings for {estimate.sigma_scale:.1f} times as noisy"
+            )
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)

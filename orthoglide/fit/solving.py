@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from orthoglide.errors import InputError, NumericsError, SolverError, UnidentifiableError
-from orthoglide.fit.crosscheck import cross_check, reduction_fit
+from orthoglide.fit.crosscheck import CrossCheck, cross_check, reduction_fit
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import (
     Linearised,
@@ -122,7 +122,8 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
-    return assessed(problem, nuisance, at, used, iterations, optimality)
+    check = cross_check(problem, nuisance, at.x, at.value)
+    return assessed(problem, nuisance, at, used, iterations, optimality, check)
 
 
 def _begin(problem: Problem, method: Method) -> Array:
@@ -189,7 +190,7 @@ def _solved(
 ) -> tuple[Linearised, int, str]:
     """Where a method ends, linearised by ourselves; ``near`` is one step on from ``first``."""
     if method == "reduction":
-        x, iterations = _reduced(problem, nuisance)
+        x, iterations = reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
     elastic, tool = _elastic(problem), any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
@@ -210,7 +211,7 @@ def _solved(
     return linearise(problem, result.x), result.iterations, "nlp"
 
 
-def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
+def reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
     """The reduction's fit; unknowns that leave their bounds are held there, and the rest again."""
     x, iterations = problem.start, 0
     held = np.zeros(len(x), dtype=bool)
@@ -262,8 +263,9 @@ def assessed(
     method: str,
     iterations: int,
     optimality: float,
+    check: CrossCheck | None = None,
 ) -> Estimate:
-    """An estimate from where a method ended: scores, covariance, cross-check, warnings."""
+    """An estimate from where a method ended: scores, covariance, warnings."""
     here = normal(problem, at, nuisance)
     scores = score(problem, nuisance, at)
     scale = 1.0
@@ -271,7 +273,6 @@ def assessed(
         scale = max(float(np.sqrt(scores.chi2 / scores.dof)), 1.0)
     # What is left makes the readings worse witnesses, not the tolerances wider.
     spread, _ = covariance(here.jacobian / scale, here.prior)
-    check = cross_check(problem, nuisance, at.x, at.value)
     weak = weak_directions(problem, here.jacobian, spread, scale=scale)
     estimate = Estimate(
         problem, at.x, spread, scale, scores, weak, check, method, iterations, optimality, (), at,
