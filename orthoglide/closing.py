@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.significance import Left, left_over
+from orthoglide.diagnosis.tool_faults import check_repeats
 from orthoglide.effects import Effect
 from orthoglide.errors import NumericsError
 from orthoglide.fit import (
@@ -176,6 +177,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
     read = account_for_changes(solve(problem))
+    check_repeats(read)
     check_slips(read)
     progress(Step("faults"))
     before, blunders, changes, causes = _set_right(read)
@@ -279,6 +281,7 @@ def _identified(request: Request, progress: Progress) -> Verdict:
         method="reduction" if request.reduced else "auto",
         frame=request.frame,
     )
+    check_repeats(estimate)
     left = left_over(estimate)
     return Verdict(
         request, _word(Outstanding((), (), ()), left), estimate, estimate, (), (), (), left,

@@ -12,7 +12,7 @@ import orthoglide as og
 from orthoglide.accuracy import Map, without_place
 from orthoglide.diagnosis import pattern, significance
 from orthoglide.diagnosis.evidence import Scoring
-from orthoglide.diagnosis.repeat_faults import Scatter
+from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Estimate

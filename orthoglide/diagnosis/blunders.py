@@ -18,7 +18,8 @@ from orthoglide.diagnosis.changes import Change, Changes, separated, visits
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.repeat_faults import Scatter, repeat_faults, scatter_faults
+from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults
+from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.stuck_faults import stuck_faults

@@ -14,7 +14,8 @@ import numpy as np
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, untouched
 from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
-from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
+from orthoglide.diagnosis.repeat_faults import noise_scale
+from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
 
 MARGIN = 5.0

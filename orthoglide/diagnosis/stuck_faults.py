@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, in_order
-from orthoglide.diagnosis.repeat_faults import Scatter, noise_scale
+from orthoglide.diagnosis.repeat_faults import noise_scale
+from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.fit import Problem

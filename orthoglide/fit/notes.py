@@ -10,11 +10,13 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.quiet import quieter
+from orthoglide.fit.tool import ToolReadings, expected_sigma
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
+_LOUD = 3.0  # times the noise that is usual of an instrument
 _SAID = 8  # lines
 
 
@@ -52,7 +54,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += quieter(estimate)
+    found += [*quieter(estimate), *louder(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -76,6 +78,28 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         )
         found.append(Note(text, "second_order"))
     return tuple(found)
+
+
+def louder(estimate: Estimate) -> Iterator[Note]:
+    """Instruments whose repeats, or whose plate, have them count as far noisier than their kind."""
+    own = estimate.problem.machine.spec.instruments
+    for factor in estimate.problem.points:
+        if not isinstance(factor, ToolReadings):
+            continue
+        usual = expected_sigma(factor.points, own)
+        for k, setup in enumerate(factor.points.setups):
+            rows = factor.setup == k
+            size, kind = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in (factor.sigma, usual))
+            if size > _LOUD * kind:
+                unit = "mrad" if setup.kind == "incline" else "mm"
+                plate = ", or the plate's roughness," if setup.kind == "plate" else ""
+                yield Note(
+                    f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
+                    f"count as good to {compact(size * 1e3, 2)} {unit}, {compact(size / kind, 2)} "
+                    f"times worse than is usual: smaller errors are not seen; something that moved "
+                    f"half way looks like this too, so read some places again at the end",
+                    "loud",
+                )
 
 
 def slips(estimate: Estimate) -> Iterator[Note]:

@@ -1,0 +1,201 @@
+"""Readings of the tool that repeats contradict: slips, an instrument that was moved, no readings.
+
+They are refused, with their lines: noise that is taken from the repeats would believe all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, clock
+from orthoglide.diagnosis.repeat_faults import Slips
+from orthoglide.diagnosis.scatter import Scatter, median_scatter
+from orthoglide.errors import InputError
+from orthoglide.fit import Estimate
+from orthoglide.fit.tool import ToolReadings, expected_sigma
+from orthoglide.geometry import Array
+from orthoglide.machine_file import Instrument
+from orthoglide.observations import source
+from orthoglide.observations.arrays import numbered
+
+_BEYOND = 10.0  # times what such an instrument scatters, from which it is no noise of its own
+_ALIKE = 4.0  # squared scatter that one may leave which is as its kind is
+_CANDIDATES = 100  # moments at which it may have been moved
+_NEAR = 1.0  # log of the odds by which moments are told apart
+
+
+def check_repeats(estimate: Estimate) -> None:
+    """Refuse readings of the tool that their repeats contradict.
+
+    Args:
+        estimate: a fit of all readings.
+
+    Raises:
+        InputError: naming file, line and setup, what it looks like and what to do.
+    """
+    problem, own = estimate.problem, estimate.problem.machine.spec.instruments
+    found: list[str] = []
+    for k, factor in enumerate(problem.factors):
+        if isinstance(factor, ToolReadings):
+            rows, sigma = problem.factor_rows[k], expected_sigma(factor.points, own)
+            columns = factor.nuisances(estimate.at.slopes[k]).columns
+            for setup in range(len(factor.points.setups)):
+                check = _Setup(factor, setup, columns, estimate.residuals[rows], sigma, own)
+                found += check.fault()
+    if found:
+        raise InputError("; ".join(found))
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """Readings of one setup, ``m`` of the ``n`` of a file.
+
+    Attributes:
+        factor: the file's.
+        setup: its number.
+        columns: what it draws where an instrument stands elsewhere ``(n, q)``.
+        left: of the fit ``(n,)``.
+        usual: noise of such an instrument ``(n,)``.
+        own: what the machine file says of instruments.
+    """
+
+    factor: ToolReadings
+    setup: int
+    columns: Array
+    left: Array
+    usual: Array
+    own: Mapping[str, Instrument]
+
+    def fault(self) -> Iterator[str]:
+        """What the repeats contradict, in words, if anything."""
+        rows = self._rows
+        scatter = self._scatter(rows)
+        sigma = np.sqrt([np.mean(s[rows] ** 2) for s in (self.factor.sigma, self.usual)])
+        if slips := [*self._moved(scatter), *self._slips(scatter)]:
+            yield max(slips)[1]
+        elif sigma[0] > _BEYOND * sigma[1]:
+            yield self._scattered(float(sigma[0]))
+
+    @property
+    def _rows(self) -> Rows:
+        """In the order they were taken ``(m,)``."""
+        order = np.argsort(self.factor.points.order, kind="stable")
+        return np.asarray(order[self.factor.points.setup[order] == self.setup])
+
+    def _scatter(self, rows: Rows) -> Scatter:
+        """Of some rows about the means of their stations, weighed by what is usual."""
+        campaign, weight = self.factor.points, 1 / self.usual[rows]
+        second = np.nan_to_num(campaign.second[rows])
+        alike = np.column_stack([campaign.stations, campaign.axis])[rows]
+        powers = clock(campaign.time[rows], np.arange(len(rows)))[:, None] ** [1, 2, 3]
+        return Scatter(
+            self.setup, rows, weight, numbered(np.column_stack([alike, second])),
+            campaign.reading[rows] * weight, powers * weight[:, None], self.left[rows] * weight,
+            np.zeros((len(rows), 0)),
+        )  # fmt: skip
+
+    def _slips(self, scatter: Scatter) -> Iterator[tuple[float, str]]:
+        """Single readings, with their evidence: of an instrument as sound as its kind but for
+        these, or as noisy as most of its stations.
+        """
+        step = self.own.get(self._kind, Instrument()).resolution or 0.0
+        for scale in (1.0, median_scatter([scatter], 1.0)) if scatter.dof >= 2 else ():
+            faults = Slips(scatter, scale, step, len(scatter.rows)).confirmed()
+            outliers = [f for f in faults if f.kind == "outlier"]
+            if outliers:
+                yield from ((f.evidence, self._slipped(f)) for f in outliers)
+                break
+
+    def _moved(self, scatter: Scatter) -> Iterator[tuple[float, str]]:
+        """The instrument elsewhere from some moment on, where that leaves nothing unusual of its
+        repeats, and more than if it had drifted there.
+        """
+        if scatter.dof < 2 or scatter.chi2 <= _ALIKE * scatter.dof:
+            return
+        count = len(scatter.rows)
+        shown = self.columns[scatter.rows]
+        shown = (shown * scatter.weight[:, None])[:, shown.any(axis=0)]
+        places = np.unique(np.linspace(1, count - 1, _CANDIDATES).astype(int))
+        after = [np.where(np.arange(count)[:, None] >= k, shown, 0.0) for k in places]
+        gains = np.array([scatter.gain(scatter.past(columns)) for columns in after])
+        evidence = scatter.evidence(gains, shown.shape[1], 1.0) - np.log(count)
+        best = int(np.argmax(evidence))
+        rest = max(scatter.dof - shown.shape[1], 1)
+        alike = scatter.chi2 - gains[best] <= _ALIKE * rest
+        if alike and evidence[best] >= max(EVIDENCE, self._drifted(scatter, shown)):
+            near = places[evidence >= evidence[best] - _NEAR]
+            most = _change(scatter, self.factor.points.reading, int(places[best]))
+            yield float(evidence[best]), self._displaced(scatter.rows[near], most)
+
+    def _drifted(self, scatter: Scatter, shown: Array) -> float:
+        """Evidence of the instrument's going there little by little.
+
+        Args:
+            scatter: of the readings.
+            shown: what the instrument's place shows, whitened ``(m, q)``.
+        """
+        found, columns = [], np.zeros((len(shown), 0))
+        for power in scatter.trend.T / scatter.weight:
+            columns = np.hstack([columns, shown * power[:, None]])
+            gain = scatter.gain(scatter.past(columns))
+            found.append(float(scatter.evidence(gain, columns.shape[1], 1.0)))
+        return max(found)
+
+    # In words -----------------------------------------------------------------------------
+
+    @property
+    def _kind(self) -> str:
+        return self.factor.points.setups[self.setup].kind
+
+    @property
+    def _unit(self) -> str:
+        return "mrad" if self._kind == "incline" else "mm"
+
+    def _where(self, lines: NDArray[np.int64]) -> str:
+        campaign = self.factor.points
+        at = f", line {lines[0]}" if len(lines) == 1 else ""
+        at = f", lines {lines.min()} to {lines.max()}" if len(lines) > 1 else at
+        return f"{source(campaign)}{at}, setup {campaign.setups[self.setup].name!r}"
+
+    def _slipped(self, fault: Fault) -> str:
+        read = self.factor.points.reading[fault.rows[0]] * 1e3
+        return (
+            f"{self._where(self.factor.points.line[fault.rows])}: the reading {read:.6g} "
+            f"{self._unit} is {fault.size * 1e3:+.3g} {self._unit} off the others of this place: "
+            f"correct the row or remove it"
+        )
+
+    def _displaced(self, rows: Rows, size: float) -> str:
+        when = "here" if len(rows) == 1 else "one of these"
+        return (
+            f"{self._where(self.factor.points.line[rows])}: from {when} on the same places read up "
+            f"to {size * 1e3:.2g} {self._unit} otherwise than before, as if the instrument, or "
+            f"what it stands on, had been moved: give the rows from there on a setup name of their "
+            f"own, or measure the setup again"
+        )
+
+    def _scattered(self, size: float) -> str:
+        near = ", or to places beside it," if self._kind == "plate" else ""
+        return (
+            f"{self._where(np.zeros(0, dtype=int))}: visits to the same place{near} scatter by "
+            f"{size * 1e3:.2g} {self._unit}, which is no noise of such an instrument: rows were "
+            f"exchanged, the readings have another unit, or something is loose; put it right, or "
+            f"give repeatability in the machine file under [instrument.{self._kind}]"
+        )
+
+
+def _change(scatter: Scatter, reading: Array, place: int) -> float:
+    """Largest difference of what a station showed before a place in order and from there on."""
+    late, read = np.arange(len(scatter.rows)) >= place, reading[scatter.rows]
+    count = int(scatter.station.max()) + 1
+    with np.errstate(invalid="ignore"):
+        mean = [
+            np.bincount(scatter.station[side], read[side], count)
+            / np.bincount(scatter.station[side], minlength=count)
+            for side in (late, ~late)
+        ]
+    return float(np.nanmax(np.abs(mean[0] - mean[1])))
