@@ -34,7 +34,7 @@ RMS = (1.0, 2.0, 4.0, 8.0, 20.0)
 LARGEST = 3.0
 """No effect is made larger than this, in tolerances of the machine file."""
 
-FAMILIES = tuple(f for f in CATALOGUE if f not in ("joint_offset", "leg_length"))
+FAMILIES = tuple(f for f in CATALOGUE if f not in CATALOGUE.base and not CATALOGUE[f].plate)
 OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "stick_slip",
            "hysteresis", "growing_lash", "cross_coupling", "warming_drive", "carriage_roll",
            "carriage_yaw", "loosening_bar", "platform_play", "dial_curve")  # fmt: skip
