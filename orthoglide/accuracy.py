@@ -170,9 +170,9 @@ def wanted_points(machine: Machine) -> Array:
     return machine.with_only({}).forward(workspace(machine.geometry))
 
 
-def _weighed(field: Array, place: float) -> Array:
-    """A field ``(g, 3, ...)`` with this share of its translation."""
-    return field - (1 - place) * field.mean(axis=0)
+def _weighed(field: Array, place: Array) -> Array:
+    """A field ``(g, 3, ...)`` with these shares ``(3,)`` of its translation."""
+    return field - np.einsum("x,x...->x...", 1 - place, field.mean(axis=0))
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
@@ -195,9 +195,10 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     zeros = machine.catalogue.expand(machine.catalogue.held_as("zero"))
     identified = {n: v for n, v in machine.values.items() if of(n).controller in held}
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
-    wanted, goal, weight = wanted_points(machine), np.zeros(3), _PLACE
+    wanted, goal, weight = wanted_points(machine), np.zeros(3), np.full(3, _PLACE)
     if machine.geometry.layout.hanging:
-        goal, weight = (machine.forward(workspace(machine.geometry)) - wanted).mean(axis=0), 1.0
+        above = machine.forward(workspace(machine.geometry)) - wanted
+        goal[2], weight[2] = above[:, 2].mean(), 1.0
     for _ in range(_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
         left = _weighed(machine.forward(commands) - wanted - goal, weight)
