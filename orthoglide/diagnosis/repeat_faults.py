@@ -116,10 +116,16 @@ class Slips:
         now = self.scatter
         for _ in range(_MOST):
             evidence, item = max(self._choices(now), key=lambda choice: choice[0])
+            past = now.without(self.columns(item))
             if evidence < EVIDENCE:
-                break
+                # Two of a size are noise to each other.
+                second, other = max(self._choices(past), key=lambda choice: choice[0])
+                if "trend" in (item[0], other[0]) or evidence + second < 2 * EVIDENCE:
+                    break
+                found.append(item)
+                item, past = other, past.without(self.columns(other))
             found.append(item)
-            now = now.without(self.columns(item))
+            now = past
         return found
 
     def _choices(self, now: Scatter) -> Iterator[tuple[float, _Place]]:

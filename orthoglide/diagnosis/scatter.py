@@ -154,15 +154,17 @@ class Scatter:
         size = np.where(visible, along / np.where(visible, square, 1.0), 0.0)
         return size**2 * square, size
 
-    def evidence(self, gain: ArrayLike, size: int, scale: float) -> Array:
+    def evidence(
+        self, gain: ArrayLike, size: int, scale: float, known: float = _PRIOR_DOF
+    ) -> Array:
         """Log Bayes factor of a fall of chi2, the noise known no better than it is.
 
         Student's form: ``(dof + d) / 2 log(1 + gain / (rest + d scale))`` with d degrees of
         freedom's worth of what all setups say of the noise.
         """
         fall = np.asarray(gain, dtype=float)
-        left = np.maximum(self.chi2 - fall, 0) + _PRIOR_DOF * scale
-        return np.asarray((max(self.dof - size, 0) + _PRIOR_DOF) / 2 * np.log1p(fall / left))
+        left = np.maximum(self.chi2 - fall, 0) + known * scale
+        return np.asarray((max(self.dof - size, 0) + known) / 2 * np.log1p(fall / left))
 
 
 def _after(values: Array) -> Array:

@@ -16,16 +16,22 @@ from orthoglide.diagnosis.repeat_faults import Slips
 from orthoglide.diagnosis.scatter import Scatter, median_scatter
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate
-from orthoglide.fit.tool import ToolReadings, expected_sigma
+from orthoglide.fit.tool import ToolReadings, expected_sigma, step_of
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import source
 from orthoglide.observations.arrays import numbered
 
 _BEYOND = 10.0  # times what such an instrument scatters, from which it is no noise of its own
+_KIND = 2.0  # degrees of freedom of knowing the noise by the kind of instrument
 _ALIKE = 4.0  # squared scatter that one may leave which is as its kind is
-_CANDIDATES = 100  # moments at which it may have been moved
-_NEAR = 1.0  # log of the odds by which moments are told apart
+_CANDIDATES = 200  # moments at which it may have been moved, tried before those beside the best
+_NEAR = 1.0  # log of the odds by which moments, and a move and a drift, are told apart
+
+Evidence = tuple[float, list[str]]
+"""Log Bayes factor of faults, and each in words."""
+
+NOTHING: Evidence = (-np.inf, [])
 
 
 def check_repeats(estimate: Estimate) -> None:
@@ -75,8 +81,9 @@ class _Setup:
         rows = self._rows
         scatter = self._scatter(rows)
         sigma = np.sqrt([np.mean(s[rows] ** 2) for s in (self.factor.sigma, self.usual)])
-        if slips := [*self._moved(scatter), *self._slips(scatter)]:
-            yield max(slips)[1]
+        _, slips = max(self._moved(scatter), self._slips(scatter))
+        if slips:
+            yield from slips
         elif sigma[0] > _BEYOND * sigma[1]:
             yield self._scattered(float(sigma[0]))
 
@@ -98,38 +105,53 @@ class _Setup:
             np.zeros((len(rows), 0)),
         )  # fmt: skip
 
-    def _slips(self, scatter: Scatter) -> Iterator[tuple[float, str]]:
-        """Single readings, with their evidence: of an instrument as sound as its kind but for
-        these, or as noisy as most of its stations.
+    def _slips(self, scatter: Scatter) -> Evidence:
+        """Single readings: of an instrument as sound as its kind but for these, or as noisy as most
+        of its stations.
         """
-        step = self.own.get(self._kind, Instrument()).resolution or 0.0
+        part = self.factor.points.subset(self.factor.points.setup == self.setup)
+        step = step_of(part, self.own.get(self._kind, Instrument()))
         for scale in (1.0, median_scatter([scatter], 1.0)) if scatter.dof >= 2 else ():
             faults = Slips(scatter, scale, step, len(scatter.rows)).confirmed()
             outliers = [f for f in faults if f.kind == "outlier"]
             if outliers:
-                yield from ((f.evidence, self._slipped(f)) for f in outliers)
-                break
+                return max(f.evidence for f in outliers), [self._slipped(f) for f in outliers]
+        return NOTHING
 
-    def _moved(self, scatter: Scatter) -> Iterator[tuple[float, str]]:
+    def _moved(self, scatter: Scatter) -> Evidence:
         """The instrument elsewhere from some moment on, where that leaves nothing unusual of its
-        repeats, and more than if it had drifted there.
+        repeats; no slower, if the machine itself may have been warming.
         """
         if scatter.dof < 2 or scatter.chi2 <= _ALIKE * scatter.dof:
-            return
+            return NOTHING
         count = len(scatter.rows)
         shown = self.columns[scatter.rows]
         shown = (shown * scatter.weight[:, None])[:, shown.any(axis=0)]
-        places = np.unique(np.linspace(1, count - 1, _CANDIDATES).astype(int))
-        after = [np.where(np.arange(count)[:, None] >= k, shown, 0.0) for k in places]
-        gains = np.array([scatter.gain(scatter.past(columns)) for columns in after])
-        evidence = scatter.evidence(gains, shown.shape[1], 1.0) - np.log(count)
+
+        def at(place: int) -> float:
+            columns = np.where(np.arange(count)[:, None] >= place, shown, 0.0)
+            return scatter.gain(scatter.past(columns))
+
+        def of(gain: Array) -> Array:
+            return scatter.evidence(gain, shown.shape[1], 1.0, _KIND) - np.log(count)
+
+        coarse = np.unique(np.linspace(1, count - 1, _CANDIDATES).astype(int))
+        gains = {int(k): at(int(k)) for k in coarse}
+        top, step = max(gains, key=lambda k: gains[k]), -(-count // _CANDIDATES)
+        gains |= {k: at(k) for k in range(max(1, top - step), min(count, top + step + 1))}
+        places = np.array(sorted(gains))
+        evidence = of(np.array([gains[k] for k in places]))
         best = int(np.argmax(evidence))
         rest = max(scatter.dof - shown.shape[1], 1)
-        alike = scatter.chi2 - gains[best] <= _ALIKE * rest
-        if alike and evidence[best] >= max(EVIDENCE, self._drifted(scatter, shown)):
-            near = places[evidence >= evidence[best] - _NEAR]
-            most = _change(scatter, self.factor.points.reading, int(places[best]))
-            yield float(evidence[best]), self._displaced(scatter.rows[near], most)
+        alike = scatter.chi2 - gains[int(places[best])] <= _ALIKE * rest
+        times = self.factor.points.time[scatter.rows]
+        slower = self._drifted(scatter, shown) - np.log(count)
+        slower += -_NEAR if np.isnan(times).any() else _NEAR
+        if not alike or evidence[best] < max(EVIDENCE, slower):
+            return NOTHING
+        near = places[evidence >= evidence[best] - _NEAR]
+        size = _change(scatter, self.factor.points.reading, int(places[best]))
+        return float(evidence[best]), [self._displaced(scatter.rows[near], size)]
 
     def _drifted(self, scatter: Scatter, shown: Array) -> float:
         """Evidence of the instrument's going there little by little.
@@ -142,7 +164,7 @@ class _Setup:
         for power in scatter.trend.T / scatter.weight:
             columns = np.hstack([columns, shown * power[:, None]])
             gain = scatter.gain(scatter.past(columns))
-            found.append(float(scatter.evidence(gain, columns.shape[1], 1.0)))
+            found.append(float(scatter.evidence(gain, columns.shape[1], 1.0, _KIND)))
         return max(found)
 
     # In words -----------------------------------------------------------------------------
@@ -172,10 +194,10 @@ class _Setup:
     def _displaced(self, rows: Rows, size: float) -> str:
         when = "here" if len(rows) == 1 else "one of these"
         return (
-            f"{self._where(self.factor.points.line[rows])}: from {when} on the same places read up "
-            f"to {size * 1e3:.2g} {self._unit} otherwise than before, as if the instrument, or "
-            f"what it stands on, had been moved: give the rows from there on a setup name of their "
-            f"own, or measure the setup again"
+            f"{self._where(self.factor.points.line[rows])}: from {when} on the same places read "
+            f"about {size * 1e3:.2g} {self._unit} otherwise than before, as if the instrument, or "
+            f"what it stands on, had been moved, or drifted: give the rows from there on a setup "
+            f"name of their own, or measure the setup again"
         )
 
     def _scattered(self, size: float) -> str:
@@ -189,7 +211,7 @@ class _Setup:
 
 
 def _change(scatter: Scatter, reading: Array, place: int) -> float:
-    """Largest difference of what a station showed before a place in order and from there on."""
+    """Difference, root mean square, of what a station showed before a place in order and after."""
     late, read = np.arange(len(scatter.rows)) >= place, reading[scatter.rows]
     count = int(scatter.station.max()) + 1
     with np.errstate(invalid="ignore"):
@@ -198,4 +220,4 @@ def _change(scatter: Scatter, reading: Array, place: int) -> float:
             / np.bincount(scatter.station[side], minlength=count)
             for side in (late, ~late)
         ]
-    return float(np.nanmax(np.abs(mean[0] - mean[1])))
+    return float(np.sqrt(np.nanmean((mean[0] - mean[1]) ** 2)))

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from orthoglide.fit.noise import repeat_steps
-from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign
+from orthoglide.observations import Readings, Recorded, TcpPoints, ToolCampaign
 
 _FEWEST = 6  # repeats that are too few to say they are copies
 
 
-def copied(campaign: Campaign) -> int:
+def copied(campaign: Recorded) -> int:
     """Number of repeats, where each is the same to the last digit as the visit before; else 0."""
     alike = repeat_steps(campaign) == 0
     return len(alike) if len(alike) >= _FEWEST and alike.all() else 0

@@ -30,27 +30,35 @@ def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
     return replace(points, p=moved_onto(points.p, points.p, p))
 
 
-def turned_back(points: ToolCampaign, value: Array) -> ToolCampaign:
+def turned_back(
+    points: ToolCampaign, value: Array, heard: NDArray[np.bool_] | None = None
+) -> ToolCampaign:
     """The same of the setups of a file that have all three coordinates of every point.
 
     Args:
         points: readings of the tool.
         value: about what the machine has for them ``(n,)``, metres.
+        heard: which have any weight ``(n,)``; all where absent.
     """
     reading, changed = points.reading.copy(), False
     for k in range(len(points.setups)):
         rows = whole_points(points, k)
         if rows is None:
             continue
-        near = turned_near((points.sign * points.reading)[rows], (points.sign * value)[rows])
+        weight = np.ones(len(points), dtype=bool) if heard is None else heard
+        known = np.asarray(weight[rows].all(axis=1))
+        measured, p = ((points.sign * read)[rows] for read in (points.reading, value))
+        near = turned_near(measured, p, known)
         if near is not None:
             reading[rows], changed = points.sign[rows] * near, True
     return replace(points, reading=reading) if changed else points
 
 
-def turned_near(measured: Array, p: Array) -> Array | None:
-    """Points ``(m, 3)`` moved near others; ``None`` where no turn worth mention brings them."""
-    near = moved_onto(measured, measured, p)
+def turned_near(measured: Array, p: Array, known: NDArray[np.bool_]) -> Array | None:
+    """Points ``(m, 3)`` moved near others, by those that are known ``(m,)``; ``None`` where no turn
+    worth mention brings them.
+    """
+    near = moved_onto(measured, measured[known], p[known])
     centred = measured - measured.mean(axis=0)
     turned = np.linalg.norm(near - near.mean(axis=0) - centred)
     return near if turned > _SMALL * np.linalg.norm(centred) else None

@@ -27,6 +27,9 @@ OFF_GRID = 0.06
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
 _STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
 _QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
+_GRIDS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
+_EXACT = 1e-3  # of a step, by which a figure that is printed in it may be off
+_FEWEST_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
 FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
 
@@ -95,6 +98,16 @@ def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
 def off_grid(readings: Array, step: float) -> Array:
     """How far readings ``(n,)`` are from multiples of a dial's step, both metres; in steps."""
     return np.abs(readings / step - np.round(readings / step))
+
+
+def shown_step(readings: Array) -> float:
+    """The step that readings ``(n,)`` are multiples of, metres or radians; 0 where there is none,
+    or they are too few to tell.
+    """
+    for step in _GRIDS if len(readings) >= _FEWEST_ON_GRID else ():
+        if (off_grid(readings, step) < _EXACT).all() and np.ptp(readings) > step / 2:
+            return step
+    return 0.0
 
 
 def common_rounding(sigma: ArrayLike, resolution: float) -> Array:

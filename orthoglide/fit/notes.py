@@ -26,12 +26,12 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     found = [Note(text, "campaign") for f in problem.factors for text in f.points.warnings]
     tool = [f.points for f in problem.points]
     found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
-    for campaign in problem.campaigns:
+    for campaign in (*problem.campaigns, *problem.tool_campaigns):
         if count := copied(campaign):
             text = (
                 f"all {count} repeats of {campaign.name} are the same to the last digit as the "
                 f"visit before: if they are copies they say nothing of the noise, so leave them "
-                f"out and declare it with --noise"
+                f"out and declare it"
             )
             found.append(Note(text, "copies"))
     for points in tool:

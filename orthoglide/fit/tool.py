@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile
 from orthoglide.fit.instrument_frame import turned_back
-from orthoglide.fit.noise import FEWEST_REPEATS, repeat_variance
+from orthoglide.fit.noise import FEWEST_REPEATS, repeat_variance, shown_step
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -100,10 +100,11 @@ class ToolReadings(OfFile):
             value: its rows ``(n,)``.
             slopes: its places ``(n, 4)``.
         """
-        points, ball = turned_back(self.points, value), self.ball.copy()
+        heard = self.sigma < SILENT / 2 * np.min(self.sigma)
+        points, ball = turned_back(self.points, value, heard), self.ball.copy()
         for k, setup in enumerate(points.setups):
             if setup.kind == "ballbar":
-                rows = points.setup == k
+                rows = (points.setup == k) & heard
                 ball[k] = centre_of(slopes[rows, :3], points.reading[rows])
         if points is self.points and np.abs(ball - self.ball).max(initial=0.0) < _MOVED:
             return self
@@ -258,7 +259,8 @@ def _sigma(
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
         rows = campaign.of_kind(kind)
-        found[rows] = noise or _level(kind, instruments, _of_repeats(campaign.subset(rows)))
+        part = campaign.subset(rows)
+        found[rows] = noise or _level(part, instruments, _of_repeats(part))
     if noise is None:
         for k, setup in enumerate(campaign.setups):
             if setup.kind == "plate":
@@ -273,15 +275,25 @@ def expected_sigma(campaign: ToolCampaign, instruments: Mapping[str, Instrument]
     """Noise to reckon with before anything is read ``(n,)``: declared, or of the instruments."""
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
-        found[campaign.of_kind(kind)] = _level(kind, instruments)
+        rows = campaign.of_kind(kind)
+        found[rows] = _level(campaign.subset(rows), instruments)
     return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
 
 
-def _level(kind: str, instruments: Mapping[str, Instrument], repeats: float = 0.0) -> float:
-    """Noise of a kind: of its instrument, else of repeats where there are enough, else usual."""
-    own = instruments.get(kind, Instrument())
-    level = own.repeatability or repeats or REPEATABILITY[kind]
-    return float(np.hypot(level, (own.resolution or 0.0) / np.sqrt(12)))
+def _level(
+    part: ToolCampaign, instruments: Mapping[str, Instrument], repeats: float = 0.0
+) -> float:
+    """Noise of readings of a kind: of its instrument, else of repeats where there are enough, else
+    usual; and their rounding.
+    """
+    own = instruments.get(part.kind[0], Instrument())
+    level = own.repeatability or repeats or REPEATABILITY[part.kind[0]]
+    return float(np.hypot(level, step_of(part, own) / np.sqrt(12)))
+
+
+def step_of(part: ToolCampaign, own: Instrument) -> float:
+    """Step of readings of a kind: declared, or what all of them are multiples of."""
+    return own.resolution or shown_step(part.reading)
 
 
 def _of_repeats(campaign: ToolCampaign) -> float:
@@ -289,7 +301,8 @@ def _of_repeats(campaign: ToolCampaign) -> float:
     variance, dof = repeat_variance([campaign])
     if dof < FEWEST_REPEATS:
         return 0.0
-    # Readings that all agree have a coarse step.
+    if variance == 0:  # copies, or a coarse step
+        return 0.0
     return max(float(np.sqrt(variance)), _LEAST * REPEATABILITY[campaign.kind[0]])
 
 
