@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import orthoglide as og
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
+from orthoglide.fit import tempered
 from orthoglide.fit.surface import roughness
 from orthoglide.fit.tool import REPEATABILITY, ToolReadings
 from orthoglide.geometry import Geometry, moved_onto
@@ -408,7 +409,7 @@ def test_intervals_of_readings_ten_times_as_noisy_as_declared_hold_the_truth(
         true = {p: float(rng.normal(0, machine.tolerance(p))) for p in names}
         seen = og.simulate(machine.with_parameters(true), sheet, noise=1e-3, seed=seed)
         declared = replace(seen, sigma=np.full(len(seen), 1e-4))
-        found = og.identify([declared], machine, list(machine.catalogue.base))
+        found = tempered(og.identify([declared], machine, list(machine.catalogue.base)))
         assert 8 < found.sigma_scale < 12
         held = [low <= true[p] <= high for p in names for low, high in [found.interval(p)]]
         outside += held.count(False)

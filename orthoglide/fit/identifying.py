@@ -19,7 +19,6 @@ from orthoglide.fit.meant import check_meant
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.problem import Beside, Problem
 from orthoglide.fit.solving import Method, solve
-from orthoglide.fit.tempering import tempered
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.unknowns import build_problem
 from orthoglide.machine import Machine
@@ -101,7 +100,7 @@ def identify(
         problem = _anchored(problem)
     found = account_for_changes(solve(problem, method=method), method)
     check_slips(found)
-    return tempered(found)
+    return found
 
 
 def assemble(
