@@ -5,7 +5,7 @@ They are refused, with their lines: noise that is taken from the repeats would b
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ from orthoglide.observations.arrays import numbered
 _BEYOND = 10.0  # times what such an instrument scatters, from which it is no noise of its own
 _KIND = 2.0  # degrees of freedom of knowing the noise by the kind of instrument
 _ALIKE = 4.0  # squared scatter that one may leave which is as its kind is
-_CANDIDATES = 200  # moments at which it may have been moved, tried before those beside the best
+_CANDIDATES = 64  # moments at which it may have been moved, tried before those beside the best
 _NEAR = 1.0  # log of the odds by which moments, and a move and a drift, are told apart
 
 Evidence = tuple[float, list[str]]
@@ -135,10 +135,7 @@ class _Setup:
         def of(gain: Array) -> Array:
             return scatter.evidence(gain, shown.shape[1], 1.0, _KIND) - np.log(count)
 
-        coarse = np.unique(np.linspace(1, count - 1, _CANDIDATES).astype(int))
-        gains = {int(k): at(int(k)) for k in coarse}
-        top, step = max(gains, key=lambda k: gains[k]), -(-count // _CANDIDATES)
-        gains |= {k: at(k) for k in range(max(1, top - step), min(count, top + step + 1))}
+        gains = _about_best(at, count)
         places = np.array(sorted(gains))
         evidence = of(np.array([gains[k] for k in places]))
         best = int(np.argmax(evidence))
@@ -208,6 +205,22 @@ class _Setup:
             f"exchanged, the readings have another unit, or something is loose; put it right, or "
             f"give repeatability in the machine file under [instrument.{self._kind}]"
         )
+
+
+def _about_best(gain: Callable[[int], float], count: int) -> dict[int, float]:
+    """Gains at places from 1 to ``count`` - 1: at some, and at more about the best, until at all
+    beside it.
+    """
+    found: dict[int, float] = {}
+    low, high = 1, count - 1
+    while True:
+        places = np.unique(np.linspace(low, high, _CANDIDATES).astype(int)).tolist()
+        found |= {k: gain(k) for k in places if k not in found}
+        step = -(-(high - low + 1) // _CANDIDATES)
+        if step <= 1:
+            return found
+        best = max(found, key=lambda k: found[k])
+        low, high = max(1, best - step), min(count - 1, best + step)
 
 
 def _change(scatter: Scatter, reading: Array, place: int) -> float:
