@@ -162,3 +162,11 @@ def test_a_plate_that_counts_as_rough_is_said_to() -> None:
     assert "or the plate's roughness, have a reading count as good to 0.085 mm" in note
     assert "4.2 times worse than is usual" in note
     assert not [w for w in og.identify([campaign], MACHINE).warnings if w.kind == "loud"]
+
+
+def test_twenty_thousand_readings_of_a_tracker() -> None:
+    """Of dials alone some lead the way; of these all were left, and left, until a traceback."""
+    campaign = read("tcp", passes=190)
+    assert len(campaign) > 20_000
+    found = og.identify([campaign], MACHINE)
+    assert found.values["joint_offset.y"] == pytest.approx(-1.1e-3, abs=1e-5)

@@ -127,10 +127,11 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
 
 
 def _begin(problem: Problem, method: Method) -> Array:
-    """Where to start: of very many readings, where some of every setup lead."""
-    if len(problem.measured) < _MANY or method == "reduction":
+    """Where to start: of very many readings of dials, where some of every setup lead."""
+    count = sum(map(len, problem.campaigns))
+    if count < _MANY or method == "reduction":
         return problem.start
-    every = len(problem.measured) // _SOME
+    every = count // _SOME
     kept = []
     for campaign in problem.campaigns:
         some = [np.flatnonzero(campaign.setup == s)[::every] for s in range(len(campaign.setups))]
