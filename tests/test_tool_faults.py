@@ -142,6 +142,7 @@ def test_noise_that_no_instrument_has_is_declared_or_refused() -> None:
     instruments = {"tcp": Instrument(repeatability=5e-4)}
     poor = Machine(replace(MACHINE.spec, instruments=instruments))
     assert og.close_loop([campaign], poor).word == "adequate"
+    assert og.close_loop([campaign], MACHINE, noise=5e-4).word == "adequate"
 
 
 @pytest.mark.parametrize("kind", ["plate", "tcp", "ballbar", "distance", "incline"])

@@ -5,7 +5,7 @@ They are refused, with their lines: noise that is taken from the repeats would b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from orthoglide.diagnosis.repeat_faults import Slips
 from orthoglide.diagnosis.scatter import Scatter, median_scatter
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate
-from orthoglide.fit.tool import ToolReadings, expected_sigma, step_of
+from orthoglide.fit.tool import ToolReadings, step_of
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import source
@@ -47,10 +47,10 @@ def check_repeats(estimate: Estimate) -> None:
     found: list[str] = []
     for k, factor in enumerate(problem.factors):
         if isinstance(factor, ToolReadings):
-            rows, sigma = problem.factor_rows[k], expected_sigma(factor.points, own)
-            columns = factor.nuisances(estimate.at.slopes[k]).columns
-            for setup in range(len(factor.points.setups)):
-                check = _Setup(factor, setup, columns, estimate.residuals[rows], sigma, own)
+            left = estimate.residuals[problem.factor_rows[k]]
+            for setup, mounted in enumerate(factor.points.setups):
+                instrument = own.get(mounted.kind, Instrument())
+                check = _Setup(factor, setup, estimate.at.slopes[k], left, instrument)
                 found += check.fault()
     if found:
         raise InputError("; ".join(found))
@@ -63,39 +63,34 @@ class _Setup:
     Attributes:
         factor: the file's.
         setup: its number.
-        columns: what it draws where an instrument stands elsewhere ``(n, q)``.
+        slopes: of the fit ``(n, 4)``.
         left: of the fit ``(n,)``.
-        usual: noise of such an instrument ``(n,)``.
-        own: what the machine file says of instruments.
+        own: what the machine file says of the instrument.
     """
 
     factor: ToolReadings
     setup: int
-    columns: Array
+    slopes: Array
     left: Array
-    usual: Array
-    own: Mapping[str, Instrument]
+    own: Instrument
 
     def fault(self) -> Iterator[str]:
         """What the repeats contradict, in words, if anything."""
-        rows = self._rows
-        scatter = self._scatter(rows)
-        sigma = np.sqrt([np.mean(s[rows] ** 2) for s in (self.factor.sigma, self.usual)])
+        scatter = self._scatter
+        size, usual = self.factor.loudness(self.setup)
         _, slips = max(self._moved(scatter), self._slips(scatter))
         if slips:
             yield from slips
-        elif sigma[0] > _BEYOND * sigma[1]:
-            yield self._scattered(float(sigma[0]))
+        elif size > _BEYOND * usual:
+            yield self._scattered(size)
 
     @property
-    def _rows(self) -> Rows:
-        """In the order they were taken ``(m,)``."""
-        order = np.argsort(self.factor.points.order, kind="stable")
-        return np.asarray(order[self.factor.points.setup[order] == self.setup])
-
-    def _scatter(self, rows: Rows) -> Scatter:
-        """Of some rows about the means of their stations, weighed by what is usual."""
-        campaign, weight = self.factor.points, 1 / self.usual[rows]
+    def _scatter(self) -> Scatter:
+        """In the order they were taken, about the means of their stations, by what is usual."""
+        campaign = self.factor.points
+        order = np.argsort(campaign.order, kind="stable")
+        rows = order[campaign.setup[order] == self.setup]
+        weight = 1 / self.factor.usual[rows]
         second = np.nan_to_num(campaign.second[rows])
         alike = np.column_stack([campaign.stations, campaign.axis])[rows]
         powers = clock(campaign.time[rows], np.arange(len(rows)))[:, None] ** [1, 2, 3]
@@ -109,9 +104,10 @@ class _Setup:
         """Single readings: of an instrument as sound as its kind but for these, or as noisy as most
         of its stations.
         """
-        part = self.factor.points.subset(self.factor.points.setup == self.setup)
-        step = step_of(part, self.own.get(self._kind, Instrument()))
-        for scale in (1.0, median_scatter([scatter], 1.0)) if scatter.dof >= 2 else ():
+        if scatter.dof < 2:
+            return NOTHING
+        step = step_of(self.factor.points.subset(scatter.rows), self.own)
+        for scale in dict.fromkeys((1.0, median_scatter([scatter], 1.0))):
             faults = Slips(scatter, scale, step, len(scatter.rows)).confirmed()
             outliers = [f for f in faults if f.kind == "outlier"]
             if outliers:
@@ -125,7 +121,7 @@ class _Setup:
         if scatter.dof < 2 or scatter.chi2 <= _ALIKE * scatter.dof:
             return NOTHING
         count = len(scatter.rows)
-        shown = self.columns[scatter.rows]
+        shown = self.factor.nuisances(self.slopes).columns[scatter.rows]
         shown = (shown * scatter.weight[:, None])[:, shown.any(axis=0)]
 
         def at(place: int) -> float:

@@ -89,10 +89,11 @@ def check_slips(estimate: Estimate) -> None:
         names += [(k, p) for p in range(int(factor.point.max(initial=-1)) + 1)]
     count, tries = min(_MOST, len(names) // 4), list[tuple[Estimate, list[int]]]()
     # One that is far off bends the fit to all; the machine as it was built is no worse then.
-    for at in (estimate.at, linearise(problem, problem.start)):
-        worst = _worst(problem, at, point, count)
-        left_out = _without(problem, [names[p] for p in worst])
+    for built in (False, True):
         with suppress(NumericsError):
+            at = linearise(problem, problem.start) if built else estimate.at
+            worst = _worst(problem, at, point, count)
+            left_out = _without(problem, [names[p] for p in worst])
             tries.append((solve(left_out, method="nested", widen=False), worst))
         if tries and tries[-1][0].sigma_scale == 1.0:
             break

@@ -27,6 +27,12 @@ Frame = Literal["none", "translation", "rigid"]
 SILENT = 1e6
 """Times its sigma: a reading of no weight."""
 
+
+def heard(sigma: Array) -> NDArray[np.bool_]:
+    """Which of some readings have any weight ``(n,)``, by their sigmas."""
+    return np.asarray(sigma < SILENT / 2 * np.min(sigma, initial=np.inf))
+
+
 TCP_SIGMA = 1e-5
 """Metres: of a coordinate of a TCP point where its file declares none."""
 
@@ -208,17 +214,12 @@ class TcpReadings:
         sigma = np.where(silent, SILENT * declared, declared)
         return replace(self, points=replace(self.points, sigma=sigma))
 
-    @property
-    def _heard(self) -> NDArray[np.bool_]:
-        """Points that have any weight ``(n,)``."""
-        sigma = np.nan_to_num(self.points.sigma, nan=TCP_SIGMA)
-        return np.asarray(sigma < SILENT / 2 * np.min(sigma))
-
     def about(self, value: Array, _: Array) -> TcpReadings:
         """The same with the frame turned to where a machine has the rows ``(n,)``."""
         if self.frame != "rigid" or not self.known.all():
             return self
-        near = turned_near(self.points.p, value.reshape(-1, 3), self._heard)
+        known = heard(np.nan_to_num(self.points.sigma, nan=TCP_SIGMA))
+        near = turned_near(self.points.p, value.reshape(-1, 3), known)
         return self if near is None else replace(self, points=replace(self.points, p=near))
 
     @property

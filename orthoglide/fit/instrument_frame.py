@@ -31,24 +31,23 @@ def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
 
 
 def turned_back(
-    points: ToolCampaign, value: Array, heard: NDArray[np.bool_] | None = None
+    points: ToolCampaign, value: Array, known: NDArray[np.bool_] | None = None
 ) -> ToolCampaign:
     """The same of the setups of a file that have all three coordinates of every point.
 
     Args:
         points: readings of the tool.
         value: about what the machine has for them ``(n,)``, metres.
-        heard: which have any weight ``(n,)``; all where absent.
+        known: which have any weight ``(n,)``; all where absent.
     """
     reading, changed = points.reading.copy(), False
     for k in range(len(points.setups)):
         rows = whole_points(points, k)
         if rows is None:
             continue
-        weight = np.ones(len(points), dtype=bool) if heard is None else heard
-        known = np.asarray(weight[rows].all(axis=1))
+        whole = np.ones(len(rows), dtype=bool) if known is None else known[rows].all(axis=1)
         measured, p = ((points.sign * read)[rows] for read in (points.reading, value))
-        near = turned_near(measured, p, known)
+        near = turned_near(measured, p, np.asarray(whole))
         if near is not None:
             reading[rows], changed = points.sign[rows] * near, True
     return replace(points, reading=reading) if changed else points

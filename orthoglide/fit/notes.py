@@ -10,7 +10,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.quiet import quieter
-from orthoglide.fit.tool import ToolReadings, expected_sigma
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
@@ -82,14 +82,11 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
 
 def louder(estimate: Estimate) -> Iterator[Note]:
     """Instruments whose repeats, or whose plate, have them count as far noisier than their kind."""
-    own = estimate.problem.machine.spec.instruments
     for factor in estimate.problem.points:
         if not isinstance(factor, ToolReadings):
             continue
-        usual = expected_sigma(factor.points, own)
         for k, setup in enumerate(factor.points.setups):
-            rows = factor.setup == k
-            size, kind = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in (factor.sigma, usual))
+            size, kind = factor.loudness(k)
             if size > _LOUD * kind:
                 unit = "mrad" if setup.kind == "incline" else "mm"
                 plate = ", or the plate's roughness," if setup.kind == "plate" else ""

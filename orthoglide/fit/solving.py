@@ -191,7 +191,7 @@ def _solved(
 ) -> tuple[Linearised, int, str]:
     """Where a method ends, linearised by ourselves; ``near`` is one step on from ``first``."""
     if method == "reduction":
-        x, iterations = reduced(problem, nuisance)
+        x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
     elastic, tool = _elastic(problem), any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
@@ -212,7 +212,7 @@ def _solved(
     return linearise(problem, result.x), result.iterations, "nlp"
 
 
-def reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
+def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
     """The reduction's fit; unknowns that leave their bounds are held there, and the rest again."""
     x, iterations = problem.start, 0
     held = np.zeros(len(x), dtype=bool)

@@ -11,10 +11,9 @@ from dataclasses import replace
 
 from orthoglide.fit.crosscheck import cross_check
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import linearise
 from orthoglide.fit.nested import solve_nested
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.solving import assessed, reduced
+from orthoglide.fit.solving import assessed
 
 
 def tempered(found: Estimate) -> Estimate:
@@ -31,11 +30,7 @@ def tempered(found: Estimate) -> Estimate:
     if found.sigma_scale == 1.0 or not problem.prior_rows[0].any():
         return found
     heavier, nuisance = _known_better(problem, found.sigma_scale), found.nuisance
-    if found.method == "reduction":
-        x, more = reduced(heavier, nuisance)
-        at = linearise(heavier, x)
-    else:
-        at, more = solve_nested(heavier, nuisance, found.at)
+    at, more = solve_nested(heavier, nuisance, found.at)
     check = cross_check(heavier, nuisance, at.x, at.value)
     again = assessed(
         problem, nuisance, at, found.method, found.iterations + more, found.optimality, check

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile
+from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
 from orthoglide.fit.instrument_frame import turned_back
 from orthoglide.fit.noise import FEWEST_REPEATS, repeat_variance, shown_step
 from orthoglide.fit.surface import roughness
@@ -43,6 +43,7 @@ class ToolReadings(OfFile):
 
     Attributes:
         sigma: standard deviation of each ``(n,)``, metres or radians.
+        usual: the same as declared, or as is usual of such instruments ``(n,)``.
         place: on the plates over their largest measured radius ``(n, 2)``, of the nominal machine,
             which is near enough.
         ball: centre of each setup's ball ``(setups, 3)``, metres, about which it is fitted.
@@ -50,6 +51,7 @@ class ToolReadings(OfFile):
 
     points: ToolCampaign
     sigma: Array
+    usual: Array
     place: Array
     ball: Array
 
@@ -72,8 +74,15 @@ class ToolReadings(OfFile):
             found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
         height = p[:, 2] - campaign.reading
-        sigma = _sigma(campaign, machine.spec.instruments, noise, place, height)
-        return cls(campaign, sigma, place, np.array(ball))
+        usual = _usual(campaign, machine.spec.instruments, noise)
+        sigma = usual if noise else _sigma(campaign, machine.spec.instruments, place, height)
+        return cls(campaign, sigma, usual, place, np.array(ball))
+
+    def loudness(self, setup: int) -> tuple[float, float]:
+        """Noise of a setup's readings, and what is usual of them: root mean squares."""
+        rows = self.setup == setup
+        own, usual = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in (self.sigma, self.usual))
+        return own, usual
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Setups of which an instrument's effect has parameters: plates."""
@@ -100,11 +109,11 @@ class ToolReadings(OfFile):
             value: its rows ``(n,)``.
             slopes: its places ``(n, 4)``.
         """
-        heard = self.sigma < SILENT / 2 * np.min(self.sigma)
-        points, ball = turned_back(self.points, value, heard), self.ball.copy()
+        known = heard(self.sigma)
+        points, ball = turned_back(self.points, value, known), self.ball.copy()
         for k, setup in enumerate(points.setups):
             if setup.kind == "ballbar":
-                rows = (points.setup == k) & heard
+                rows = (points.setup == k) & known
                 ball[k] = centre_of(slopes[rows, :3], points.reading[rows])
         if points is self.points and np.abs(ball - self.ball).max(initial=0.0) < _MOVED:
             return self
@@ -250,45 +259,50 @@ class ToolReadings(OfFile):
 
 
 def _sigma(
-    campaign: ToolCampaign,
-    instruments: Mapping[str, Instrument],
-    noise: float | None,
-    place: Array,
-    height: Array,
+    campaign: ToolCampaign, instruments: Mapping[str, Instrument], place: Array, height: Array
 ) -> Array:
+    """Noise of each reading ``(n,)``: declared, or as repeats and rough plates show it."""
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
         rows = campaign.of_kind(kind)
-        part = campaign.subset(rows)
-        found[rows] = noise or _level(part, instruments, _of_repeats(part))
-    if noise is None:
-        for k, setup in enumerate(campaign.setups):
-            if setup.kind == "plate":
-                rows = campaign.setup == k
-                rough = roughness(place[rows], height[rows], campaign.approach[rows])
-                found[rows] = np.maximum(found[rows], rough)
-    declared = campaign.sigma if noise is None else np.full(len(campaign), np.nan)
-    return np.where(np.isfinite(declared), declared, found)
+        part, own = campaign.subset(rows), instruments.get(kind, Instrument())
+        found[rows] = _level(kind, own, step_of(part, own), _of_repeats(part))
+    for k, setup in enumerate(campaign.setups):
+        if setup.kind == "plate":
+            rows = campaign.setup == k
+            rough = roughness(place[rows], height[rows], campaign.approach[rows])
+            found[rows] = np.maximum(found[rows], rough)
+    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
+
+
+def _usual(
+    campaign: ToolCampaign, instruments: Mapping[str, Instrument], noise: float | None
+) -> Array:
+    """What such instruments scatter by ``(n,)``, with the rounding that readings show."""
+    if noise:
+        return np.full(len(campaign), noise)
+    found = np.empty(len(campaign))
+    for kind in dict.fromkeys(campaign.kind):
+        rows, own = campaign.of_kind(kind), instruments.get(kind, Instrument())
+        found[rows] = _level(kind, own, step_of(campaign.subset(rows), own))
+    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
 
 
 def expected_sigma(campaign: ToolCampaign, instruments: Mapping[str, Instrument]) -> Array:
     """Noise to reckon with before anything is read ``(n,)``: declared, or of the instruments."""
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
-        rows = campaign.of_kind(kind)
-        found[rows] = _level(campaign.subset(rows), instruments)
+        own = instruments.get(kind, Instrument())
+        found[campaign.of_kind(kind)] = _level(kind, own, own.resolution or 0.0)
     return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
 
 
-def _level(
-    part: ToolCampaign, instruments: Mapping[str, Instrument], repeats: float = 0.0
-) -> float:
-    """Noise of readings of a kind: of its instrument, else of repeats where there are enough, else
-    usual; and their rounding.
+def _level(kind: str, own: Instrument, step: float, repeats: float = 0.0) -> float:
+    """Noise of a kind: of its instrument, else of repeats where there are enough, else usual; and
+    its rounding.
     """
-    own = instruments.get(part.kind[0], Instrument())
-    level = own.repeatability or repeats or REPEATABILITY[part.kind[0]]
-    return float(np.hypot(level, step_of(part, own) / np.sqrt(12)))
+    level = own.repeatability or repeats or REPEATABILITY[kind]
+    return float(np.hypot(level, step / np.sqrt(12)))
 
 
 def step_of(part: ToolCampaign, own: Instrument) -> float:
@@ -297,11 +311,11 @@ def step_of(part: ToolCampaign, own: Instrument) -> float:
 
 
 def _of_repeats(campaign: ToolCampaign) -> float:
-    """Standard deviation of one reading of a kind from repeats; 0 where there are too few."""
+    """Standard deviation of one reading of a kind from repeats; 0 where there are too few, or they
+    are copies, or of a coarse step.
+    """
     variance, dof = repeat_variance([campaign])
-    if dof < FEWEST_REPEATS:
-        return 0.0
-    if variance == 0:  # copies, or a coarse step
+    if dof < FEWEST_REPEATS or variance == 0:
         return 0.0
     return max(float(np.sqrt(variance)), _LEAST * REPEATABILITY[campaign.kind[0]])
 
