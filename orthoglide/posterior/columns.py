@@ -31,8 +31,8 @@ _UNNOTICED = 1e-2
 _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
 
 _QUIET = 0.1
-"""Largest background, in tolerances, where a surface is all that was read: a wider one would draw
-any surface, and name nothing."""
+"""Largest background, in tolerances, that names are given by where a surface is all that was read:
+a wider one would draw any surface, and name nothing."""
 
 _LIKELY = 3.0
 """Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
@@ -55,6 +55,8 @@ class Everything:
         places: with their coefficients behind the parameters, in order.
         candidates: causes that the readings could show, in the order of the linear groups.
         linear: for the mixture.
+        naming: the same as names are given by it: where one surface is all that was read, with
+            little background.
         twins: of a parameter, others of the same readings and the same tool, each with the value
             that stands for one of it; these have no coefficient.
         translations: orthonormal directions of the parameters that move the machine as a whole
@@ -73,6 +75,7 @@ class Everything:
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
     linear: Linear
+    naming: Linear
     twins: Mapping[str, tuple[tuple[str, float], ...]]
     translations: Array
     rows: Array
@@ -180,14 +183,15 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
-    if one_surface(problem):
-        quiet = tuple(s for s in SHARES if s <= _QUIET)
-        linear = replace(linear, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
+    naming = reduced
+    if one_surface(problem):
+        quiet = tuple(s for s in SHARES if s <= _QUIET)
+        naming = replace(reduced, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return Everything(
-        wide, x, scale, found, causes, reduced, by_name, translations(slopes), rows,
+        wide, x, scale, found, causes, reduced, naming, by_name, translations(slopes), rows,
         value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside,
     )  # fmt: skip
 

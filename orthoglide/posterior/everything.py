@@ -45,19 +45,21 @@ class FullPosterior:
     Attributes:
         before: the fit of the base.
         about: the readings linearised at the mean.
-        mixture: of the explanations.
+        mixture: of the explanations that names are given by.
+        every: of all explanations, a background however wide among them.
         instead: a fit of the base, far beyond its tolerances, that the readings do not rule out.
     """
 
     before: Estimate
     about: Everything
     mixture: Mixture
+    every: Mixture
     instead: Estimate | None = None
 
     @property
     def mean(self) -> Array:
         """Of all coefficients, in their units ``(C,)``."""
-        return self.mixture.mean
+        return self.every.mean
 
     @property
     def evidence(self) -> float:
@@ -83,7 +85,7 @@ class FullPosterior:
     @cached_property
     def known(self) -> Averaged:
         """Of all coefficients, in their units; of use where the mean has settled."""
-        return self.mixture.averaged(self.about.known)
+        return self.every.averaged(self.about.known)
 
     @cached_property
     def covariance(self) -> Array:
@@ -103,7 +105,7 @@ class FullPosterior:
     @property
     def share(self) -> float:
         """Of their tolerances, by which effects that do not stand out are off."""
-        return self.mixture.shares[0]
+        return self.every.shares[0]
 
     @cached_property
     def invisible(self) -> tuple[Parameter, ...]:
@@ -269,7 +271,10 @@ def _about(
     """The posterior of readings linearised at the fit of the base, or at the last mean."""
     at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)
     about = everything(before, at)
-    found = FullPosterior(before, about, Mixture(about.linear, given, start))
+    every = mixture = Mixture(about.linear, given, start)
+    if about.naming is not about.linear:
+        mixture = Mixture(about.naming, given, start)
+    found = FullPosterior(before, about, mixture, every)
     return replace(found, about=replace(about, apart=about.distance(found.mean, before)))
 
 
