@@ -380,3 +380,15 @@ def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, 
     fit = og.identify([one], delta, ["joint_offset"])
     left = fit.scores.turn_rms if kind == "incline" else fit.scores.rms
     assert 0.5 < left / REPEATABILITY[kind] < 2
+
+
+def test_what_a_plate_and_distances_tell_of_a_whole_machine_is_as_good_as_stated(
+    delta: og.Machine,
+) -> None:
+    """Numbers were told by the little background that names are given by: 59 % lay inside."""
+    sheets = (sheet_of(delta, kind) for kind in ("plate", "distance"))
+    scope = Scope.of(delta, *sheets)
+    found = [outcome_of(scope, k, 7) for k in range(8, 8 + 9 * 6, 9)]
+    assert {one.kind for one in found} == {WHOLE[-1].name}
+    assert np.mean([one.inside for one in found]) > 0.75
+    assert sum(one.after_mm for one in found) < 0.9 * sum(one.before_mm for one in found)

@@ -18,7 +18,7 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
-from orthoglide.posterior.free import curves, curves_of_dials, one_surface, plates
+from orthoglide.posterior.free import curves, curves_of_dials, one_surface, only_plates, plates
 from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
@@ -32,7 +32,8 @@ _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
 
 _QUIET = 0.1
 """Largest background, in tolerances, that names are given by where a surface is all that was read:
-a wider one would draw any surface, and name nothing."""
+a wider one would draw any surface, and name nothing. Distances tell more of a machine than its
+plate: numbers are told by a background however wide."""
 
 _LIKELY = 3.0
 """Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
@@ -189,6 +190,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     if one_surface(problem):
         quiet = tuple(s for s in SHARES if s <= _QUIET)
         naming = replace(reduced, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
+        if only_plates(problem):
+            reduced = naming
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return Everything(
         wide, x, scale, found, causes, reduced, naming, by_name, translations(slopes), rows,
