@@ -1,0 +1,100 @@
+"""Real printers, held against readings that were not used: ``python -m benchmarks.held_out``.
+
+    python -m benchmarks.held_out [FOLDER ...]
+
+Of every ``printer.cfg`` in the folders each set of readings (heights with distances, every mesh) is
+used alone, and the machine found predicts each of the others; only their own height and slopes are
+fitted, and the reading scored is left out of that. The files of ``tests/data/delta/held`` were
+found after the methods were made.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from orthoglide.closing import close_loop
+from orthoglide.judging import hold_out
+from orthoglide.klipper import import_printer
+from orthoglide.machine import Machine
+
+DATA = Path(__file__).parents[1] / "tests" / "data" / "delta"
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One set of readings, predicted from another; root mean squares in millimetres.
+
+    Attributes:
+        machine: name of the file.
+        used: set of readings that the machine was calibrated from, and how many.
+        other: set that was predicted, and how many.
+        word: of the verdict.
+        stored: by the numbers that the firmware stores.
+        base: by zeros, radii, angles and arms fitted.
+        closed: by the closed loop.
+    """
+
+    machine: str
+    used: str
+    other: str
+    word: str
+    stored: float
+    base: float
+    closed: float
+
+
+def predictions(path: Path) -> Iterator[Predicted]:
+    """Of one printer."""
+    found = import_printer(path)
+    machine = Machine(found.machine)
+    sets = [c for c in found.campaigns if c.name in found.together]
+    for used in sets:
+        verdict = close_loop([used], machine)
+        for other in sets:
+            if other is used:
+                continue
+            nominal = hold_out({}, verdict.values, machine, [other])
+            base = hold_out(verdict.values_before, verdict.values, machine, [other])
+            rms = (nominal.before_rms, base.before_rms, base.after_rms)
+            yield Predicted(
+                path.stem, f"{used.name}, {len(used)}", f"{other.name}, {len(other)}",
+                verdict.word, *(1e3 * one for one in rms),
+            )  # fmt: skip
+
+
+def table(found: Sequence[Predicted]) -> Iterator[str]:
+    """The table, in Markdown, and what it comes to."""
+    yield "| machine | used | predicted | stored | base | closed | verdict |"
+    yield "|---|---|---|---:|---:|---:|---|"
+    for p in found:
+        figures = " | ".join(f"{one:.3f}" for one in (p.stored, p.base, p.closed))
+        yield f"| {p.machine} | {p.used} | {p.other} | {figures} | {p.word} |"
+    closed, base, stored = np.array([(p.closed, p.base, p.stored) for p in found]).T
+    yield ""
+    yield (
+        f"The closed loop predicts {np.sum(closed < base)} of {len(found)} better than the base, "
+        f"by a factor of {np.median(closed / base):.2f} in the median (the worst: "
+        f"{np.max(closed / base):.2f}), and {np.sum(closed < stored)} better than what is stored "
+        f"({np.median(closed / stored):.2f}; {np.max(closed / stored):.2f})."
+    )
+
+
+def every(folders: Sequence[Path] = (DATA, DATA / "held")) -> list[Predicted]:
+    """Of all printers in some folders."""
+    files = [path for folder in folders for path in sorted(folder.glob("*.cfg"))]
+    return [one for path in files for one in predictions(path)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="*", type=Path, default=[DATA, DATA / "held"])
+    print("\n".join(table(every(parser.parse_args().folders))))
+
+
+if __name__ == "__main__":
+    main()
