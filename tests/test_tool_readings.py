@@ -20,6 +20,7 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Campaign, ToolCampaign, csv_text, read_readings, tool_rows
+from orthoglide.observations.tool_reading import check_tool
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.owning import sheet_of
 from tests.klipper_files import DATA
@@ -182,6 +183,20 @@ def test_files_that_cannot_be_meant_are_refused(kind: str, tmp_path: Path) -> No
     content = text(("plate", "distance"))
     with pytest.raises(FileError, match=phrase):
         read(tmp_path, content.replace(old, new))
+
+
+def test_the_sign_of_one_length_is_a_typo_and_of_a_deviation_is_not(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(("ballbar",)))
+    rows = text(("ballbar",)).splitlines(keepends=True)
+    reading = f"{campaign.reading[3] * 1e3:.9f}"
+    assert rows[4].count(reading) == 1
+    rows[4] = rows[4].replace(reading, f"-{reading}")
+    with pytest.raises(FileError, match="line 5: this length has another sign than the others"):
+        read(tmp_path, "".join(rows))
+    assert isinstance(campaign, ToolCampaign)
+    deviation = replace(campaign, reading=campaign.reading - campaign.reading.mean())
+    assert deviation.reading.min() < 0 < deviation.reading.max()
+    check_tool(deviation, lambda message, row: pytest.fail(message))
 
 
 def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) -> None:

@@ -221,6 +221,13 @@ def check_tool(campaign: ToolCampaign, fail: Fail) -> None:
     short = np.flatnonzero(campaign.of_kind("distance") & (campaign.reading <= 0))
     if len(short):
         fail("a distance must be above 0: correct it", int(short[0]))
+    bars = np.flatnonzero(campaign.of_kind("ballbar"))
+    # Lengths, not deviations: these are of any sign and near zero.
+    length = np.abs(campaign.reading[bars])
+    turned = campaign.reading[bars] < 0
+    if turned.any() and not turned.all() and length.min() > length.max() / 2:
+        wrong = turned if turned.mean() < 0.5 else ~turned
+        fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
     metres = np.abs(campaign.reading[campaign.of_kind("distance")])
     if len(metres) and metres.max() < 1e-3:
         fail("all distances are below 1 mm: give millimetres, not metres", 0)
