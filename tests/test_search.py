@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.instead import Alternatives
@@ -165,3 +167,31 @@ def test_misfits_of_millions_of_sigmas_are_searched(size: float) -> None:
     mixture = Mixture(made_up(drawn(8), truth, 8))
     assert np.all(np.isfinite(mixture.mean))
     assert {1, 6} <= {g for g, _ in mixture.best}
+
+
+def test_a_cause_that_is_there_in_some_explanations_is_drawn_in_as_many() -> None:
+    """One Gaussian of the same mean and spread had it beyond its tolerance twice as often."""
+    columns, truth = drawn(9), np.zeros(17)
+    columns[:, 4] = columns[:, 2] + 0.02 * np.random.default_rng(9).standard_normal(ROWS)
+    truth[2] = 3.0
+    mixture = Mixture(made_up(columns, truth, 9))
+    weights = np.eye(17)[[0, 2, 4]]
+    normal = np.random.default_rng(1).standard_normal((20_000, 3))
+    drawn_from = mixture.draws(weights, normal)
+    averaged = mixture.averaged(8)
+    sd = np.sqrt(np.diag(averaged.covariance)[[0, 2, 4]])
+    assert np.abs((drawn_from.mean(axis=0) - averaged.mean[[0, 2, 4]]) / sd).max() < 0.05
+    spread = np.cov(drawn_from.T) - averaged.covariance[np.ix_([0, 2, 4], [0, 2, 4])]
+    assert np.abs(spread / sd / sd[:, None]).max() < 0.1
+    beyond = (np.abs(drawn_from) > 1).mean(axis=0)
+    assert np.all(beyond[1:] < mixture.inclusion[[0, 2]])
+    one = norm(averaged.mean[2], sd[1])
+    assert beyond[1] < 0.6 * (one.sf(1) + one.cdf(-1))
+
+
+def test_a_background_wider_than_names_bear_is_rare_and_no_more() -> None:
+    linear = made_up(drawn(10), np.zeros(17), 10)
+    plain, narrow = Search(linear), Search(replace(linear, narrow=0.03))
+    for one, other in zip(plain.scales, narrow.scales, strict=True):
+        assert other.rare == one.rare
+        assert one.log_z - other.log_z == pytest.approx(3.0 if one.share > 0.03 else 0.0)

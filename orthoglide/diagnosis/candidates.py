@@ -76,8 +76,9 @@ def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> l
         shared = catalogue.structured(effect.name, tuple({n.setup for n in names}))
         return (
             [
-                _one(effect, member, {n: 1.0 for n in names if n.plain in weights})
+                _one(effect, member, seen)
                 for member, weights in shared.items()
+                if (seen := {n: 1.0 for n in names if n.plain in weights})
             ]
             if len(set(names)) > len({n.direction for n in names})
             else members

@@ -25,8 +25,9 @@ class Corrections:
     Attributes:
         old: its present numbers.
         new: those that bring the calibrated machine nearest to where it is told to be.
-        height: mean error of height over the plate ``(before, after)``, metres, rms.
-        sideways: the same along the plate, best shift and turn not removed.
+        height: error to expect of height over the plate ``(before, after)``, metres, rms: what is
+            known, and how far it is not.
+        sideways: the same along the plate, past a shift and a turn of everything.
     """
 
     old: Firmware

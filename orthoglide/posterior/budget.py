@@ -2,13 +2,14 @@
 
 The error counted is the tool's over the workspace that the best zeros and bar lengths of a
 controller leave, a shift of the whole removed: what a mechanic can still gain. It is drawn from the
-posterior, so that causes which these readings cannot part are counted jointly.
+posterior, one explanation or another, so that causes which these readings cannot part are counted
+jointly, and one that is there in one case of ten is beyond its tolerance in no more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -80,10 +81,9 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     slopes = without_place(tcp_slopes(machine, known.names)).reshape(-1, len(known.names))
     slopes = controller.past(slopes)
     # A translation of the whole makes no shape: what it leaves open is no cause's part.
-    _, _, weights = posterior.machine_with(posterior.mean)
-    spread = replace(known, covariance=weights @ posterior.known.covariance @ weights.T)
-    draws = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names)))
-    off, now = draws @ spread.root.T, controller.left(values)
+    _, mean, weights = posterior.machine_with(posterior.mean)
+    normal = np.random.default_rng(0).standard_normal((_DRAWS, len(known.names)))
+    off, now = posterior.mixture.draws(weights, normal) - mean, controller.left(values)
     drawn = now + off @ slopes.T
     total = _mean_length(drawn)
     found = []

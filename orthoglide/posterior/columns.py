@@ -18,8 +18,8 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
-from orthoglide.posterior.free import curves, curves_of_dials, one_surface, only_plates, plates
-from orthoglide.posterior.linear import SHARES, SLABS, Group, Linear, whole
+from orthoglide.posterior.free import curves, curves_of_dials, one_surface, plates
+from orthoglide.posterior.linear import SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
 _UNTIED = 1e3
@@ -31,9 +31,8 @@ _UNNOTICED = 1e-2
 _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
 
 _QUIET = 0.1
-"""Largest background, in tolerances, that names are given by where a surface is all that was read:
-a wider one would draw any surface, and name nothing. Distances tell more of a machine than its
-plate: numbers are told by a background however wide."""
+"""Largest background to expect, in tolerances, where a surface is all that was read: a wider one
+draws any surface, and names nothing."""
 
 _LIKELY = 3.0
 """Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
@@ -56,8 +55,6 @@ class Everything:
         places: with their coefficients behind the parameters, in order.
         candidates: causes that the readings could show, in the order of the linear groups.
         linear: for the mixture.
-        naming: the same as names are given by it: where one surface is all that was read, with
-            little background.
         twins: of a parameter, others of the same readings and the same tool, each with the value
             that stands for one of it; these have no coefficient.
         translations: orthonormal directions of the parameters that move the machine as a whole
@@ -76,7 +73,6 @@ class Everything:
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
     linear: Linear
-    naming: Linear
     twins: Mapping[str, tuple[tuple[str, float], ...]]
     translations: Array
     rows: Array
@@ -184,17 +180,14 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
+    if one_surface(problem):
+        likely = tuple(s for s in SLABS if s <= _LIKELY)
+        linear = replace(linear, slabs=likely, narrow=_QUIET)
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
-    naming = reduced
-    if one_surface(problem):
-        quiet = tuple(s for s in SHARES if s <= _QUIET)
-        naming = replace(reduced, shares=quiet, slabs=tuple(s for s in SLABS if s <= _LIKELY))
-        if only_plates(problem):
-            reduced = naming
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return Everything(
-        wide, x, scale, found, causes, reduced, naming, by_name, translations(slopes), rows,
+        wide, x, scale, found, causes, reduced, by_name, translations(slopes), rows,
         value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside,
     )  # fmt: skip
 

@@ -45,21 +45,19 @@ class FullPosterior:
     Attributes:
         before: the fit of the base.
         about: the readings linearised at the mean.
-        mixture: of the explanations that names are given by.
-        every: of all explanations, a background however wide among them.
+        mixture: of the explanations.
         instead: a fit of the base, far beyond its tolerances, that the readings do not rule out.
     """
 
     before: Estimate
     about: Everything
     mixture: Mixture
-    every: Mixture
     instead: Estimate | None = None
 
     @property
     def mean(self) -> Array:
         """Of all coefficients, in their units ``(C,)``."""
-        return self.every.mean
+        return self.mixture.mean
 
     @property
     def evidence(self) -> float:
@@ -85,7 +83,7 @@ class FullPosterior:
     @cached_property
     def known(self) -> Averaged:
         """Of all coefficients, in their units; of use where the mean has settled."""
-        return self.every.averaged(self.about.known)
+        return self.mixture.averaged(self.about.known)
 
     @cached_property
     def covariance(self) -> Array:
@@ -105,7 +103,7 @@ class FullPosterior:
     @property
     def share(self) -> float:
         """Of their tolerances, by which effects that do not stand out are off."""
-        return self.every.shares[0]
+        return self.mixture.shares[0]
 
     @cached_property
     def invisible(self) -> tuple[Parameter, ...]:
@@ -271,10 +269,7 @@ def _about(
     """The posterior of readings linearised at the fit of the base, or at the last mean."""
     at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)
     about = everything(before, at)
-    every = mixture = Mixture(about.linear, given, start)
-    if about.naming is not about.linear:
-        mixture = Mixture(about.naming, given, start)
-    found = FullPosterior(before, about, mixture, every)
+    found = FullPosterior(before, about, Mixture(about.linear, given, start))
     return replace(found, about=replace(about, apart=about.distance(found.mean, before)))
 
 

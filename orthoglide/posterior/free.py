@@ -18,18 +18,10 @@ from orthoglide.observations import Campaign
 
 def one_surface(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
-    return _all_read(problem) <= {"plate", "distance"}
-
-
-def only_plates(problem: Problem) -> bool:
-    """Whether plates are all that was read."""
-    return _all_read(problem) <= {"plate"}
-
-
-def _all_read(problem: Problem) -> set[str]:
     tools = problem.tool_campaigns
-    others = ["other"] * (len(problem.factors) - len(tools))
-    return {*others, *(s.kind for tool in tools for s in tool.setups)}
+    kinds = {s.kind for tool in tools for s in tool.setups}
+    alone = not problem.campaigns and len(tools) == len(problem.points)
+    return alone and kinds <= {"plate", "distance"}
 
 
 def places_of(problem: Problem) -> tuple[Place, ...]:

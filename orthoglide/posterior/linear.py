@@ -26,8 +26,9 @@ _UNSEEN = 1e-6
 """Sigmas that the largest slab may add along a direction which counts as not seen at all."""
 
 _RARE = -3.0
-"""Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
-errors that have no structure: one in twenty each."""
+"""Log of the prior weight of a machine that is beyond its tolerances altogether, of one with errors
+that have no structure, and, where one surface was read, of one off by more than names bear: one in
+twenty each."""
 
 FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
                   (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
@@ -78,6 +79,7 @@ class Linear:
         stations: an error of one sigma at each station ``(m, s)``.
         shares: scales that the effects' background may have, in tolerances.
         slabs: those of what stands out.
+        narrow: share beyond which a background is rare.
         beyond: what stations show beside all columns: squared, in how many directions, and the
             visits that each has; none where all directions are kept.
     """
@@ -91,6 +93,7 @@ class Linear:
     stations: Array
     shares: tuple[float, ...] = SHARES
     slabs: tuple[float, ...] = SLABS
+    narrow: float = max(SHARES)
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def spike(self, share: float, free_share: float) -> Array:
@@ -162,7 +165,7 @@ class Scale:
         square, count, visits = basis.linear.beyond
         wide = 1 + basis.rough**2 * visits
         self.log_z = (
-            _RARE * self.rare
+            _RARE * (self.rare + (share > basis.linear.narrow))
             - 0.5 * (square / wide + count * float(np.log(wide)))
             - 0.5 * float(self.residual @ self.residual)
             - 0.5 * basis.log_det

@@ -208,6 +208,29 @@ class Mixture(Search):
         weighted = (w * m for (w, _, _), m in zip(self._terms, self._means, strict=True))
         return np.asarray(sum(weighted))
 
+    def draws(self, weights: Array, normal: Array) -> Array:
+        """Linear combinations of all coefficients, drawn from the explanations in their shares.
+
+        Args:
+            weights: by coefficient ``(k, C)``.
+            normal: of the standard normal distribution ``(n, k)``.
+
+        Returns:
+            As many draws ``(n, k)``.
+        """
+        at = np.flatnonzero(weights.any(axis=0))
+        upto = np.cumsum([weight for weight, _, _ in self._terms])
+        term = np.searchsorted(upto[:-1], (np.arange(len(normal)) + 0.5) / len(normal))
+        drawn = np.empty(normal.shape)
+        for k in np.unique(term):
+            _, state, scale = self._terms[k]
+            spread = weights[:, at] @ self._covariance(state, scale, at) @ weights[:, at].T
+            sd = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+            unit = spread / sd / sd[:, None] + 1e-9 * np.eye(len(sd))
+            some = term == k
+            drawn[some] = weights @ self._means[k] + normal[some] @ np.linalg.cholesky(unit).T * sd
+        return drawn
+
     def averaged(self, known: int) -> Averaged:
         """Everything over all states and scales that count.
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
 from orthoglide.fit.tool import ToolReadings
@@ -37,13 +38,11 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     plate = _plate(fit)
     if plate is None:
         return None
-    radius, plane = plate
-    wanted = _points(radius)
-    lifted = wanted + np.outer(np.column_stack([np.ones(len(wanted)), wanted[:, :2]]) @ plane,
-                               [0.0, 0.0, 1.0])  # fmt: skip
-    geometry = machine.geometry
+    wanted = _points(plate.radius)
+    lifted = wanted + np.outer(_plane(wanted) @ plate.plane, [0.0, 0.0, 1.0])
+    geometry, commands = machine.geometry, machine.inverse(lifted)
     at_zero = np.array([leg.carriage[2] - leg.platform[2] for leg in geometry.legs])
-    below = machine.inverse(lifted) + at_zero - old.at_endstop
+    below = commands + at_zero - old.at_endstop
     lengths = machine.catalogue.held_as("bar_length")
     longer = [
         sum(machine.values.get(f"{name}.{leg}", 0.0) for name in lengths)
@@ -53,9 +52,43 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     start = replace(old, arm=(a, b, c))
     new, _ = refitted(start, wanted, below)
     errors = [f.points(below + f.at_endstop) - wanted for f in (old, new)]
-    before, after = (float(np.sqrt(np.mean(e[:, 2] ** 2))) for e in errors)
-    one, other = (float(np.sqrt(np.mean(np.sum(e[:, :2] ** 2, axis=1)))) for e in errors)
+    level, along = _spread(machine, plate, wanted, commands)
+    before, after = (float(np.sqrt(np.mean(e[:, 2] ** 2) + level)) for e in errors)
+    kept = _past_moves(wanted)
+    one, other = (
+        float(np.sqrt(np.sum((kept @ e[:, :2].ravel()) ** 2) / len(e) + along)) for e in errors
+    )
     return Corrections(old, new, (before, after), (one, other))
+
+
+def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> tuple[float, float]:
+    """Variances of the tool's height over the plate as it was touched, and along it past a shift
+    and a turn, square metres: means over points ``(g, 3)`` with their commands ``(g, 3)``.
+    """
+    known = machine.posterior
+    here = tcp_slopes(machine, known.names, Conditions.at(commands))
+    touched = tcp_slopes(machine, known.names, Conditions.at(plate.commands))[:, 2]
+    columns = _plane(plate.places)
+    level = here[:, 2] - _plane(points) @ np.linalg.lstsq(columns, touched, rcond=None)[0]
+    along = _past_moves(points) @ here[:, :2].reshape(-1, len(known.names))
+    noise = plate.sigma**2 * np.linalg.pinv(columns.T @ columns)
+    both = [np.einsum("gp,pq,gq->", rows, known.covariance, rows) for rows in (level, along)]
+    touches = np.einsum("gp,pq,gq->", _plane(points), noise, _plane(points))
+    return float(both[0] + touches) / len(points), float(both[1]) / len(points)
+
+
+def _plane(points: Array) -> Array:
+    """What a height and two slopes make of it at points ``(n, 2 or more)``: ``(n, 3)``."""
+    return np.column_stack([np.ones(len(points)), points[:, :2]])
+
+
+def _past_moves(points: Array) -> Array:
+    """Takes a shift and a turn along the plate out of errors there, as ``(2 g, 2 g)``."""
+    moves = np.zeros((len(points), 2, 3))
+    moves[:, 0, 0] = moves[:, 1, 1] = 1.0
+    moves[:, :, 2] = np.column_stack([-points[:, 1], points[:, 0]])
+    turn = np.linalg.qr(moves.reshape(-1, 3))[0]
+    return np.asarray(np.eye(len(turn)) - turn @ turn.T)
 
 
 def unseen_by_firmware(
@@ -76,7 +109,7 @@ def unseen_by_firmware(
     touched = _plate(fit)
     if touched is None:
         return float("nan"), float("nan")
-    radius, _ = touched
+    radius = touched.radius
     angle = np.deg2rad(90.0 + 60.0 * np.arange(6))
     ring = np.array(PROBED) * radius
     points = np.zeros((7, 3))
@@ -97,9 +130,28 @@ def unseen_by_firmware(
     return float(np.abs(left).max() / sigma), float(np.abs(shift).max() / sigma)
 
 
-def _plate(fit: Estimate) -> tuple[float, Array] | None:
-    """Radius that was touched, and the plate's height and slopes ``(3,)``; of most touches."""
-    best: tuple[int, float, Array] | None = None
+@dataclass(frozen=True, eq=False)
+class _Plate:
+    """A plate as it was touched.
+
+    Attributes:
+        radius: that was touched.
+        plane: height and slopes ``(3,)``.
+        commands: of the touches ``(n, 3)``.
+        places: where they were ``(n, 2)``.
+        sigma: of one.
+    """
+
+    radius: float
+    plane: Array
+    commands: Array
+    places: Array
+    sigma: float
+
+
+def _plate(fit: Estimate) -> _Plate | None:
+    """The plate of most touches; ``None`` where none was touched."""
+    best: _Plate | None = None
     problem = fit.problem
     for k, factor in enumerate(problem.points):
         if not isinstance(factor, ToolReadings):
@@ -111,12 +163,14 @@ def _plate(fit: Estimate) -> tuple[float, Array] | None:
             own = np.flatnonzero(factor.setup == place)
             if setup.kind != "plate" or len(own) < 3:
                 continue
-            columns = np.column_stack([np.ones(len(own)), slopes[own, :2]])
-            plane = np.asarray(-np.linalg.lstsq(columns, rest[own], rcond=None)[0], dtype=float)
-            radius = float(np.hypot(*slopes[own, :2].T).max())
-            if best is None or len(own) > best[0]:
-                best = (len(own), radius, plane)
-    return None if best is None else best[1:]
+            places = slopes[own, :2]
+            plane = np.asarray(-np.linalg.lstsq(_plane(places), rest[own], rcond=None)[0])
+            if best is None or len(own) > len(best.places):
+                best = _Plate(
+                    float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
+                    float(np.median(problem.sigma[rows][own])),
+                )  # fmt: skip
+    return best
 
 
 def _points(radius: float) -> Array:
