@@ -17,10 +17,12 @@ from benchmarks.delta_truth import machine as delta
 from orthoglide.checking import Check, check
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
+from orthoglide.klipper import import_printer
 from orthoglide.observations import Readings, ToolCampaign, csv_text, tool_rows
 from orthoglide.planning.owning import sheet_of
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
+from tests.klipper_files import DATA
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.test_cli import run
@@ -208,3 +210,15 @@ def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
     assert "plate_trefoil.bed.cos" in every
     same = check([replace(new, name="old")], [replace(probed("probe", 3), name="new")], delta())
     assert same.sentences[0].startswith("nothing changed")
+
+
+def test_two_calibrations_that_a_printer_stores_are_compared() -> None:
+    """A shape of the plate that neither sees was a cause without a part: a crash."""
+    printer = import_printer(DATA / "v400-april.cfg")
+    (old, *_), machine = printer.campaigns, og.Machine(printer.machine)
+    moved = np.array([-5e-4, 0.0, 0.0])
+    new = replace(old, command=old.command + moved, second=old.second + moved, name="later")
+    found = check([old], [new], machine)
+    (change,) = found.changes
+    assert str(change.parameter) == "joint_offset.a"
+    assert change.after - change.before == pytest.approx(5e-4, abs=3e-5)

@@ -60,7 +60,8 @@ def check(
             raise InputError(
                 f"{old.name} and {new.name} are of machines of different dimensions "
                 f"({machine.spec.title}; {other.spec.title}): check compares two states of one; "
-                f"where the file was corrected since, give it for both with --machine"
+                f"where the file was corrected since, give it for both with --machine; what "
+                f"numbers pasted into a firmware left, close-loop tells from the new readings"
             )
         found = compare(before, after, machine, noise=noise, seed=seed, progress=step)
         told = wrapped(changes_text(found), text_width())

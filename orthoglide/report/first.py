@@ -136,7 +136,7 @@ def _statement(one: Explanation, probability: float, option: int) -> Statement:
     if one.in_unit is not None:
         effect = one.catalogue.effect_of(one.name)
         spread = one.in_unit[1] * effect.unit.si * _SIDES
-        sure += f", its size to ± {size_words(effect, spread)}"
+        sure += f", its size to ± {size_words(effect, spread)} (95 %)"
     return Statement(sentence(one.words), sure, option)
 
 
