@@ -245,7 +245,8 @@ def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path
     assert told is not None
     assert float(told[1]) == pytest.approx(0.8, abs=0.04)
     (action,) = (a for a in verdict.actions if a.kind == "zeros")
-    assert action.gain == pytest.approx(0.34e-3, abs=0.02e-3)
+    # What the touches leave open, 0.036 mm, is expected of either.
+    assert action.gain == pytest.approx(0.34e-3 - 0.036e-3, abs=0.02e-3)
     verdict.report(out)
     tiles = (out / "report.html").read_text().partition("tiles tool")[2].partition("</dl>")[0]
     assert "With the firmware's numbers" in unescape(tiles)

@@ -191,7 +191,7 @@ def test_a_cause_that_is_there_in_some_explanations_is_drawn_in_as_many() -> Non
 
 def test_a_background_wider_than_names_bear_is_rare_and_no_more() -> None:
     linear = made_up(drawn(10), np.zeros(17), 10)
-    plain, narrow = Search(linear), Search(replace(linear, narrow=0.03))
+    plain, narrow = Search(linear), Search(replace(linear, wide=(0.03, -3.0)))
     for one, other in zip(plain.scales, narrow.scales, strict=True):
         assert other.rare == one.rare
         assert one.log_z - other.log_z == pytest.approx(3.0 if one.share > 0.03 else 0.0)

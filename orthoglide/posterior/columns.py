@@ -18,8 +18,8 @@ from orthoglide.fit.problem import rows_about
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
-from orthoglide.posterior.free import curves, curves_of_dials, one_surface, plates
-from orthoglide.posterior.linear import SLABS, Group, Linear, whole
+from orthoglide.posterior.free import curves, curves_of_dials, one_surface, only_plates, plates
+from orthoglide.posterior.linear import RARE, SLABS, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
 _UNTIED = 1e3
@@ -32,7 +32,8 @@ _NOTHING = 1e-9  # tolerances: prior of a coefficient for which another stands
 
 _QUIET = 0.1
 """Largest background to expect, in tolerances, where a surface is all that was read: a wider one
-draws any surface, and names nothing."""
+draws any surface, and names nothing. It is rare where distances tell of the machine as well; where
+plates alone do, which have shapes of their own, twice as rare."""
 
 _LIKELY = 3.0
 """Largest scale, in tolerances, of what stands out of it: among the many causes that draw one
@@ -182,7 +183,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
     if one_surface(problem):
         likely = tuple(s for s in SLABS if s <= _LIKELY)
-        linear = replace(linear, slabs=likely, narrow=_QUIET)
+        rare = 2 * RARE if only_plates(problem) else RARE
+        linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)

@@ -18,10 +18,19 @@ from orthoglide.observations import Campaign
 
 def one_surface(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
+    return _kinds(problem) <= {"plate", "distance"}
+
+
+def only_plates(problem: Problem) -> bool:
+    """Whether plates are all that was read."""
+    return _kinds(problem) <= {"plate"}
+
+
+def _kinds(problem: Problem) -> set[str]:
+    """Of instruments that read; dials and points are another."""
     tools = problem.tool_campaigns
-    kinds = {s.kind for tool in tools for s in tool.setups}
-    alone = not problem.campaigns and len(tools) == len(problem.points)
-    return alone and kinds <= {"plate", "distance"}
+    others = ["other"] * (len(problem.factors) - len(tools))
+    return {*others, *(s.kind for tool in tools for s in tool.setups)}
 
 
 def places_of(problem: Problem) -> tuple[Place, ...]:

@@ -25,10 +25,9 @@ measures a machine has a reason to."""
 _UNSEEN = 1e-6
 """Sigmas that the largest slab may add along a direction which counts as not seen at all."""
 
-_RARE = -3.0
-"""Log of the prior weight of a machine that is beyond its tolerances altogether, of one with errors
-that have no structure, and, where one surface was read, of one off by more than names bear: one in
-twenty each."""
+RARE = -3.0
+"""Log of the prior weight of a machine that is beyond its tolerances altogether, and of one with
+errors that have no structure: one in twenty each."""
 
 FREE_AND_ROUGH = ((0.003, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0),
                   (0.003, 1.0), (0.003, 3.0), (0.003, 10.0), (0.003, 30.0))  # fmt: skip
@@ -79,7 +78,7 @@ class Linear:
         stations: an error of one sigma at each station ``(m, s)``.
         shares: scales that the effects' background may have, in tolerances.
         slabs: those of what stands out.
-        narrow: share beyond which a background is rare.
+        wide: share beyond which a background is unlikely, and log of its weight.
         beyond: what stations show beside all columns: squared, in how many directions, and the
             visits that each has; none where all directions are kept.
     """
@@ -93,7 +92,7 @@ class Linear:
     stations: Array
     shares: tuple[float, ...] = SHARES
     slabs: tuple[float, ...] = SLABS
-    narrow: float = max(SHARES)
+    wide: tuple[float, float] = (max(SHARES), 0.0)
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def spike(self, share: float, free_share: float) -> Array:
@@ -163,10 +162,12 @@ class Scale:
         self.weight = 1 / np.sqrt(1 + share**2 * basis.grows)
         self.rare = (share > 1) + (basis.rough > 0)
         square, count, visits = basis.linear.beyond
-        wide = 1 + basis.rough**2 * visits
+        beyond, weight = basis.linear.wide
+        alike = 1 + basis.rough**2 * visits
         self.log_z = (
-            _RARE * (self.rare + (share > basis.linear.narrow))
-            - 0.5 * (square / wide + count * float(np.log(wide)))
+            RARE * self.rare
+            + weight * (share > beyond)
+            - 0.5 * (square / alike + count * float(np.log(alike)))
             - 0.5 * float(self.residual @ self.residual)
             - 0.5 * basis.log_det
             + float(np.log(self.weight).sum())
