@@ -78,6 +78,11 @@ class Difference:
         return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit.name}"
 
     @property
+    def far(self) -> bool:
+        """Whether both values differ by more than their sigma leaves open."""
+        return abs(self.after - self.before) > CHANGED * self.sigma
+
+    @property
     def still(self) -> str:
         """By how much it did not change, in a list."""
         _, _, apart, sigma = self._figures(self.unit.spoken)
@@ -121,10 +126,18 @@ class Check:
         """What changed, largest in sigmas first, and beyond which uncertainty nothing else did."""
         changed = [d for d in self.differences if d.changed]
         changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
-        said = [d.still for d in self.differences if not d.changed]
+        rest = [d for d in self.differences if not d.changed]
         what = "nothing else" if changed or self.plates else "nothing"
-        rest = [f"{what} changed beyond its uncertainty: {', '.join(said)}"] if said else []
-        return (*self.plates, *map(str, changed), *rest)
+        said = (
+            (f"{what} changed beyond its uncertainty", [d.still for d in rest if not d.far]),
+            (
+                "of these the two states differ, each by itself, but all readings together need no "
+                "change of them",
+                [d.still for d in rest if d.far],
+            ),
+        )
+        told = (f"{words}: {', '.join(those)}" for words, those in said if those)
+        return (*self.plates, *map(str, changed), *told)
 
     @property
     def line(self) -> str:
@@ -282,5 +295,5 @@ def _differences(
             one, other = (float(v) for v in estimate.x[places])
             spread = estimate.covariance[np.ix_(places, places)]
             sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
-            far = abs(other - one) > CHANGED * sigma
-            yield Difference(parameter, one, other, sigma, unit, far and not searched)
+            difference = Difference(parameter, one, other, sigma, unit, False)
+            yield replace(difference, changed=difference.far and not searched)

@@ -185,6 +185,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     known = full_posterior(before, causes)
     progress(Step("allowing"))
     found, left = outstanding(known, causes), remains(known)
+    if not known.settled:
+        found, left = replace(found, causes=(), located=()), replace(left, p_value=0.0)
     if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
     word = _word(found, left)

@@ -14,7 +14,9 @@ import pytest
 import orthoglide as og
 from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
-from orthoglide.checking import Check, check
+from orthoglide import units
+from orthoglide.checking import Check, Difference, check
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.klipper import import_printer
@@ -222,3 +224,19 @@ def test_two_calibrations_that_a_printer_stores_are_compared() -> None:
     (change,) = found.changes
     assert str(change.parameter) == "joint_offset.a"
     assert change.after - change.before == pytest.approx(5e-4, abs=3e-5)
+
+
+def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
+    """4.8 sigma were listed under "nothing else changed beyond its uncertainty"."""
+    unit = units.MM
+    parameters = [CATALOGUE.parameter(f"joint_offset.{leg}") for leg in "xyz"]
+    moved = Difference(parameters[0], 0.0, 1e-3, 1e-5, unit, True)
+    still = Difference(parameters[1], 0.0, 1e-5, 1e-5, unit, False)
+    apart = Difference(parameters[2], 0.0, 5e-5, 1e-5, unit, False)
+    found = Check(("a",), ("b",), None, (moved, still, apart))  # type: ignore[arg-type]
+    _, within, beyond = found.sentences
+    assert within == (
+        "nothing else changed beyond its uncertainty: joint offset of leg y +0.010 ± 0.010 mm"
+    )
+    assert "need no change" in beyond
+    assert "joint offset of leg z +0.050 ± 0.010 mm" in beyond

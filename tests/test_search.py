@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.posterior.instead import Alternatives
 from orthoglide.posterior.linear import Group, Linear, whole
 from orthoglide.posterior.mixture import Mixture
-from orthoglide.posterior.search import Search, State, gained
+from orthoglide.posterior.search import Search, State, gained, left_singular
 
 ROWS = 24
 SLABS = (0.3, 1.0, 3.0)
@@ -195,3 +195,21 @@ def test_a_background_wider_than_names_bear_is_rare_and_no_more() -> None:
     for one, other in zip(plain.scales, narrow.scales, strict=True):
         assert other.rare == one.rare
         assert one.log_z - other.log_z == pytest.approx(3.0 if one.share > 0.03 else 0.0)
+
+
+def test_where_lapack_does_not_converge_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = np.random.default_rng(11).standard_normal((3, 20, 6))
+    columns[1, :, 5] = columns[1, :, 4]
+    left, singular = left_singular(columns)
+
+    def fails(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    other, same = left_singular(columns)
+    assert same == pytest.approx(singular, abs=1e-6)
+    shown, again = ((u * s[:, None]) @ u.transpose(0, 2, 1) for u, s in
+                    ((left, singular), (other, same)))  # fmt: skip
+    assert again == pytest.approx(shown, abs=1e-9)
+    wide = left_singular(columns.transpose(0, 2, 1))[1]
+    assert wide == pytest.approx(singular, abs=1e-6)

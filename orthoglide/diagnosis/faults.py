@@ -90,6 +90,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
     """What a fault looks like, and what to do about it."""
     first = f"{problem.measured[fault.rows[0]] * 1e3:.6g} mm"
     size = f"{fault.size * 1e3:+.3g} mm"
+    up = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
     match fault.kind:
         case "outlier":
             visits = np.sum(problem.station[fault.rows[0]] == problem.station)
@@ -100,7 +101,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
             )
         case "knocked_stand":
             return (
-                f"from here on all readings of the setup are {size} higher than before, as if the "
+                f"from here on all readings of the setup are {up} than before, as if the "
                 f"dial's stand had been knocked: give these rows a setup name of their own, or "
                 f"measure the setup again"
             )

@@ -34,6 +34,9 @@ _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
 linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
 
+_UNSETTLED = 1.0
+"""Root mean square, in sigmas, from which a prediction is another than its linearisation."""
+
 TOLERANCES, _SHOWN = 3.0, 3.0
 """What shows less than three sigmas of all readings together at three tolerances is invisible."""
 
@@ -99,6 +102,14 @@ class FullPosterior:
         found = self.known.covariance.copy()
         found[:count, :count] += along @ spread @ along.T
         return found
+
+    @property
+    def settled(self) -> bool:
+        """Whether the machine found predicts the readings about as its linearisation does, and no
+        worse than the base: else what it leaves was never looked at.
+        """
+        near = self.about.apart < _UNSETTLED
+        return near and self.after.scores.chi2 <= self.before.scores.chi2 + self.after.scores.dof
 
     @property
     def share(self) -> float:

@@ -287,7 +287,7 @@ class Search:
         columns = np.stack([s.of_groups(np.array(at, dtype=np.intp)) for s in scales]) * tau
         if not at:
             return columns, np.zeros((len(scales), 0))
-        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+        left, singular = left_singular(columns)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
     def _log_z(self, scales: Sequence[Scale], left: Array, shrink: Array) -> Array:
@@ -296,6 +296,26 @@ class Search:
         gain = ((1 - (1 - shrink) ** 2) * along[:, 0] ** 2).sum(axis=1)
         plain = np.array([s.log_z for s in scales])
         return np.asarray(plain + gain / 2 + np.log1p(-shrink).sum(axis=1))
+
+
+def left_singular(columns: Array) -> tuple[Array, Array]:
+    """Left singular vectors ``(..., m, q)`` of columns, and singular values ``(..., q)``.
+
+    Where LAPACK's divide and conquer does not converge, as happens to sound matrices: by the
+    eigenvectors of their products, less exact for what is small, which hardly counts.
+    """
+    try:
+        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    except np.linalg.LinAlgError:
+        square, turn = np.linalg.eigh(columns.swapaxes(-1, -2) @ columns)
+        count = min(columns.shape[-2:])
+        turn = turn[..., ::-1][..., :count]
+        singular = np.sqrt(np.maximum(square[..., ::-1][..., :count], 0.0))
+        least = 1e-7 * singular.max(axis=-1, initial=1e-300, keepdims=True)
+        singular = np.where(singular > least, singular, 0.0)
+        left = (columns @ turn) / np.maximum(singular, least)[..., None, :]
+        left = np.where(singular[..., None, :] > 0, left, 0.0)
+    return left, singular
 
 
 def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
