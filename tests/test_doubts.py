@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks.attribution_cases import base_errors
+from benchmarks.attribution_run import campaign as campaign_of, points_of
 from orthoglide.errors import InputError
 from orthoglide.notes import Note
 from orthoglide.simulation import simulate, simulate_tcp
+from tests import rig_campaigns as rc
+from tests.rig import Rig
 
 RIG = Path(__file__).parent / "data" / "rig"
 MACHINE = og.Machine.load(RIG / "machine.toml")
@@ -144,3 +148,23 @@ def test_points_of_the_tool_that_are_there_twice_are_said(missing: bool) -> None
     (again,) = copies(replace(points, **some, line=np.arange(2, n + 4)))
     assert again.lines == (n + 2, n + 3)
     assert f"points.csv, lines {n + 2}, {n + 3}: the same point as before" in again
+
+
+@pytest.mark.parametrize(("number", "beside"), [(2, 1e-3), (3, 5e-4)])
+def test_a_command_recorded_wrongly_is_blamed_on_no_part(number: int, beside: float) -> None:
+    """Dials that all show 69 % too little, with certainty, and zeros a millimetre off to enter."""
+    rng = np.random.default_rng([9090, number, round(abs(beside) * 1e5)])
+    machine = Rig(errors=base_errors(rng)).with_background(rng, 0.1)
+    rows = rc.simulate(machine, ("sweep", "two-gauges")[number % 2], rng)
+    leg = str(rng.choice(list("xyz")))
+    moved = {2: "+40", 3: "-100"}[number]
+    for row in rows:
+        if row["leg"] == leg and row["posture"] == moved:
+            row[f"rho_{leg}_mm"] = round(float(row[f"rho_{leg}_mm"]) + beside * 1e3, 6)
+    verdict = og.close_loop([campaign_of(rows)], MACHINE, tcp=points_of(machine, rng))
+    assert verdict.word == "unexplained"
+    assert not verdict.effects
+    assert not verdict.located
+    assert verdict.tcp is not None
+    errors = verdict.tcp["translation"]
+    assert errors.after[0] == errors.before[0] < 0.02e-3

@@ -34,8 +34,10 @@ _SETTLED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
 linearisation: a hundredth of a chi2 a reading, next to nothing of any cause."""
 
-_UNSETTLED = 1.0
-"""Root mean square, in sigmas, from which a prediction is another than its linearisation."""
+_UNSETTLED = 1.25
+"""Root mean square, in sigmas, from which a prediction is another than its linearisation: more than
+noise. Machines off by all their tolerances come to 1.1; what a command typed wrong was taken for,
+to 1.3 and more."""
 
 TOLERANCES, _SHOWN = 3.0, 3.0
 """What shows less than three sigmas of all readings together at three tolerances is invisible."""
