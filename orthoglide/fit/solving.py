@@ -67,19 +67,26 @@ def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
     """
     found = _solve(problem, method, start)
     for _ in range(_ROUNDS):
-        problem = found.problem
-        ends = np.cumsum([len(f.measured) for f in problem.factors])
-        values = np.split(found.at.value, ends[:-1])[len(problem.campaigns) :]
-        slopes = found.at.slopes[len(problem.campaigns) :]
-        points = tuple(
-            f.about(v, s) for f, v, s in zip(problem.points, values, slopes, strict=True)
-        )
-        if all(new is old for new, old in zip(points, problem.points, strict=True)):
+        near = about_machine(found.problem, found.at)
+        if near is found.problem:
             break
-        last, found = found, _solve(replace(problem, points=points), method, found.x)
+        last, found = found, _solve(near, method, found.x)
         if found.scores.chi2 > _WORTH * last.scores.chi2:
             break  # not the instruments' place is what these readings have wrong, if anything
     return found
+
+
+def about_machine(problem: Problem, at: Linearised) -> Problem:
+    """The problem with instruments' frames and balls brought to a machine; itself where they are
+    there.
+    """
+    ends = np.cumsum([len(f.measured) for f in problem.factors])
+    values = np.split(at.value, ends[:-1])[len(problem.campaigns) :]
+    slopes = at.slopes[len(problem.campaigns) :]
+    points = tuple(f.about(v, s) for f, v, s in zip(problem.points, values, slopes, strict=True))
+    if all(new is old for new, old in zip(points, problem.points, strict=True)):
+        return problem
+    return replace(problem, points=points)
 
 
 def _widened(found: Estimate, method: Method) -> Estimate:

@@ -16,7 +16,7 @@ from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.solving import assessed, solve
+from orthoglide.fit.solving import about_machine, assessed, solve
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
@@ -199,6 +199,8 @@ class FullPosterior:
         )
         x = (self.mean * scale)[:count]
         at = linearise(problem, x)
+        if (near := about_machine(problem, at)) is not problem:
+            problem, at = near, linearise(near, x)
         estimate = assessed(problem, nuisances(problem, at.slopes), at, "posterior",
                             len(mixture.children), self.about.apart)  # fmt: skip
         return replace(
