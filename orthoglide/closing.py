@@ -186,7 +186,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("allowing"))
     found, left = outstanding(known, causes), remains(known)
     if not known.settled:
-        found, left = replace(found, causes=(), located=()), replace(left, p_value=0.0)
+        found = replace(found, causes=())
     if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
     word = _word(found, left)

@@ -22,10 +22,14 @@ def remains(posterior: FullPosterior) -> Left:
     means, which see best what repeats at every visit; and of everything, doubled, where the noise
     is declared.
 
+    A posterior that did not settle was not looked at where it is: what it leaves is not known.
+
     Args:
         posterior: of everything.
     """
     mixture, p = posterior.mixture, 0.0
+    if not posterior.settled:
+        return Left(p, mixture.rare)
     for state, scale in mixture.named:
         p = max(p, _chance(posterior, mixture.precision(state, scale)))
         if p > _ENOUGH:
