@@ -1,4 +1,4 @@
-"""Printers that were looked for after the methods were made: readings that were not used."""
+"""Files of printers, looked for after the methods were made: readings that were not used."""
 
 from __future__ import annotations
 
