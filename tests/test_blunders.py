@@ -155,6 +155,17 @@ def test_exchanged_labels(other, machine):
 
 
 @pytest.mark.parametrize(
+    ("column", "protocol"), [("leg", "standard"), ("direction", "standard"), ("direction", "sweep")]
+)
+def test_a_label_of_another_leg_or_direction(column, protocol, machine):
+    """It was told of a drive or of the dial's range, as a place in the machine."""
+    rows = [{**r, column: "x"} if r["setup"] == "yz-0.5" else r for r in rows_of(protocol)]
+    (blunder,) = found_in(rows, machine)
+    assert (blunder.kind, blunder.setups) == ("label", ("yz-0.5",))
+    assert "as those of a dial on leg y that reads along z" in blunder.message
+
+
+@pytest.mark.parametrize(
     ("factor", "said"),
     [(1e-3, "in metres"), (1 / 25.4, "in inches"), (10.0, "decimal point")],
 )

@@ -40,7 +40,7 @@ _REFITS = 3
 _CHANGED = 2
 """Rounds more where something may have changed: before a fault of the data and beside it."""
 
-MEANINGS = ("sign", "unit", "exchanged_labels")
+MEANINGS = ("sign", "unit", "label", "exchanged_labels")
 """Faults by which readings mean something else than they seem to."""
 
 
@@ -49,7 +49,7 @@ class Blunder:
     """A fault of the data.
 
     Attributes:
-        kind: outlier, knocked_stand, sign, exchanged_labels, unit or stuck.
+        kind: outlier, knocked_stand, sign, label, exchanged_labels, unit or stuck.
         rows: campaign and row within it; of a knocked stand the rows after the knock.
         setups: names of the setups concerned.
         message: which file, which lines, what it looks like, what to do.

@@ -14,7 +14,9 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import source
 from orthoglide.units import MISTAKEN
 
-Kind = Literal["outlier", "knocked_stand", "sign", "exchanged_labels", "unit", "stuck", "scatter"]
+Kind = Literal[
+    "outlier", "knocked_stand", "sign", "label", "exchanged_labels", "unit", "stuck", "scatter"
+]
 Rows = NDArray[np.int64]
 
 EVIDENCE = 7.0
@@ -34,6 +36,7 @@ class Fault:
         setups: numbered over all campaigns.
         size: of an outlier or a knock, metres; a unit's factor.
         evidence: log Bayes factor in its favour, the number of its like discounted.
+        label: of a wrong label the leg and axis that fit.
     """
 
     kind: Kind
@@ -41,6 +44,7 @@ class Fault:
     setups: tuple[int, ...]
     size: float
     evidence: float = 0.0
+    label: tuple[int, int] = (0, 0)
 
 
 def in_order(problem: Problem, setup: int) -> Rows:
@@ -112,6 +116,12 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"the readings fit with the opposite sign, so the dial counted the other way: look "
                 f"at which way its hand turns and put direction {other} instead of "
                 f"{setup.direction}"
+            )
+        case "label":
+            leg, axis = (LEGS[k] for k in fault.label)
+            return (
+                f"the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
+                f"where it stood, and correct the leg or the direction of the setup"
             )
         case "exchanged_labels":
             return (

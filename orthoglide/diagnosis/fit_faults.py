@@ -104,7 +104,7 @@ def _misread(
         fault, bonus = hypotheses[k].fault, 0.0
         if fault.kind == "unit":
             bonus = _scattering(means, setups, fault)
-        swapped = fault.kind == "exchanged_labels"
+        swapped = fault.kind in ("label", "exchanged_labels")
         if (swapped or factor_fits(means, fault.rows, fault.size)) and _mended(
             means, fault, after[:, k]
         ):

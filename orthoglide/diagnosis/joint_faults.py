@@ -85,7 +85,8 @@ def _identified(
     if not after.signatures.candidates:
         return None
     (explained,) = after.explained(after.residual[:, None])
-    swings = hypothesis.fault.kind == "exchanged_labels" or _swings(after, explained, hypothesis)
+    labels = hypothesis.fault.kind in ("label", "exchanged_labels")
+    swings = labels or _swings(after, explained, hypothesis)
     return explained if swings and _is_noise(after, explained.left) else None
 
 

@@ -1,10 +1,10 @@
-"""Readings that mean something else: a sign, a unit, two labels or columns exchanged."""
+"""Readings that mean something else: a sign, a unit, a label, two labels or columns exchanged."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
 from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.geometry import Array
+from orthoglide.observations import Setup
 from orthoglide.units import MISTAKEN
 
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
@@ -35,13 +36,19 @@ class Misreading:
 
     def corrected(self, problem: Problem) -> Problem:
         """The problem with the fault taken back."""
+        if self.fault.kind == "label":
+            (setup,) = self.fault.setups
+            return _labelled(problem, {setup: _as_label(_setup(problem, setup), self.fault.label)})
         if self.labels:
-            return _exchanged(problem, *self.fault.setups)
+            one, other = self.fault.setups
+            a, b = _setup(problem, one), _setup(problem, other)
+            exchanged = {one: replace(b, name=a.name), other: replace(a, name=b.name)}
+            return _labelled(problem, exchanged)
         return problem.with_readings(problem.measured + self.change)
 
 
 def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
-    """Every sign, unit and exchange of two setups of one campaign."""
+    """Every sign, unit and label, and exchange of two setups of one campaign."""
     problem = means.problem
     if not setups:
         return []
@@ -58,6 +65,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         add("sign", rows, (s,), -1.0, -measured[rows])
         for factor in MISTAKEN:
             add("unit", rows, (s,), factor, factor * measured[rows])
+    found += _labels(problem, means.signatures.estimate.x, value, order)
     commands = np.concatenate([c.command for c in problem.campaigns])
     predicted = _under_each_label(problem, means.signatures.estimate.x)
     for one, other in combinations(setups, 2):
@@ -93,18 +101,43 @@ def _under_each_label(problem: Problem, x: Array) -> Array:
     return predicted
 
 
-def _exchanged(problem: Problem, one: int, other: int) -> Problem:
-    """The problem with the labels of two setups of one campaign exchanged."""
-    campaigns, first = list(problem.campaigns), 0
-    for k, campaign in enumerate(campaigns):
-        setups = list(campaign.setups)
-        if first <= one < first + len(setups):
-            a, b = setups[one - first], setups[other - first]
-            setups[one - first] = replace(b, name=a.name)
-            setups[other - first] = replace(a, name=b.name)
-            campaigns[k] = replace(campaign, setups=tuple(setups))
-        first += len(setups)
-    return replace(problem, campaigns=tuple(campaigns))
+def _labels(
+    problem: Problem, x: Array, value: Array, order: Mapping[int, Rows]
+) -> Iterator[Misreading]:
+    """Every other leg and axis of every setup."""
+    for s, rows in order.items():
+        setup = _setup(problem, s)
+        k = next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
+        campaign, values = problem.campaigns[k], problem.values(k, x)
+        here = rows - problem.rows[k].start
+        for leg, axis in permutations(range(3), 2):
+            if (leg, axis) == (setup.leg, setup.axis):
+                continue
+            other = _as_label(setup, (leg, axis))
+            under = replace(campaign.subset(here), setups=(other,), setup=np.zeros(len(here), int))
+            change = np.zeros(len(value))
+            change[rows] = value[rows] - problem.machine.model.readings(values, under)
+            yield Misreading(Fault("label", rows, (s,), 0.0, label=(leg, axis)), change)
+
+
+def _as_label(setup: Setup, label: tuple[int, int]) -> Setup:
+    leg, axis = label
+    return replace(setup, leg=leg, axis=axis)
+
+
+def _setup(problem: Problem, setup: int) -> Setup:
+    """Of all setups, numbered over all campaigns."""
+    return [s for c in problem.campaigns for s in c.setups][setup]
+
+
+def _labelled(problem: Problem, labels: Mapping[int, Setup]) -> Problem:
+    """The problem with other labels of some setups, numbered over all campaigns."""
+    numbers = iter(range(problem.setup_count))
+    campaigns = tuple(
+        replace(c, setups=tuple(labels.get(next(numbers), s) for s in c.setups))
+        for c in problem.campaigns
+    )
+    return replace(problem, campaigns=campaigns)
 
 
 def digits(problem: Problem, fault: Fault) -> float:

@@ -37,6 +37,7 @@ _FAULTS = {
     "outlier": "a reading out of line",
     "knocked_stand": "a stand that was knocked",
     "sign": "a dial that counted the other way",
+    "label": "a setup of another leg or direction",
     "exchanged_labels": "two setups exchanged",
     "unit": "a wrong unit",
     "stuck": "a dial that stuck",
