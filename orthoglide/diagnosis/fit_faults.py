@@ -13,7 +13,7 @@ import numpy as np
 
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, untouched
-from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings
+from orthoglide.diagnosis.misreadings import LABELS, Misreading, digits, factor_fits, misreadings
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
@@ -52,7 +52,7 @@ def fit_fault(
     free = untouched(means.problem, known)
     hypotheses = misreadings(means, free)
     for _ in range(_EFFECTS + 1):
-        best = _likeliest(_misread(means, hypotheses, setups) + _single(means, free))
+        best = _likeliest(_misread(means, hypotheses, setups, known) + _single(means, free))
         rival, place = means.best_effect
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
             return changes if changes and _are_changes(changes, best, hypotheses) else best
@@ -90,9 +90,12 @@ def _likeliest(faults: list[Fault]) -> Fault | None:
 
 
 def _misread(
-    means: StationMeans, hypotheses: list[Misreading], setups: Sequence[Scatter]
+    means: StationMeans,
+    hypotheses: list[Misreading],
+    setups: Sequence[Scatter],
+    known: Sequence[Fault],
 ) -> list[Fault]:
-    """A sign, a unit, an exchange: readings that fit once they are changed back."""
+    """A sign, a unit, a label, an exchange: readings that fit once they are changed back."""
     if not hypotheses:
         return []
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
@@ -104,12 +107,18 @@ def _misread(
         fault, bonus = hypotheses[k].fault, 0.0
         if fault.kind == "unit":
             bonus = _scattering(means, setups, fault)
-        swapped = fault.kind in ("label", "exchanged_labels")
-        if (swapped or factor_fits(means, fault.rows, fault.size)) and _mended(
-            means, fault, after[:, k]
-        ):
+        if _mended(means, fault, after[:, k]) and _says_so(means, hypotheses[k], known):
             found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
+
+
+def _says_so(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]) -> bool:
+    """Whether the readings themselves say how large the fault is."""
+    fault = hypothesis.fault
+    if fault.kind not in LABELS:
+        return factor_fits(means, fault.rows, fault.size)
+    after = hypothesis.refitted(means, known)
+    return after is not None and hypothesis.leaves_none(means.problem, after)
 
 
 def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) -> float:

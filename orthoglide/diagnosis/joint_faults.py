@@ -16,16 +16,23 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.diagnosis.faults import Fault, untouched
-from orthoglide.diagnosis.misreadings import Misreading, digits, factor_fits, misreadings, only
+from orthoglide.diagnosis.misreadings import (
+    LABELS,
+    Misreading,
+    digits,
+    factor_fits,
+    misreadings,
+    only,
+)
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import Explained, StationMeans
-from orthoglide.errors import NumericsError
-from orthoglide.fit import solve
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.fit import solve, with_free
 
 _MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the readings as they are
 _SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
 _SHARE = 0.5  # of what the best effects alone leave, that a fault and its effects may leave
-_REFITS = 4  # hypotheses that are identified anew
+_REFITS = 8  # hypotheses that are identified anew
 _SIGMAS = 30.0  # of the station means, by which readings must swing past fit and effects
 _FEWEST = 6.0  # degrees of freedom of station means: fewer tell nothing of two effects and a fault
 _APART = 6.0  # log Bayes factor between the best fault and the next one of other setups
@@ -43,9 +50,9 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
         return None
     (bare,) = means.explained(means.residual[:, None])
     # The family that leaves least counts as well: is there any explanation but a fault?
-    families = means.scoring.gains(means.residual), means.scoring.evidences(means.residual)
-    bare_left = min(bare.left, means.chi2 - float(families[0].max()))
-    bare_score = max(bare.score, float(families[1].max()) - means.chi2 / 2)
+    gains, evidences = means.scoring.gains(means.residual), means.scoring.evidences(means.residual)
+    bare_left = min(bare.left, means.chi2 - float(gains.max()))
+    bare_score = max(bare.score, float(evidences.max()) - means.chi2 / 2)
     hypotheses = misreadings(means, untouched(problem, known))
     if _is_noise(means, bare_left) or not hypotheses:
         return None
@@ -64,7 +71,26 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     if best is None:
         return None
     others = [f.evidence for f in faults if f.setups != best.setups]
-    return best if best.evidence - max(others, default=-np.inf) >= _APART else None
+    if best.evidence - max(others, default=-np.inf) < _APART:
+        return None
+    rivals = {bare.places, (int(gains.argmax()),), (int(evidences.argmax()),)}
+    return None if any(_fits(means, places, known) for places in rivals) else best
+
+
+def _fits(means: StationMeans, places: Sequence[int], known: Sequence[Fault]) -> bool:
+    """Whether effects alone, identified anew as the faults are, leave no more than noise.
+
+    A dial far from its direction is what a wrong label is; an effect of the machine may be far.
+    """
+    problem, candidates = means.problem, [means.signatures.candidates[p] for p in places]
+    names = [name for c in candidates for name in c.parameters]
+    machines = not any(problem.machine.catalogue.effect_of(n).of_dial for n in names)
+    try:
+        fit = solve(with_free(problem, names), method="nested", widen=machines)
+        after = StationMeans.of(signatures(fit), known)
+    except (InputError, NumericsError):
+        return False
+    return _is_noise(after, after.chi2)
 
 
 def _is_noise(means: StationMeans, left: float) -> bool:
@@ -76,26 +102,23 @@ def _identified(
     means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]
 ) -> Explained | None:
     """What is left once the fault is taken back and all is identified anew, if it is noise."""
-    try:
-        corrected = hypothesis.corrected(means.problem)
-        fit = solve(corrected, method="nested", widen=False)
-        after = StationMeans.of(signatures(fit), known)
-    except NumericsError:
-        return None
-    if not after.signatures.candidates:
+    after = hypothesis.refitted(means, known)
+    if after is None or not after.signatures.candidates:
         return None
     (explained,) = after.explained(after.residual[:, None])
-    labels = hypothesis.fault.kind in ("label", "exchanged_labels")
-    swings = labels or _swings(after, explained, hypothesis)
-    return explained if swings and _is_noise(after, explained.left) else None
-
-
-def _swings(after: StationMeans, explained: Explained, hypothesis: Misreading) -> bool:
-    """Whether the readings themselves say the factor, beside the effects."""
+    if not _is_noise(after, explained.left):
+        return None
     for place in explained.places:
         after = after.beside(place)
-    rows = hypothesis.fault.rows
+    return explained if _says_so(means, after, hypothesis) else None
+
+
+def _says_so(before: StationMeans, after: StationMeans, hypothesis: Misreading) -> bool:
+    """Whether the readings themselves say the factor, beside the effects."""
+    kind, rows = hypothesis.fault.kind, hypothesis.fault.rows
+    if kind in LABELS:
+        return hypothesis.leaves_none(before.problem, after)
     shown = after.shown(only(rows, after.problem.measured))
     # Readings made small lose their say, and whatever troubled the setup is gone with them.
-    least = _SIGMAS if hypothesis.fault.kind == "unit" else 0.0
+    least = _SIGMAS if kind == "unit" else 0.0
     return float(np.linalg.norm(shown)) >= least and factor_fits(after, rows, 1.0)

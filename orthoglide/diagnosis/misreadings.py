@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
 import numpy as np
 
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, in_order
+from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.fit import Problem
+from orthoglide.errors import NumericsError
+from orthoglide.fit import Problem, solve
 from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.geometry import Array
 from orthoglide.observations import Setup
 from orthoglide.units import MISTAKEN
 
+LABELS = ("label", "exchanged_labels")
+"""Faults of what the setups are called."""
+
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
-_FACTOR = 0.15  # relative error of a sign's or unit's factor that the readings themselves may give
+_FACTOR = 0.15  # relative error of a fault's factor that the readings themselves may give
 
 
 @dataclass(frozen=True)
@@ -36,15 +41,41 @@ class Misreading:
 
     def corrected(self, problem: Problem) -> Problem:
         """The problem with the fault taken back."""
+        setups = self.fault.setups
         if self.fault.kind == "label":
-            (setup,) = self.fault.setups
+            (setup,) = setups
             return _labelled(problem, {setup: _as_label(_setup(problem, setup), self.fault.label)})
         if self.labels:
-            one, other = self.fault.setups
-            a, b = _setup(problem, one), _setup(problem, other)
-            exchanged = {one: replace(b, name=a.name), other: replace(a, name=b.name)}
-            return _labelled(problem, exchanged)
+            one, other = (_setup(problem, s) for s in setups)
+            exchanged = replace(other, name=one.name), replace(one, name=other.name)
+            return _labelled(problem, dict(zip(setups, exchanged, strict=True)))
         return problem.with_readings(problem.measured + self.change)
+
+    def refitted(self, means: StationMeans, known: Sequence[Fault]) -> StationMeans | None:
+        """Station means with the fault taken back and all identified anew; none without a fit."""
+        try:
+            fit = solve(self.corrected(means.problem), method="nested", widen=False)
+            return StationMeans.of(signatures(fit), known)
+        except NumericsError:
+            return None
+
+    def leaves_none(self, before: Problem, after: StationMeans) -> bool:
+        """Whether labels, once put right, leave nothing of what they did before.
+
+        An error of the machine that other labels imitate is seldom as large as labels make it.
+        """
+        estimate, setups = after.signatures.estimate, self.fault.setups
+        value = estimate.at.value
+        change = np.zeros(len(after.problem.measured))
+        if self.fault.kind == "label" or self.labels:
+            for s in setups:
+                rows = in_order(before, s)
+                as_before = _readings_as(after.problem, estimate.x, rows, _setup(before, s))
+                change[rows] = as_before - value[rows]
+        else:
+            a, b = (in_order(before, s) for s in setups)
+            change[a], change[b] = value[b] - value[a], value[a] - value[b]
+        return abs(_share(after, change)[0]) <= _FACTOR
 
 
 def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
@@ -65,59 +96,40 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         add("sign", rows, (s,), -1.0, -measured[rows])
         for factor in MISTAKEN:
             add("unit", rows, (s,), factor, factor * measured[rows])
-    found += _labels(problem, means.signatures.estimate.x, value, order)
     commands = np.concatenate([c.command for c in problem.campaigns])
-    predicted = _under_each_label(problem, means.signatures.estimate.x)
+    campaign = np.repeat(range(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
+    x = means.signatures.estimate.x
+    for s, rows in order.items():
+        for label in permutations(range(3), 2):
+            setup = _setup(problem, s)
+            if label != (setup.leg, setup.axis):
+                change = np.zeros(len(measured))
+                change[rows] = value[rows]
+                change[rows] -= _readings_as(problem, x, rows, _as_label(setup, label))
+                found.append(Misreading(Fault("label", rows, (s,), 0.0, label=label), change))
     for one, other in combinations(setups, 2):
         a, b = order[one], order[other]
-        if not np.isfinite(predicted[a, other]).all():
-            continue  # of another campaign
+        if campaign[one] != campaign[other]:
+            continue
         rows, crossed = np.concatenate([a, b]), np.concatenate([b, a])
         if len(a) == len(b):
             add("exchanged_labels", rows, (one, other), 0.0, measured[crossed])
         # At the same commands, in the same order, labels are exchanged with the columns.
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
             change = np.zeros(len(measured))
-            change[a] = value[a] - predicted[a, other]
-            change[b] = value[b] - predicted[b, one]
+            change[a] = value[a] - _readings_as(problem, x, a, _setup(problem, other))
+            change[b] = value[b] - _readings_as(problem, x, b, _setup(problem, one))
             fault = Fault("exchanged_labels", rows, (one, other), 1.0)
             found.append(Misreading(fault, change, labels=True))
     return found
 
 
-def _under_each_label(problem: Problem, x: Array) -> Array:
-    """What every row would read, datums apart, were it of each setup ``(n, setups)``, metres.
-
-    Setups of other campaigns: nan.
-    """
-    predicted = np.full((len(problem.measured), problem.setup_count), np.nan)
-    first = 0
-    for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):
-        values = problem.values(k, x)
-        for place in range(len(campaign.setups)):  # one after the other: large campaigns
-            under = replace(campaign, setup=np.full(len(campaign), place))
-            predicted[rows, first + place] = problem.machine.model.readings(values, under)
-        first += len(campaign.setups)
-    return predicted
-
-
-def _labels(
-    problem: Problem, x: Array, value: Array, order: Mapping[int, Rows]
-) -> Iterator[Misreading]:
-    """Every other leg and axis of every setup."""
-    for s, rows in order.items():
-        setup = _setup(problem, s)
-        k = next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
-        campaign, values = problem.campaigns[k], problem.values(k, x)
-        here = rows - problem.rows[k].start
-        for leg, axis in permutations(range(3), 2):
-            if (leg, axis) == (setup.leg, setup.axis):
-                continue
-            other = _as_label(setup, (leg, axis))
-            under = replace(campaign.subset(here), setups=(other,), setup=np.zeros(len(here), int))
-            change = np.zeros(len(value))
-            change[rows] = value[rows] - problem.machine.model.readings(values, under)
-            yield Misreading(Fault("label", rows, (s,), 0.0, label=(leg, axis)), change)
+def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
+    """What rows of one campaign would read, datums apart, were they of a setup, metres."""
+    k = next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
+    under = problem.campaigns[k].subset(rows - problem.rows[k].start)
+    under = replace(under, setups=(setup,), setup=np.zeros(len(rows), dtype=np.int64))
+    return problem.machine.model.readings(problem.values(k, x), under)
 
 
 def _as_label(setup: Setup, label: tuple[int, int]) -> Setup:
@@ -169,8 +181,13 @@ def only(rows: Rows, readings: Array) -> Array:
 
 def factor_fits(means: StationMeans, rows: Rows, factor: float) -> bool:
     """Whether the factor that fits best is this one: flat readings would fit any small factor."""
-    shown = means.shown(only(rows, means.problem.measured))
-    square = max(float(shown @ shown), 1e-300)
-    best, sigma = 1 - float(shown @ means.residual) / square, 1 / np.sqrt(square)
+    share, sigma = _share(means, only(rows, means.problem.measured))
     allowed = _FACTOR * abs(factor)
-    return bool(abs(best - factor) <= max(allowed, 3 * min(sigma, allowed)))
+    return bool(abs(1 - share - factor) <= max(allowed, 3 * min(sigma, allowed)))
+
+
+def _share(means: StationMeans, change: Array) -> tuple[float, float]:
+    """Share of a change of the readings ``(n,)`` that is in the residual, and its sigma."""
+    shown = means.shown(change)
+    square = max(float(shown @ shown), 1e-300)
+    return float(shown @ means.residual) / square, float(1 / np.sqrt(square))
