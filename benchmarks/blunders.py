@@ -54,12 +54,16 @@ FAULTS = {
     "outlier": (0.1, 0.2, 0.5, 1.0),
     "knocked_stand": (0.05, 0.1, 0.2, 0.5),
     "sign": (0.0,),
+    "label": (0.0, 1.0),
     "exchanged_labels": (0.0, 1.0),
     "unit": (1e-3, 1 / 25.4, 0.1, 10.0),
     "stuck": (0.0,),
 }
-"""Sizes in mm; factors of a unit; 0 and 1: labels of one leg's two dials, or of different legs."""
-TITLES = {"exchanged_labels": {0.0: "one leg's two dials", 1.0: "different legs"}}
+"""Sizes in mm; factors of a unit; 0 and 1 as in ``TITLES``."""
+TITLES = {
+    "exchanged_labels": {0.0: "one leg's two dials", 1.0: "different legs"},
+    "label": {0.0: "direction", 1.0: "leg"},
+}
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,8 @@ def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.
         return rc.swapped_sign(rows, own), own
     if case.name == "unit":
         return rc.wrong_unit(rows, own, case.size), own
+    if case.name == "label":
+        return rc.wrong_label(rows, own, "leg" if case.size else "direction"), own
     if case.name == "stuck":
         return rc.stuck_dial(rows, own, after), own
     leg = own[0]

@@ -398,6 +398,14 @@ def swapped_labels(rows: Sequence[Row], one: str, other: str) -> Fault:
     return _changed(rows, _of(rows, one, other), lambda r: other_of[r["setup"]])
 
 
+def wrong_label(rows: Sequence[Row], setup: str, column: str) -> Fault:
+    """A setup carries the leg, or the direction, that it does not have in its other column."""
+    first = rows[_of(rows, setup)[0]]
+    taken = {str(first[c]).strip("-+") for c in ("leg", "direction")}
+    (wrong,) = set(LEGS) - taken
+    return _changed(rows, _of(rows, setup), lambda r: {column: wrong})
+
+
 def wrong_unit(rows: Sequence[Row], setup: str, factor: float = 1e-3) -> Fault:
     """Readings of a setup in another unit: 1e-3 for metres, 1 / 25.4 for inches."""
     return _changed(rows, _of(rows, setup), lambda r: {"reading_mm": r["reading_mm"] * factor})

@@ -159,10 +159,16 @@ def test_exchanged_labels(other, machine):
 )
 def test_a_label_of_another_leg_or_direction(column, protocol, machine):
     """It was told of a drive or of the dial's range, as a place in the machine."""
-    rows = [{**r, column: "x"} if r["setup"] == "yz-0.5" else r for r in rows_of(protocol)]
-    (blunder,) = found_in(rows, machine)
+    (blunder,) = found_in(rc.wrong_label(rows_of(protocol), "yz-0.5", column).rows, machine)
     assert (blunder.kind, blunder.setups) == ("label", ("yz-0.5",))
     assert "as those of a dial on leg y that reads along z" in blunder.message
+
+
+@pytest.mark.parametrize(("protocol", "rms"), [("fine-sweep", 6.0), ("sweep", 12.0)])
+def test_a_drive_that_goes_with_another_is_no_wrong_label(protocol, rms, machine):
+    """It imitates one, but not in its full size."""
+    drawn = draw(Case("outside", "cross_coupling", protocol, rms, 1), 2029)
+    assert found_in(drawn.rows, machine) == ()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A sign, a unit or two labels weighed together with the causes of the machine beside them.
+"""A sign, a unit or labels weighed together with the causes of the machine beside them.
 
 One at a time, a fault of the data loses against a real error of the machine, and the error, in a
 model of wrong readings, takes another shape. Here each hypothesis is scored with its own best

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -32,23 +32,17 @@ class Misreading:
     Attributes:
         fault: without evidence.
         change: what the residual changes by once it is put right, ``(n,)`` metres.
-        labels: whether the setups' labels are exchanged, and the readings stay.
+        labels: setups by number as they should be labelled; none where the readings are changed.
     """
 
     fault: Fault
     change: Array
-    labels: bool = False
+    labels: Mapping[int, Setup] = field(default_factory=dict)
 
     def corrected(self, problem: Problem) -> Problem:
         """The problem with the fault taken back."""
-        setups = self.fault.setups
-        if self.fault.kind == "label":
-            (setup,) = setups
-            return _labelled(problem, {setup: _as_label(_setup(problem, setup), self.fault.label)})
         if self.labels:
-            one, other = (_setup(problem, s) for s in setups)
-            exchanged = replace(other, name=one.name), replace(one, name=other.name)
-            return _labelled(problem, dict(zip(setups, exchanged, strict=True)))
+            return _labelled(problem, self.labels)
         return problem.with_readings(problem.measured + self.change)
 
     def refitted(self, means: StationMeans, known: Sequence[Fault]) -> StationMeans | None:
@@ -64,16 +58,13 @@ class Misreading:
 
         An error of the machine that other labels imitate is seldom as large as labels make it.
         """
-        estimate, setups = after.signatures.estimate, self.fault.setups
-        value = estimate.at.value
+        x, value = after.signatures.estimate.x, after.signatures.estimate.at.value
         change = np.zeros(len(after.problem.measured))
-        if self.fault.kind == "label" or self.labels:
-            for s in setups:
-                rows = in_order(before, s)
-                as_before = _readings_as(after.problem, estimate.x, rows, _setup(before, s))
-                change[rows] = as_before - value[rows]
-        else:
-            a, b = (in_order(before, s) for s in setups)
+        for s in self.labels:
+            rows = in_order(before, s)
+            change[rows] = _readings_as(after.problem, x, rows, _setup(before, s)) - value[rows]
+        if not self.labels:
+            a, b = (in_order(before, s) for s in self.fault.setups)
             change[a], change[b] = value[b] - value[a], value[a] - value[b]
         return abs(_share(after, change)[0]) <= _FACTOR
 
@@ -84,6 +75,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
     if not setups:
         return []
     measured, value = problem.measured, means.signatures.estimate.at.value
+    order = {s: in_order(problem, s) for s in setups}
     found: list[Misreading] = []
 
     def add(kind: Kind, rows: Rows, of: tuple[int, ...], size: float, corrected: Array) -> None:
@@ -91,36 +83,36 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         change[rows] = corrected - measured[rows]
         found.append(Misreading(Fault(kind, rows, of, size), change))
 
-    order = {s: in_order(problem, s) for s in setups}
+    def relabel(fault: Fault, labels: Mapping[int, Setup]) -> None:
+        change = np.zeros(len(measured))
+        for s, setup in labels.items():
+            as_labelled = _readings_as(problem, means.signatures.estimate.x, order[s], setup)
+            change[order[s]] = value[order[s]] - as_labelled
+        found.append(Misreading(fault, change, labels))
+
     for s, rows in order.items():
         add("sign", rows, (s,), -1.0, -measured[rows])
         for factor in MISTAKEN:
             add("unit", rows, (s,), factor, factor * measured[rows])
+        setup = _setup(problem, s)
+        for leg, axis in set(permutations(range(3), 2)) - {(setup.leg, setup.axis)}:
+            fault = Fault("label", rows, (s,), 0.0, label=(leg, axis))
+            relabel(fault, {s: replace(setup, leg=leg, axis=axis)})
     commands = np.concatenate([c.command for c in problem.campaigns])
     campaign = np.repeat(range(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
-    x = means.signatures.estimate.x
-    for s, rows in order.items():
-        for label in permutations(range(3), 2):
-            setup = _setup(problem, s)
-            if label != (setup.leg, setup.axis):
-                change = np.zeros(len(measured))
-                change[rows] = value[rows]
-                change[rows] -= _readings_as(problem, x, rows, _as_label(setup, label))
-                found.append(Misreading(Fault("label", rows, (s,), 0.0, label=label), change))
     for one, other in combinations(setups, 2):
-        a, b = order[one], order[other]
         if campaign[one] != campaign[other]:
             continue
-        rows, crossed = np.concatenate([a, b]), np.concatenate([b, a])
+        a, b = order[one], order[other]
+        rows = np.concatenate([a, b])
         if len(a) == len(b):
-            add("exchanged_labels", rows, (one, other), 0.0, measured[crossed])
+            add("exchanged_labels", rows, (one, other), 0.0, measured[np.concatenate([b, a])])
         # At the same commands, in the same order, labels are exchanged with the columns.
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
-            change = np.zeros(len(measured))
-            change[a] = value[a] - _readings_as(problem, x, a, _setup(problem, other))
-            change[b] = value[b] - _readings_as(problem, x, b, _setup(problem, one))
-            fault = Fault("exchanged_labels", rows, (one, other), 1.0)
-            found.append(Misreading(fault, change, labels=True))
+            first, second = _setup(problem, one), _setup(problem, other)
+            labels = {one: replace(second, name=first.name)}
+            labels[other] = replace(first, name=second.name)
+            relabel(Fault("exchanged_labels", rows, (one, other), 1.0), labels)
     return found
 
 
@@ -130,11 +122,6 @@ def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
     under = problem.campaigns[k].subset(rows - problem.rows[k].start)
     under = replace(under, setups=(setup,), setup=np.zeros(len(rows), dtype=np.int64))
     return problem.machine.model.readings(problem.values(k, x), under)
-
-
-def _as_label(setup: Setup, label: tuple[int, int]) -> Setup:
-    leg, axis = label
-    return replace(setup, leg=leg, axis=axis)
 
 
 def _setup(problem: Problem, setup: int) -> Setup:
