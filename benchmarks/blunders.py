@@ -232,10 +232,10 @@ def _about(blunder: Blunder, touched: Sequence[int]) -> bool:
 
 
 def _visible(rows: list[rc.Row], spoilt: list[rc.Row]) -> bool:
-    """Whether deviations within a setup change by more than 0.05 mm."""
+    """Whether labels change, or deviations within a setup by more than 0.05 mm."""
     change = {}
     for a, b in zip(rows, spoilt, strict=True):
-        if a["setup"] != b["setup"]:
+        if any(a[k] != b[k] for k in ("setup", "leg", "direction")):
             return True
         change.setdefault(a["setup"], []).append(a["reading_mm"] - b["reading_mm"])
     return max(np.ptp(c) for c in change.values()) > 0.05
