@@ -50,7 +50,8 @@ are stored now. Where a key stands above the header of SAVE_CONFIG and below it,
 counts, as in the firmware, and both lines are told. What the firmware does not store (the
 platform's radius, the distance of an arm's rods, how far the nozzle hangs below the joints) is
 taken as 32, 50 and 40 mm; the sizes of causes that turn the platform depend on it. Correct them in
-`machine.toml`.
+`machine.toml`, the platform's radius `r` together with `radius_mm`: their difference is the
+firmware's `delta_radius`, and another one is refused.
 
 The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
 holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms

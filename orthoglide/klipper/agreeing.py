@@ -17,14 +17,19 @@ from orthoglide.observations import ToolCampaign
 _BEYOND = 16.3  # chi2 of three numbers that chance exceeds once in a thousand
 _WIDTH = 1e-6
 _MANY = 2 * FITTED  # touches whose scatter says how noisy they are
+_HIGHER, _LEANS = 2e-4, 1.2e-4
+"""Metres by which two surfaces of one plate may lie apart, and lean at the rim: between printers'
+own heights and meshes, which are probed warm and cold, a tenth of a millimetre is common."""
 
 
 @dataclass(frozen=True)
 class _Surface:
-    """What touches alone say of the radius and two angles, past a plane of their own.
+    """What touches alone say of the plate, and of the radius and two angles past a plane.
 
     Attributes:
         name: of the campaign.
+        plane: height (metres) and slopes of what was touched, by the present numbers ``(3,)``.
+        reach: most that a touch is away from the centre, metres.
         change: of the firmware's radius (metres) and angles (radians) ``(3,)``.
         spread: their covariance over the variance of a touch ``(3, 3)``.
         sigma: of a touch, metres.
@@ -32,6 +37,8 @@ class _Surface:
     """
 
     name: str
+    plane: Array
+    reach: float
     change: Array
     spread: Array
     sigma: float
@@ -54,10 +61,10 @@ class Disagreement:
 
 
 def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iterator[Disagreement]:
-    """Every mesh by which the firmware's radius and angles would be others.
+    """Every mesh by which the plate, or the firmware's radius and angles, would be others.
 
-    A cause in the machine bends all surfaces alike; between two of them the plate was bent, or
-    the firmware's numbers were changed.
+    A cause in the machine lifts and bends all surfaces alike; between two of them the plate or the
+    endstops were moved, the plate was bent, or the firmware's numbers were changed.
 
     Args:
         firmware: its present numbers.
@@ -67,26 +74,41 @@ def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iter
     for campaign in sorted(campaigns, key=lambda c: c.name != CALIBRATION):
         if (own := _surface(firmware, campaign)) is None:
             continue
-        other = next((one for one in alike if _apart(one, own) > _BEYOND), None)
+        told = ((one, said) for one in alike if (said := _apart(one, own)))
+        other, said = next(told, (None, ""))
         if other is None:
             alike.append(own)
             continue
-        larger = own.change[0] - other.change[0]
         note = Note(
-            f"{own.name}.csv and {other.name}.csv are not of one plate and one set of numbers: by "
-            f"{own.name}.csv delta_radius would differ by {signed(larger * 1e3, 2)} mm, "
-            f"{abs(larger) * own.rim * 1e3:.2f} mm at the rim. The plate was bent or turned "
-            f"between them, or the numbers were changed: leave the older of the two out, or probe "
-            f"it again",
+            f"{own.name}.csv and {other.name}.csv are not of one plate and one set of numbers: "
+            f"{said}",
             "mesh",
         )
         yield Disagreement(own.name, other.name, note)
 
 
-def _apart(one: _Surface, other: _Surface) -> float:
-    difference = other.change - one.change
-    sigma = max(one.sigma, other.sigma)
-    return float(difference @ np.linalg.solve(sigma**2 * (one.spread + other.spread), difference))
+def _apart(one: _Surface, own: _Surface) -> str:
+    """In what two surfaces differ, and why they may; empty where they agree."""
+    difference, sigma = own.change - one.change, max(one.sigma, own.sigma)
+    spread = sigma**2 * (one.spread + own.spread)
+    if difference @ np.linalg.solve(spread, difference) > _BEYOND:
+        return (
+            f"by {own.name}.csv delta_radius would differ by {signed(difference[0] * 1e3, 2)} mm, "
+            f"{abs(difference[0]) * own.rim * 1e3:.2f} mm at the rim. The plate was bent or turned "
+            f"between them, or the numbers were changed: leave the older of the two out, or probe "
+            f"it again"
+        )
+    higher, *slopes = (own.plane - one.plane).tolist()
+    leans = float(np.hypot(*slopes)) * min(one.reach, own.reach)
+    if abs(higher) <= _HIGHER and leans <= _LEANS:
+        return ""
+    way = "higher" if higher > 0 else "lower"
+    return (
+        f"by {own.name}.csv the plate lies {abs(higher) * 1e3:.2f} mm {way} in the middle and leans "
+        f"by {leans * 1e3:.2f} mm more or less at the rim. The numbers were changed after a mesh "
+        f"was probed, or an endstop or the plate was moved between them: leave the older of the "
+        f"two out, or probe it again"
+    )
 
 
 def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
@@ -107,11 +129,18 @@ def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
     if len(p) <= FITTED or np.linalg.matrix_rank(bends, tol=1e-3) < bends.shape[1]:
         return None
     rest = campaign.reading[rows] - p[:, 2]
-    rest = rest - plane @ np.linalg.lstsq(plane, rest, rcond=None)[0]
+    lies = np.linalg.lstsq(plane, rest, rcond=None)[0]
+    rest = rest - plane @ lies
     change = np.linalg.lstsq(bends, rest, rcond=None)[0]
     left = rest - bends @ change
     scatter = np.sqrt(left @ left / (len(p) - FITTED)) if len(p) >= _MANY else 0.0
     spread = np.asarray(np.linalg.inv(bends.T @ bends), dtype=float)
     return _Surface(
-        campaign.name, change, spread, max(PROBE, float(scatter)), float(np.abs(bends[:, 0]).max())
+        campaign.name,
+        -np.asarray(lies),
+        float(np.hypot(*p[:, :2].T).max()),
+        change,
+        spread,
+        max(PROBE, float(scatter)),
+        float(np.abs(bends[:, 0]).max()),
     )

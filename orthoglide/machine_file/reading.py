@@ -25,6 +25,7 @@ from orthoglide.machine_file.model import (
     Stiffness,
 )
 from orthoglide.machine_file.posterior import posterior_path, read_posterior
+from orthoglide.machine_file.travel import check_travel
 from orthoglide.text import brief, shown
 
 
@@ -205,6 +206,8 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     sections = {name: _section(document, name) for name in _KEYS}
     controller, stiffness = sections["controller"], sections["stiffness"]
     geometry = _geometry(document, sections["geometry_mm"])
+    provenance = _plain(document.table("provenance"))
+    check_travel(document, geometry, provenance)
     catalogue = catalogue.of_layout(geometry.layout)
     return MachineFile(
         name=top.get("name", ""),
@@ -218,7 +221,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         parameters={
             name: _parameter(document, name, catalogue) for name in document.table("parameters")
         },
-        provenance=_plain(document.table("provenance")),
+        provenance=provenance,
         catalogue=catalogue,
         file=file,
     )
