@@ -170,7 +170,9 @@ SIDEWAYS = 0.03
 high, and what a probe says of the tool's place along the plate is uncertain."""
 
 
-def refitted(old: Firmware, points: Array, below: Array) -> tuple[Firmware, Array]:
+def refitted(
+    old: Firmware, points: Array, below: Array, known: Array | None = None
+) -> tuple[Firmware, Array]:
     """The numbers with which the firmware brings its nozzle nearest to points.
 
     Weighted least squares on where it then believes the nozzle is, by Gauss-Newton.
@@ -180,11 +182,13 @@ def refitted(old: Firmware, points: Array, below: Array) -> tuple[Firmware, Arra
         points: wanted ``(n, 3)``, metres.
         below: where the carriages stand when the tool is truly there, from their endstops
             (negative: below) ``(n, 3)``, metres.
+        known: weight of each point ``(n,)``; all count alike if ``None``.
 
     Returns:
         The new numbers, and how far it then believes to be from the points ``(n, 3)``, metres.
     """
-    weight = np.array([SIDEWAYS, SIDEWAYS, 1.0])
+    each = np.ones(len(points)) if known is None else known / known.max()
+    weight = each[:, None] * np.array([SIDEWAYS, SIDEWAYS, 1.0])
 
     def miss(firmware: Firmware) -> Array:
         return firmware.points(below + firmware.at_endstop) - points

@@ -23,6 +23,9 @@ PROBED = (0.95, 0.90, 0.85, 0.70, 0.75, 0.80)
 at 90, 150 ... degrees."""
 
 _RINGS, _RAYS, _HEIGHTS = (0.0, 0.5, 1.0), 12, (0.0, 0.05)
+_ABOVE = 0.2
+"""Weight of a height over the plate against one on it: a first layer is a fifth of a millimetre high
+and must stick, further up a print takes such errors along."""
 
 
 def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections | None:
@@ -50,10 +53,13 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     ]
     a, b, c = (geometry.L + v for v in longer)
     start = replace(old, arm=(a, b, c))
-    new, _ = refitted(start, wanted, below)
-    errors = [f.points(below + f.at_endstop) - wanted for f in (old, new)]
     level, along = _spread(machine, plate, wanted, commands)
-    before, after = (float(np.sqrt(np.mean(e[:, 2] ** 2) + level)) for e in errors)
+    # Where the plate was touched is known; what a cause that was guessed does far above it is not.
+    above = np.where(wanted[:, 2] > 0, _ABOVE, 1.0)
+    new, _ = refitted(start, wanted, below, above / np.sqrt(plate.sigma**2 + level))
+    errors = [f.points(below + f.at_endstop) - wanted for f in (old, new)]
+    on = wanted[:, 2] == 0
+    before, after = (float(np.sqrt(np.mean(e[on, 2] ** 2 + level[on]))) for e in errors)
     kept = _past_moves(wanted)
     one, other = (
         float(np.sqrt(np.sum((kept @ e[:, :2].ravel()) ** 2) / len(e) + along)) for e in errors
@@ -61,9 +67,9 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     return Corrections(old, new, (before, after), (one, other))
 
 
-def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> tuple[float, float]:
-    """Variances of the tool's height over the plate as it was touched, and along it past a shift
-    and a turn, square metres: means over points ``(g, 3)`` with their commands ``(g, 3)``.
+def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> tuple[Array, float]:
+    """Variances of the tool's height over the plate as it was touched ``(g,)``, and along it past a
+    shift and a turn, the mean, square metres, at points ``(g, 3)`` with their commands ``(g, 3)``.
     """
     known = machine.posterior
     here = tcp_slopes(machine, known.names, Conditions.at(commands))
@@ -72,9 +78,11 @@ def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> 
     level = here[:, 2] - _plane(points) @ np.linalg.lstsq(columns, touched, rcond=None)[0]
     along = _past_moves(points) @ here[:, :2].reshape(-1, len(known.names))
     noise = plate.sigma**2 * np.linalg.pinv(columns.T @ columns)
-    both = [np.einsum("gp,pq,gq->", rows, known.covariance, rows) for rows in (level, along)]
-    touches = np.einsum("gp,pq,gq->", _plane(points), noise, _plane(points))
-    return float(both[0] + touches) / len(points), float(both[1]) / len(points)
+    heights, ways = (
+        np.einsum("gp,pq,gq->g", rows, known.covariance, rows) for rows in (level, along)
+    )
+    touches = np.einsum("gp,pq,gq->g", _plane(points), noise, _plane(points))
+    return heights + touches, float(ways.sum()) / len(points)
 
 
 def _plane(points: Array) -> Array:
