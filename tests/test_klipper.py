@@ -139,6 +139,33 @@ def test_a_stale_mesh_is_left_out_and_its_numbers_are_held_back(tmp_path: Path) 
     assert not any("one plate" in text for text in alone.cautions)
 
 
+def test_a_mesh_that_lies_elsewhere_than_the_heights_is_told(tmp_path: Path) -> None:
+    """Endstops entered after the mesh was probed: the heights, which are steps, know."""
+    file, text = tmp_path / "printer.cfg", V400.read_text()
+    assert import_printer(V400).apart == ()
+    mesh = text.partition("#*# [bed_mesh default_25Probe]")[2]
+    table = re.search(r"points =\s*\n((?:#\*#\s.*,.*\n)+)", mesh)
+    assert table is not None
+    higher = re.sub(r"-?\d+\.\d+", lambda m: f"{float(m[0]) + 0.3:.6f}", table[1])
+    file.write_text(text.replace(table[1], higher))
+    (note,) = (one.note for one in import_printer(file).apart)
+    size = re.search(r"by mesh-default_25Probe.csv the plate lies (0\.\d+) mm higher", note)
+    assert size is not None
+    assert float(size[1]) == pytest.approx(0.3, abs=0.05)
+
+
+def test_what_the_importer_assumed_is_corrected_together() -> None:
+    """The docs said to correct r; alone it moved the zero of travel by four millimetres."""
+    text = machine_text(import_printer(V400).machine)
+    assert "r = 32.0" in text
+    with pytest.raises(FileError, match=r"radius_mm less r must stay .* put 187\.820595 three"):
+        parse_machine_file(text.replace("r = 32.0", "r = 25.0"))
+    with pytest.raises(FileError, match="L must stay the mean of the firmware's arms"):
+        parse_machine_file(text.replace("L = 345.561", "L = 346.0"))
+    both = text.replace("r = 32.0", "r = 25.0").replace("194.820595", "187.820595")
+    assert parse_machine_file(both).geometry.r == 0.025
+
+
 def test_meshes_that_do_not_go_together_are_named_one_by_one(tmp_path: Path) -> None:
     errors = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"}
     file, now = tmp_path / "printer.cfg", simulated_cfg(DeltaRig())

@@ -97,6 +97,41 @@ def test_the_sign_of_an_inclination_is_that_of_the_higher_side() -> None:
     assert np.abs(shown - wanted).max() < 1e-4  # turns of the second order
 
 
+def test_a_probe_beside_the_tool_touches_where_the_platform_holds_it(tmp_path: Path) -> None:
+    """The independent machine says how high its plate is under the probe; nothing is left."""
+    rig = DeltaRig(errors={"rail_tilt.a.tangential": 6e-3, "mount_tilt.b.a": 8e-3})
+    beside, plane, rows = np.array([-0.04, 0.01, 0.0]), np.array([1e-3, 2e-3, -3e-3]), []
+    for p in places(30):
+        at, turn = rig.pose(rig.inverse(p), p)
+        x, y, z = at + Rotation.from_rotvec(turn).apply(beside)
+        travel = rig.inverse(p) * 1e3
+        row = {"kind": "plate", "setup": "p", "reading_mm": (z - plane @ [1.0, x, y]) * 1e3}
+        rows.append({**row, **{f"travel_{n}_mm": travel[k] for k, n in enumerate("abc")}})
+    frame = {key: [row[key] for row in rows] for key in rows[0]}
+    true, left = MACHINE.with_parameters(rig.errors), []
+    for x, y in (beside[:2] * 1e3, (0.0, 0.0)):
+        own = {**frame, "beside_x_mm": [x] * len(rows), "beside_y_mm": [y] * len(rows)}
+        campaign = ToolCampaign.from_frame(own, machine_file=SPEC)
+        (again,) = read(tmp_path, csv_text(tool_rows(campaign, SPEC)))
+        assert isinstance(again, ToolCampaign)
+        assert np.array_equal(again.beside, campaign.beside)
+        factor = ToolReadings.of(again, MACHINE)
+        linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
+        columns = factor.nuisances(linear.slopes).columns
+        rest = factor.measured - linear.value
+        left.append(np.abs(rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-12)[0]).max())
+    assert left[0] < 1e-9
+    assert left[1] > 1e-5
+
+
+def test_each_setup_has_one_probe() -> None:
+    frame = {"kind": ["plate"] * 2, "setup": ["p"] * 2, "reading_mm": [0.0, 0.0],
+             "beside_x_mm": [0.0, 4.0]}  # fmt: skip
+    frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
+    with pytest.raises(InputError, match="touched at two places beside the tool"):
+        ToolCampaign.from_frame(frame, machine_file=SPEC)
+
+
 ALL = ("plate", "tcp", "distance", "ballbar", "incline")
 
 

@@ -66,7 +66,7 @@ class ToolReadings(OfFile):
             machine: its instruments say the noise, its nominal poses where plates and balls are.
             noise: standard deviation of one reading; replaces all others.
         """
-        p = machine.forward(campaign.command)
+        p = machine.forward(campaign.command) + campaign.beside
         place, ball = p[:, :2].copy(), []
         for k, setup in enumerate(campaign.setups):
             rows = campaign.setup == k
@@ -147,7 +147,7 @@ class ToolReadings(OfFile):
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
-        """Readings; the slopes are the tool's place and the reading itself ``(n, 4)``."""
+        """Readings; the slopes are the place that is read and the reading itself ``(n, 4)``."""
         catalogue = model.catalogue
         machine = [n for n in names if not catalogue.effect_of(n).of_dial]
         out, by_name = model.sensitivities(values, self.conditions(), machine)
@@ -159,7 +159,8 @@ class ToolReadings(OfFile):
             if k not in of_machine:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
         value = self._value(out.p, out.R, self._shape(catalogue, values))
-        return LinearRows(value, jacobian, np.column_stack([out.p[:n], value]))
+        touched = out.p[:n] + np.einsum("nij,nj->ni", out.R[:n], self.points.beside)
+        return LinearRows(value, jacobian, np.column_stack([touched, value]))
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
@@ -210,7 +211,7 @@ class ToolReadings(OfFile):
         axis, sign = self.points.axis, self.points.sign
         found = sign * p[rows, axis]
         of = self.points.of_kind
-        found = np.where(of("plate"), p[:n, 2], found)
+        found = np.where(of("plate"), p[:n, 2] + self._lifted(R[:n, 2]), found)
         found[self.twice] = np.linalg.norm(p[:n][self.twice] - p[n:], axis=1)
         found = np.where(of("ballbar"), np.linalg.norm(p[:n] - self._ball, axis=1), found)
         turn = 0.5 * (R[:n, [2, 0, 1], [1, 2, 0]] - R[:n, [1, 2, 0], [2, 0, 1]])
@@ -223,17 +224,27 @@ class ToolReadings(OfFile):
         of, by_p = self.points.of_kind, by_name[:, :3]
         found = sign[:, None] * by_p[rows, axis]
         plate, ball, level = of("plate"), of("ballbar"), of("incline")
-        found[plate] = by_p[:n][plate, 2]
+        by_R = by_name[:n, 3:].reshape(n, 3, 3, -1)
+        found[plate] = (by_p[:n, 2] + self._lifted(by_R[:, 2]))[plate]
         apart = p[:n][self.twice] - p[n:]
         apart /= np.maximum(np.linalg.norm(apart, axis=1), 1e-9)[:, None]
         found[self.twice] = np.einsum("ni,nip->np", apart, by_p[:n][self.twice] - by_p[n:])
         toward = p[:n] - self._ball
         toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
         found[ball] = np.einsum("ni,nip->np", toward, by_p[:n])[ball]
-        by_R = by_name[:n, 3:].reshape(n, 3, 3, -1)
         turn = 0.5 * (by_R[:, [2, 0, 1], [1, 2, 0]] - by_R[:, [1, 2, 0], [2, 0, 1]])
         found[level] = (sign[:, None] * turn[rows, axis])[level]
         return found
+
+    def _lifted(self, up: Array) -> Array:
+        """How far a tilting platform lifts a probe beside the tool ``(n, ...)``, by the last row of
+        its rotation ``(n, 3, ...)``: about the mean, as a probe is set against the nozzle there.
+        """
+        lifted = np.einsum("nj...,nj->n...", up, self.points.beside)
+        for k in range(len(self.points.setups)):
+            rows = self.setup == k
+            lifted[rows] -= lifted[rows].mean(axis=0)
+        return np.asarray(lifted)
 
     @property
     def _ball(self) -> Array:

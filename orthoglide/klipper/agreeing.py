@@ -104,10 +104,10 @@ def _apart(one: _Surface, own: _Surface) -> str:
         return ""
     way = "higher" if higher > 0 else "lower"
     return (
-        f"by {own.name}.csv the plate lies {abs(higher) * 1e3:.2f} mm {way} in the middle and leans "
-        f"by {leans * 1e3:.2f} mm more or less at the rim. The numbers were changed after a mesh "
-        f"was probed, or an endstop or the plate was moved between them: leave the older of the "
-        f"two out, or probe it again"
+        f"by {own.name}.csv the plate lies {abs(higher) * 1e3:.2f} mm {way} in the middle, and "
+        f"leans otherwise by {leans * 1e3:.2f} mm at the rim. The numbers were changed after a "
+        f"mesh was probed, or an endstop or the plate was moved between them: leave the older of "
+        f"the two out, or probe it again"
     )
 
 

@@ -29,6 +29,9 @@ PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
 
 
+_OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
+_BESIDE = 5e-3  # metres: at a tilt of 5 mrad a probe there is lifted by no more than it repeats
+
 FEW = 30
 """Touches: three endstops, six coordinates of towers, three arms and a plane leave half of them."""
 
@@ -189,6 +192,22 @@ def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> It
             f"{config.missing[0]!r} is not beside the file that includes it: if the probe is "
             f"described there, put it there; here the probe is taken to touch where the nozzle is",
             "probe",
+        )
+    beside = max(float(np.linalg.norm(c.beside, axis=1).max()) for c in stored)
+    if beside > _BESIDE:
+        yield Note(
+            f"the probe touches {beside * 1e3:.0f} mm beside the nozzle, where a platform that "
+            f"tilts lifts it: its tilt and the plate's shape are told apart badly, and heights "
+            f"are known no better than that; z_offset is taken as set in the middle of the plate",
+            "probe",
+        )
+    bed = config.optional("bed_mesh")
+    if meshes and any(key in bed for key in _OF_ONE_PLACE):
+        yield Note(
+            "[bed_mesh] takes the height at one place out of every mesh (zero_reference_position): "
+            "how high the nozzle stands there is not known, and stays as it is; set it by hand "
+            "once new numbers are entered, or remove the key and probe again",
+            "mesh",
         )
     if meshes:
         yield Note(

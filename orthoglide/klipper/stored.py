@@ -83,7 +83,7 @@ class Stored:
         return p
 
     def _heights(self) -> Iterator[dict[str, Any]]:
-        section = self.config.section("delta_calibrate")
+        section, (_, beside) = self.config.section("delta_calibrate"), _probe(self.config)
         for word, setup in (("height", "heights"), ("manual_height", "manual-heights")):
             found: list[tuple[float, Array, Array]] = []
             numbers = _numbers(section, word)
@@ -110,7 +110,8 @@ class Stored:
                         f"[printer] and [stepper_*] are of different times or mistyped",
                     )
                 label = f"{p[0] * 1e3:.0f} {p[1] * 1e3:.0f}"
-                yield _row("plate", setup, label, travel, height)
+                touched = beside if word == "height" else np.zeros(2)  # by hand: the nozzle itself
+                yield {**_row("plate", setup, label, travel, height), "beside": touched}
 
     def _distances(self) -> Iterator[dict[str, Any]]:
         section = self.config.section("delta_calibrate")
@@ -157,8 +158,10 @@ class Stored:
             except InputError:
                 away = float(np.hypot(x, y))
                 section.fail("points", f"reach {away * 1e3:.0f} mm out, beyond the arms")
-            yield _row("plate", name, f"{x * 1e3:.6g} {y * 1e3:.6g}", np.round(travel, _ROUND),
-                       probe)  # fmt: skip
+            row = _row(
+                "plate", name, f"{x * 1e3:.6g} {y * 1e3:.6g}", np.round(travel, _ROUND), probe
+            )
+            yield {**row, "beside": offset}
 
     def _probed(self, table: Array, x: Array, y: Array, offset: Array) -> NDArray[np.bool_]:
         """Which values ``(rows * columns,)`` the probe touched: no padding, no faulty regions."""
@@ -258,7 +261,8 @@ def _row(
 def _campaign(name: str, rows: list[dict[str, Any]]) -> ToolCampaign:
     setups: dict[str, ToolSetup] = {}
     for row in rows:
-        setups.setdefault(row["setup"], ToolSetup(row["setup"], row["kind"]))
+        x, y = row.get("beside", (0.0, 0.0))
+        setups.setdefault(row["setup"], ToolSetup(row["setup"], row["kind"], (float(x), float(y))))
     place, n = {name: k for k, name in enumerate(setups)}, len(rows)
     plates = np.array([row["kind"] == "plate" for row in rows])
     return ToolCampaign(

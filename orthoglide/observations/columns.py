@@ -72,8 +72,13 @@ TOOL_COLUMNS: dict[str, Column] = {
     "setup": Column(label),
     "direction": Column(DIRECTION, (0, 1)),
     "firmware": Column(label, ""),
+    "beside_x_mm": Column(number(MM), 0.0),
+    "beside_y_mm": Column(number(MM), 0.0),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
+
+BESIDE = ("beside_x_mm", "beside_y_mm")
+"""Where a probe touches a plate, from the tool on the platform."""
 
 TURNS = 0.1
 """The largest standard deviation of a turn, radians: a level in a telephone shows hundredths."""

@@ -32,10 +32,13 @@ class ToolSetup:
     Attributes:
         name: label, unique within its file.
         kind: of its readings.
+        beside: of a plate's, where it is touched: from the point of the tool that is commanded,
+            along x and y of the platform, metres.
     """
 
     name: str
     kind: Kind
+    beside: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         check_word("kind of reading", self.kind, KINDS)
@@ -83,6 +86,11 @@ class ToolCampaign(Recorded):
     def kind(self) -> tuple[Kind, ...]:
         """Of each reading."""
         return tuple(self.setups[k].kind for k in self.setup)
+
+    @property
+    def beside(self) -> Array:
+        """Where each reading is taken, from the tool's point on the platform ``(n, 3)``, metres."""
+        return np.array([(*s.beside, 0.0) for s in self.setups]).reshape(-1, 3)[self.setup]
 
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
         """Which readings are of a kind ``(n,)``, booleans."""

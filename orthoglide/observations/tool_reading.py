@@ -16,6 +16,7 @@ from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import Fail, check_sequence
 from orthoglide.observations.columns import (
     APPROACHED,
+    BESIDE,
     READING_MRAD,
     RHO,
     ROW_COLUMNS,
@@ -169,11 +170,22 @@ def _check_firmware(table: Table, machine: MachineFile) -> None:
 def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:
     found: dict[str, ToolSetup] = {}
     labels = table.values("setup", TOOL_COLUMNS["setup"])
-    for row, (name, kind) in enumerate(zip(labels, kinds, strict=True)):
-        if found.setdefault(name, ToolSetup(name, kind)).kind != kind:
+    x, y = (table.values(n, TOOL_COLUMNS[n]) for n in BESIDE)
+    for row, (name, kind, *beside) in enumerate(zip(labels, kinds, x, y, strict=True)):
+        own = ToolSetup(name, kind, (beside[0], beside[1]))
+        first = found.setdefault(name, own)
+        if first.kind != kind:
             table.fail(
-                f"setup {name!r} has readings of kind {found[name].kind} and {kind}: give each "
+                f"setup {name!r} has readings of kind {first.kind} and {kind}: give each "
                 "instrument a setup of its own",
+                row,
+            )
+        if any(beside) and kind != "plate":
+            table.fail(f"only a plate is touched beside the tool, not a {kind}", row)
+        if own != first:
+            table.fail(
+                f"setup {name!r} is touched at two places beside the tool: give each probe a setup "
+                f"of its own",
                 row,
             )
     place = {name: k for k, name in enumerate(found)}

@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations.columns import APPROACHED, MM, SECOND, TRAVELLED, by_leg
+from orthoglide.observations.columns import APPROACHED, BESIDE, MM, SECOND, TRAVELLED, by_leg
 from orthoglide.observations.tool import DIRECTED, ToolCampaign
 from orthoglide.observations.writing import Row, numbers, rows_of, shown_commands, signs
 
@@ -32,6 +32,7 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
     needed = {
         "direction": directed.any(),
         "firmware": machine.firmware != "",
+        **dict.fromkeys(BESIDE, campaign.beside.any()),
         "time_s": np.isfinite(campaign.time).any(),
         "temperature_C": np.isfinite(campaign.temperature).any(),
         "load_N": campaign.load.any(),
@@ -59,5 +60,6 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "sigma_mm": numbers(np.where(angles, np.nan, campaign.sigma), MM),
         "sigma_mrad": numbers(np.where(angles, campaign.sigma, np.nan), MM),
         "firmware": [machine.firmware] * len(campaign),
+        **{name: numbers(campaign.beside[:, k], MM) for k, name in enumerate(BESIDE)},
     }
     return rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})

@@ -24,8 +24,8 @@ at 90, 150 ... degrees."""
 
 _RINGS, _RAYS, _HEIGHTS = (0.0, 0.5, 1.0), 12, (0.0, 0.05)
 _ABOVE = 0.2
-"""Weight of a height over the plate against one on it: a first layer is a fifth of a millimetre high
-and must stick, further up a print takes such errors along."""
+"""Weight of a height over the plate against one on it: a first layer is a fifth of a millimetre
+high and must stick, further up a print takes such errors along."""
 
 
 def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections | None:
