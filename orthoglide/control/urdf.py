@@ -51,7 +51,9 @@ def calibrated_urdf(machine: Machine) -> str:
         turned = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
         carriage = origins[f"{leg}_theta"]
         if carriage is not None and any(turned):  # about a, the turned b, then the turned c
-            carriage.set("rpy", _text(Rotation.from_euler("XYZ", turned).as_euler("xyz")))
+            lean = Rotation.from_euler("xyz", _attribute(carriage, "rpy"))
+            both = Rotation.from_euler("XYZ", turned) * lean
+            carriage.set("rpy", _text(both.as_euler("xyz")))
         wider = moves["width1"] + moves["width2"]
         _shift(origins[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
         _shift(origins[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
