@@ -47,7 +47,7 @@ def dials(posture: Posed, campaigns: Iterable[Campaign]) -> tuple[Dial, ...]:
         share = (place - ends[0, setup.leg]) / (ends[1, setup.leg] - ends[0, setup.leg])
         way = np.eye(3)[setup.axis] * setup.sign
         at = ends[0] + share * (ends[1] - ends[0])
-        found.setdefault(setup.name, Dial(setup.name, at, way, setup.bar))
+        found.setdefault(setup.name, Dial(setup.name, at, way))
     return tuple(found.values())
 
 

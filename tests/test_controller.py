@@ -33,6 +33,7 @@ from orthoglide.control import (
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import LEGS, Geometry
+from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.tree import Tree, _sorted, _with_extras
@@ -441,9 +442,9 @@ RIGID = {
 COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
 
 
-def tree_of(text: str, *, general: bool) -> Tree:
+def tree_of(text: str, *, general: bool, geometry: Geometry | None = None) -> Tree:
     model = pin.buildModelFromXML(text)
-    return _sorted(Geometry(), _with_extras(model) if general else model)
+    return _sorted(geometry or Geometry(), _with_extras(model) if general else model)
 
 
 def closed_tcp(tree: Tree, travel: Array) -> Array:
@@ -458,7 +459,7 @@ def closed_tcp(tree: Tree, travel: Array) -> Array:
             break
     assert np.abs(loops.update(q)).max() < 1e-11
     pin.framesForwardKinematics(tree.model, loops.data, q)
-    return np.array(loops.data.oMf[tree.model.getFrameId("x_tcp")].translation)
+    return np.array(loops.data.oMf[tree.model.getFrameId(tree.tool)].translation)
 
 
 def slopes(values: dict[str, float]) -> Array:
@@ -509,6 +510,15 @@ def test_with_relief_joints_all_constant_geometry_is_held() -> None:
     for rho, p in zip(COMMANDS_RHO, machine(values).forward(COMMANDS_RHO), strict=True):
         found = closed_tcp(tree, (rho - L) * np.sqrt(1 + slope**2))
         assert np.abs(found - p).max() < 1e-9
+
+
+def test_carriages_of_a_delta_keep_their_lean_where_they_turn() -> None:
+    delta = Geometry(0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
+    spec = replace(Machine.nominal().spec, geometry=delta)
+    turned = Machine(spec).with_parameters({"mount_tilt.a.b": 1e-3, "mount_tilt.c.a": -2e-3})
+    tree = tree_of(calibrated_urdf(turned), general=True, geometry=delta)
+    for travel in (np.zeros(3), np.array([0.02, 0.05, 0.03])):
+        assert np.abs(closed_tcp(tree, travel) - turned.forward(travel)).max() < 1e-9
 
 
 def test_nothing_identified_is_the_nominal_urdf() -> None:

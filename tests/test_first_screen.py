@@ -18,11 +18,11 @@ from orthoglide.closing import Verdict
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
-from orthoglide.pages import rendered
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import Cause, Explanation
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
+from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.result.actions import Action, Suspect
 from tests.test_report import result_of, words
@@ -61,7 +61,7 @@ def made_up(word: str, *causes: Cause, changed: tuple[Change, ...] = ()) -> Verd
 
 def screen(verdict: Verdict) -> str:
     """What a reader finds on the first screen, folded parts left out."""
-    html = rendered("orthoglide.report", "sections/finding.html.j2", data=finding(verdict))
+    html = rendered("sections/finding.html.j2", data=finding(verdict))
     html = re.sub(r"<svg.*?</svg>", "", html, flags=re.DOTALL)
     open_parts = re.sub(r"</summary>.*?</details>", "</summary></details>", html, flags=re.DOTALL)
     return words(open_parts)
@@ -227,7 +227,7 @@ def test_rivals_beyond_the_first_are_folded_and_counted() -> None:
     first = explained("axis_tilt.y.z", 2.4e-3, CATALOGUE, 0.5)
     verdict = made_up("ambiguous", Cause(first, tuple(several), ()))
     assert "or 4 more" in screen(verdict)
-    html = rendered("orthoglide.report", "sections/finding.html.j2", data=finding(verdict))
+    html = rendered("sections/finding.html.j2", data=finding(verdict))
     assert all(one.words[1:] in words(html) for one in several)
 
 

@@ -184,7 +184,7 @@ def test_the_firmware_s_equations_invert() -> None:
     other = Firmware(0.1627, (210.1, 330.1, 90.0), (0.345, 0.3452, 0.3449), (0.4203, 0.42, 0.4201))
     ring = np.array([[r * np.cos(t), r * np.sin(t), z] for z in (0, 0.05) for r in (0.05, 0.1)
                      for t in np.arange(6)])  # fmt: skip
-    again, left = refitted(firmware, ring, other.below(ring))
+    again, left = refitted(firmware, ring, other.heights(ring) - other.at_endstop)
     assert np.abs(left).max() < 1e-9
     assert again.delta_radius == pytest.approx(other.delta_radius, abs=1e-9)
     kept = Firmware.of(json.loads(json.dumps(other.as_dict())))
@@ -209,7 +209,8 @@ def test_corrections_bring_the_independent_machine_to_the_plate(tmp_path: Path) 
     def heights(firmware: Firmware) -> np.ndarray:
         t = np.arange(6) * np.pi / 3
         p = np.stack([0.1 * np.cos(t), 0.1 * np.sin(t), 0 * t], axis=1)
-        travel = firmware.below(p) + old.at_endstop - nominal  # endstops stay where they are
+        # Endstops stay where they are.
+        travel = firmware.heights(p) - firmware.at_endstop + old.at_endstop - nominal
         return np.array([rig.pose(s, q)[0][2] for s, q in zip(travel, p, strict=True)])
 
     assert np.abs(heights(made.old)).max() > 1e-4
@@ -236,7 +237,7 @@ def test_the_height_to_expect_counts_what_the_readings_leave_open(tmp_path: Path
         rings = [(r, t) for r in (0.0, 0.06, 0.12) for t in np.arange(12 if r else 1) * np.pi / 6]
         p = np.array([(r * np.cos(t), r * np.sin(t), 0.0) for r, t in rings])
         nominal = np.sqrt(rig.L**2 - (rig.radius - rig.r) ** 2)
-        travel = made.new.below(p) + made.old.at_endstop - nominal
+        travel = made.new.heights(p) - made.new.at_endstop + made.old.at_endstop - nominal
         height = [rig.pose(s, q)[0][2] - q[2] for s, q in zip(travel, p, strict=True)]
         told.append(made.height[1])
         true.append(np.sqrt(np.mean(np.square(height))))

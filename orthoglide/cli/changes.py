@@ -9,10 +9,10 @@ from orthoglide import __version__
 from orthoglide.checking import COLUMNS
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
-from orthoglide.pages import rendered
 from orthoglide.report.first import MOST, action_data
 from orthoglide.report.page import Section
 from orthoglide.report.phrases import sentence
+from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.wording import headline
 
@@ -44,7 +44,6 @@ def changes_page(found: Check) -> str:
         "rows": [(sentence(parameter_words(d.parameter))[:-1], d) for d in found.differences],
     }
     return rendered(
-        "orthoglide.report",
         "page.html.j2",
         title="What changed on this machine",
         subtitle=f"from {', '.join(found.old)} to {', '.join(found.new)}",

@@ -117,6 +117,7 @@ def _run(
     from orthoglide.observations.columns import (
         APPROACHED,
         DIRECTION_OF_MOVE,
+        MM,
         POINT,
         RHO,
         TRAVELLED,
@@ -124,7 +125,7 @@ def _run(
         columns,
         command_names,
     )
-    from orthoglide.observations.table import read_table
+    from orthoglide.observations.table import Column, number, read_table
 
     rows = read_table(table)
     machine = opt.load_machine(machine_path, effects_file)
@@ -133,7 +134,9 @@ def _run(
         names, new = command_names(rows, machine.spec), POINT
     else:
         names, new = POINT, RHO if machine.geometry.dialled else by_leg(TRAVELLED, legs)
-    given, travelled = _columns(rows, names), names[0].startswith("travel")
+    rows.check_names((*names, *(n for n in rows.names if n not in names)), names)
+    given = columns(rows, names, Column(number(MM)))
+    travelled = names[0].startswith("travel")
     arrives = by_leg(APPROACHED, legs)
     known = set(arrives) <= set(rows.names)
     seen = {"approach": columns(rows, arrives, DIRECTION_OF_MOVE)} if known else {}
@@ -155,16 +158,6 @@ def _vector(numbers: tuple[float, ...]) -> Array:
 
 def _refuse(message: str, row: int | None) -> NoReturn:
     raise InputError(message)
-
-
-def _columns(table: Table, names: tuple[str, ...]) -> Array:
-    """Three columns of a table ``(n, 3)``, metres."""
-    import numpy as np
-
-    from orthoglide.observations.table import Column, number
-
-    table.check_names((*names, *(n for n in table.names if n not in names)), names)
-    return np.array([table.values(name, Column(number(1e-3))) for name in names]).T
 
 
 def _within(machine: Machine, rho: Array, fail: Fail) -> Array:

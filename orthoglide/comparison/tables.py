@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable, Sequence
 from html import escape
 
 from orthoglide.comparison.comparing import Slice
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
+from orthoglide.figures import style
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS
 from orthoglide.observations import csv_text
@@ -126,17 +126,10 @@ def _record(row: Row) -> dict[str, str]:
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
     """Three planes of the cube in SVG, coloured by the difference at the TCP after the fit."""
-    import matplotlib
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
     top = max(float(plane.difference.max()) for plane in planes) * _UM
-    # A fixed salt and no date: the same numbers give the same bytes.
-    with matplotlib.rc_context(
-        {"svg.hashsalt": "orthoglide", "svg.fonttype": "none", "text.parse_math": False}
-    ):
-        figure = Figure(figsize=(9.5, 3.2), layout="constrained")
-        FigureCanvasSVG(figure)
+    with style.applied():
+        figure = style.new_figure(9.5, 3.2)
+        figure.set_layout_engine("constrained")
         axes = figure.subplots(1, 3)
         for ax, plane in zip(axes, planes, strict=True):
             across, up = (axis for axis in range(3) if axis != plane.normal)
@@ -148,9 +141,7 @@ def slice_figure(title: str, planes: Sequence[Slice]) -> str:
             ax.set_title(f"{LEGS[plane.normal]} = 0", fontsize="medium")
         figure.colorbar(mesh, ax=axes, label="difference at the TCP, µm")
         figure.suptitle(title, fontsize="medium")
-        stream = io.StringIO()
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return stream.getvalue()
+        return style.svg_text(figure)
 
 
 def comparison_page(

@@ -5,7 +5,6 @@ files that a controller or another program takes of a calibrated machine.
 from orthoglide.control.acting import withheld as withheld
 from orthoglide.control.checking import ZeroCheck as ZeroCheck
 from orthoglide.control.compensation import (
-    NOT_COVERED as NOT_COVERED,
     Compensation as Compensation,
     compensate as compensate,
 )

@@ -6,14 +6,12 @@ import json
 import os
 from dataclasses import dataclass
 
-import numpy as np
-
 from orthoglide.control.compensation import Compensation
 from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
-from orthoglide.observations.columns import MM, POINT
+from orthoglide.observations.columns import MM, POINT, columns
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.text import csv_text
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_robot_files
@@ -47,7 +45,7 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
     """
     table = read_table(path)
     warnings = table.check_names(POINT, POINT)
-    p = np.array([table.values(name, Column(number(MM))) for name in POINT]).T
+    p = columns(table, POINT, Column(number(MM)))
     return PathPoints(p, table.lines, table.file, warnings)
 
 

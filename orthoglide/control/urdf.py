@@ -33,22 +33,27 @@ def calibrated_urdf(machine: Machine) -> str:
     Returns:
         URDF, in metres and radians. The drawing stays nominal.
     """
+    from scipy.spatial.transform import Rotation
+
     nominal = to_urdf(machine.geometry)
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}
     axes = {j.get("name"): j.find("axis") for j in robot.iter("joint")}
     for leg, (moves, slope) in zip(machine.geometry.leg_names, _moves(machine), strict=True):
         slide = origins[f"{leg}_slide"]
-        turn = _rotation(_attribute(slide, "rpy"))
+        turn = Rotation.from_euler("xyz", _attribute(slide, "rpy"))
         path = np.array([moves["travel"], moves["lateral_b"], moves["lateral_c"]])
-        _shift(slide, turn @ path)
+        _shift(slide, turn.apply(path))
         tilted = np.array([1.0, *slope])
         axis = axes[f"{leg}_slide"]
         if axis is not None and slope.any():
             axis.set("xyz", _text(tilted / np.linalg.norm(tilted)))
         turned = [moves["turn_a"], moves["turn_b"], moves["turn_c"]]
-        if any(turned):
-            _turn(origins[f"{leg}_theta"], turned)
+        carriage = origins[f"{leg}_theta"]
+        if carriage is not None and any(turned):  # about a, the turned b, then the turned c
+            lean = Rotation.from_euler("xyz", _attribute(carriage, "rpy"))
+            both = Rotation.from_euler("XYZ", turned) * lean
+            carriage.set("rpy", _text(both.as_euler("xyz")))
         wider = moves["width1"] + moves["width2"]
         _shift(origins[f"{leg}_knuckle"], [-moves["stretch1"], 0, 0])
         _shift(origins[f"{leg}_bar2_tip_fixed"], [-moves["stretch2"], 0, 0])
@@ -136,28 +141,3 @@ def _text(values: Array) -> str:
 def _shift(origin: ET.Element | None, by: Array | list[float]) -> None:
     if origin is not None and np.any(by):
         origin.set("xyz", _text(_attribute(origin, "xyz") + by))
-
-
-def _turn(origin: ET.Element | None, angles: list[float]) -> None:
-    """Turn about a, the turned b, then the turned c, as roll, pitch and yaw about fixed axes."""
-    a, b, c = angles
-    R = _rotation([a, 0, 0]) @ _rotation([0, b, 0]) @ _rotation([0, 0, c])
-    rpy = [
-        np.arctan2(R[2, 1], R[2, 2]),
-        -np.arcsin(np.clip(R[2, 0], -1, 1)),
-        np.arctan2(R[1, 0], R[0, 0]),
-    ]
-    if origin is not None:
-        origin.set("rpy", _text(np.array(rpy)))
-
-
-def _rotation(rpy: Array | list[float]) -> Array:
-    """Rotation ``(3, 3)`` of URDF's roll, pitch and yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )

@@ -16,19 +16,12 @@ from orthoglide.fit.noise import (
     Noise as Noise,
     noise_of as noise_of,
 )
-from orthoglide.fit.problem import (
-    Problem as Problem,
-    Unknown as Unknown,
-)
+from orthoglide.fit.problem import Problem as Problem
 from orthoglide.fit.scores import Scores as Scores
-from orthoglide.fit.solving import (
-    Method as Method,
-    solve as solve,
-)
+from orthoglide.fit.solving import solve as solve
 from orthoglide.fit.tempering import tempered as tempered
 from orthoglide.fit.unknowns import (
     build_problem as build_problem,
-    build_unknowns as build_unknowns,
     with_free as with_free,
     with_others as with_others,
 )

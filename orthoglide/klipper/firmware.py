@@ -77,10 +77,6 @@ class Firmware:
             raise InputError("a point lies out of the reach of the arms that the firmware knows")
         return np.asarray(p[:, 2:] + np.sqrt(square))
 
-    def below(self, p: Array) -> Array:
-        """The same, counted from the endstops (negative: below) ``(n, 3)``, metres."""
-        return self.heights(p) - self.at_endstop
-
     def points(self, heights: Array) -> Array:
         """Where the firmware believes the nozzle is ``(n, 3)``, for heights ``(n, 3)``.
 

@@ -1,7 +1,6 @@
 """The machine file (TOML): what is known of one machine, read strictly and written exactly."""
 
 from orthoglide.machine_file.model import (
-    SCHEMA as SCHEMA,
     Controller as Controller,
     Dial as Dial,
     Instrument as Instrument,

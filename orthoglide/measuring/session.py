@@ -147,7 +147,7 @@ class Session:
             row = self._question(sheet, planned, reading, expected, taken)
         elif row is None:
             self._mounting(sheet, planned)
-            row = self._move(planned, "go past", "and read nothing")
+            row = self._move(planned)
         self._at += 1
         if row["reading_mm"]:
             taken[reading] = float(row["reading_mm"]) * 1e-3
@@ -251,9 +251,9 @@ class Session:
                 self.tell(f"  {setup.name}\n    {words}")
         self.tell(f"  {counted(self.machine)}")
 
-    def _move(self, planned: Row, what: str, why: str) -> Row:
+    def _move(self, planned: Row) -> Row:
         """A place to go to, and nothing else."""
-        self._position(planned, what, why)
+        self._position(planned, "go past", "and read nothing")
         return self._keep(planned)
 
     def _again(self, sheet: Campaign, row: int) -> None:
@@ -261,7 +261,7 @@ class Session:
         back = sheet.command[row] - OVERSHOOT * sheet.approach[row]
         alone = replace(sheet.subset([row]), command=back[None], moves=Moves())
         told = {"kind": "move", "posture": AGAIN, "repeat": ""}
-        self._move(self.record.plan(alone)[0] | told, "go past", "and read nothing")
+        self._move(self.record.plan(alone)[0] | told)
         self._at += 1
 
     def _position(self, planned: Row, what: str, why: str) -> None:

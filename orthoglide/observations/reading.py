@@ -103,18 +103,19 @@ def campaign_of_table(
             f"holds readings at the tool ({', '.join(sorted(of_tool))}), and is no campaign of "
             f"dials on legs alone: read it with og.read_readings"
         )
+    moved = np.array(table.values("kind", ROW_COLUMNS["kind"]))
     if not machine.geometry.dialled:
         table.fail(
-            f"holds dials on the legs, or is read as if it did, and this machine's layout is "
-            f"{machine.geometry.layout.kind}: name the kind of each reading in column kind "
-            f"(plate, distance, incline, tcp, ballbar)"
+            f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
+            f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
+            f"({', '.join(KINDS)})",
+            int(np.argmin(moved)),
         )
     names = command_names(table)
     known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH)
     needed = ("setup", "leg", "direction", *names, "gauge_mm")
     readings = ("reading_mm",) if require_readings else ()
     warnings = table.check_names(known, (*needed, *readings))
-    moved = np.array(table.values("kind", ROW_COLUMNS["kind"]))
     read = table.part(np.flatnonzero(~moved).tolist())
     if not read.rows:
         table.fail("has moves only: add rows with readings", 0)

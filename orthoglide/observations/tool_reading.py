@@ -104,14 +104,6 @@ def readings_of_table(
     legs = any(kinds[k] == "leg" for k in others)
     found: list[Readings] = []
     if legs or not of_tool:
-        if not machine.geometry.dialled:
-            row = next((k for k in others if kinds[k] == "leg"), 0)
-            table.fail(
-                f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
-                f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
-                f"({', '.join(KINDS)})",
-                row,
-            )
         found.append(campaign_of_table(table.part(others), name, machine, require_readings))
     if of_tool:
         own = f"{name}-tool" if legs else name

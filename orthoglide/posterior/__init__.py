@@ -18,8 +18,5 @@ from orthoglide.posterior.everything import (
     full_posterior as full_posterior,
 )
 from orthoglide.posterior.free import places_of as places_of
-from orthoglide.posterior.outstanding import (
-    NAMED as NAMED,
-    outstanding as outstanding,
-)
+from orthoglide.posterior.outstanding import outstanding as outstanding
 from orthoglide.posterior.remains import remains as remains

@@ -131,7 +131,6 @@ class Curve:
         value: SI ``(k,)``; about its mean unless it is lost motion, as a level may belong to the
             zeros.
         sigma: of the same, SI ``(k,)``.
-        shown: its part of the readings, datums fitted ``(n,)``, metres.
     """
 
     place: Place
@@ -139,7 +138,6 @@ class Curve:
     at: Array
     value: Array
     sigma: Array
-    shown: Array
 
     def __repr__(self) -> str:
         return f"<{self.place.name}, probability {self.probability:.2f}: {self.size_words}>"

@@ -50,7 +50,6 @@ class Everything:
 
     Attributes:
         problem: with every parameter of the catalogue that could matter free.
-        x: where it was linearised ``(P,)``, SI.
         scale: SI of one unit of each coefficient ``(C,)``: the parameters, then the places', then
             those of the plates' own shapes.
         places: with their coefficients behind the parameters, in order.
@@ -69,7 +68,6 @@ class Everything:
     """
 
     problem: Problem
-    x: Array
     scale: Array
     places: tuple[Place, ...]
     candidates: tuple[Candidate, ...]
@@ -189,7 +187,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return Everything(
-        wide, x, scale, found, causes, reduced, by_name, translations(slopes), rows,
+        wide, scale, found, causes, reduced, by_name, translations(slopes), rows,
         value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside,
     )  # fmt: skip
 

@@ -16,7 +16,6 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
-from orthoglide.fit.least_squares import Nuisances
 from orthoglide.geometry import Array
 from orthoglide.posterior.causes import (
     CandidateScore,
@@ -72,10 +71,6 @@ class _Reader:
     @cached_property
     def instead(self) -> Alternatives:
         return Alternatives(self.posterior.mixture)
-
-    @cached_property
-    def nuisance(self) -> Nuisances:
-        return self.posterior.before.nuisance
 
     def set_of(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """The credible set in the place of one group of the best state; ``None``: no claim."""
@@ -178,6 +173,7 @@ class _Reader:
         machine = about.problem.machine
         unit = np.array([machine.tolerance(name) for name in candidate.parameters])
         names, values, _ = posterior.machine_with(mean)
+        shown = about.rows[:, group.places] @ group.weights @ value
         return Explanation(
             candidate.name,
             candidate.parameters,
@@ -187,12 +183,9 @@ class _Reader:
                 zip(candidate.parameters, (np.sqrt(np.diag(spread)) * unit).tolist(), strict=True)
             ),
             dict(zip(names, values.tolist(), strict=True)),
-            self._shown(about.rows[:, group.places] @ group.weights @ value),
+            shown - posterior.before.nuisance.fitted(shown),
             posterior.machine.catalogue,  # which knows places, too
         )
-
-    def _shown(self, rows: Array) -> Array:
-        return np.asarray(rows - self.nuisance.fitted(rows))
 
     def _is_name(self, name: str, setups: Sequence[str]) -> bool:
         try:
@@ -237,7 +230,7 @@ class _Reader:
         )
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
-        about, group = self.posterior.about, self.groups[k]
+        group = self.groups[k]
         mean, spread = self.instead.moments(member, k, group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
@@ -250,7 +243,6 @@ class _Reader:
             low + (u + 1) / 2 * (high - low),
             functions @ mean[group.places],
             np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", functions, spread, functions), 0.0)),
-            self._shown(about.rows[:, group.places] @ mean[group.places]),
         )
 
     def weighed(self) -> tuple[CandidateScore, ...]:

@@ -14,8 +14,8 @@ import orthoglide.report.follows as follows
 import orthoglide.report.found as found
 from orthoglide import __version__
 from orthoglide.figures.style import Drawing
-from orthoglide.pages import rendered
 from orthoglide.report.phrases import listed
+from orthoglide.report.rendering import rendered
 from orthoglide.report.wording import too_early
 from orthoglide.scene import view_html
 from orthoglide.scene.view import view_style
@@ -59,7 +59,6 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     """
     searches = result.request.searches
     return rendered(
-        "orthoglide.report",
         "page.html.j2",
         title="What is wrong with this machine" if searches else "Calibration report",
         subtitle=_subtitle(result),

@@ -11,8 +11,8 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, Setup
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
-from orthoglide.pages import rendered
 from orthoglide.pictures import dials
+from orthoglide.report.rendering import rendered
 from orthoglide.scene import drawing
 
 
@@ -25,7 +25,6 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
         file: name of the CSV with the same rows.
     """
     return rendered(
-        "orthoglide.report",
         "sheet.html.j2",
         file=file,
         machine=machine.spec.title,

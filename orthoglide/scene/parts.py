@@ -56,13 +56,11 @@ class Dial:
         name: of the setup.
         at: the touched point ``(3,)``.
         way: direction in which it counts up ``(3,)``, a unit vector.
-        bar: 1 or 2, or 0 for the leg's median line.
     """
 
     name: str
     at: Array
     way: Array
-    bar: int = 0
 
     def face(self, unit: float) -> Array:
         """Where its face is drawn ``(3,)``; a unit of the paper is so many metres."""

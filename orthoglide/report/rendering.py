@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 
-def rendered(package: str, template: str, **data: Any) -> str:
-    """A template of a package with what it shows.
+def rendered(template: str, **data: Any) -> str:
+    """A template of the report with what it shows.
 
     Args:
-        package: that has the folder ``templates``.
-        template: its path in there.
+        template: its path in the folder ``templates``.
         data: by the names that the template uses; one that is missing is an error.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader(package),
+        loader=PackageLoader("orthoglide.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
