@@ -181,6 +181,7 @@ OF_ONE_LAYOUT = {
     "geometry.py": "the Orthoglide's legs and named postures, beside the base axes",
     "reduction/": "the papers' own model of the Orthoglide",
     "comparison/": "compares with that model, and refuses other layouts",
+    "observations/campaign.py": "dials on legs: an Orthoglide's, relabelled",
     "planning/pool.py": "mountings of dials against legs",
     "report/sheet.py": "the same, said to who mounts them",
     "urdf/solids.py": "boxes of the Orthoglide's drawing keep to the base axes",

@@ -15,7 +15,6 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.fit import identify
 from orthoglide.judging import tcp_errors
 from orthoglide.observations import Campaign
-from tests.relabelling import relabelled, relabelled_campaign
 from tests.rig import Rig
 from tests.rig_campaigns import protocol_rows, simulate
 
@@ -101,8 +100,10 @@ def test_the_same_seed_gives_the_same_answer(machine: og.Machine) -> None:
 
 
 def test_relabelling_the_axes_relabels_the_verdict(machine: og.Machine) -> None:
+    from orthoglide.effects import relabelled
+
     campaign = og.read_campaign(RIG / "rig-7.csv", machine.spec)
-    one, two = close_loop(campaign, machine), close_loop(relabelled_campaign(campaign), machine)
+    one, two = close_loop(campaign, machine), close_loop(campaign.relabelled(), machine)
     assert [relabelled(e.name) for e in one.effects] == [e.name for e in two.effects]
     turned = {relabelled(n): v for n, v in one.values.items()}
     assert turned.keys() == two.values.keys()

@@ -17,7 +17,7 @@ from orthoglide.cli.design import design as design_command
 from orthoglide.cli.sheets import protocol as protocol_command
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import signatures
-from orthoglide.effects import CATALOGUE
+from orthoglide.effects import CATALOGUE, relabelled
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem, build_problem, noise_of, solve, with_free
 from orthoglide.fit.least_squares import linearise, normal, nuisances
@@ -45,7 +45,6 @@ from orthoglide.planning.pool import DIAL_TRAVEL, sheet
 from orthoglide.planning.repeats import sigma_by_repeats
 from orthoglide.planning.rivals import inseparable_groups
 from orthoglide.planning.wording import detectable_rows, repeats_row
-from tests.relabelling import relabelled, relabelled_campaign
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, protocol_rows, read_csv, simulate, write_csv
 
@@ -108,7 +107,7 @@ def test_the_pool_is_the_same_for_every_leg(machine):
         ]
         return sorted(table)
 
-    assert rows(pool) == rows(relabelled_campaign(pool))
+    assert rows(pool) == rows(pool.relabelled())
 
 
 # -- one step at a time is exact -----------------------------------------------------------------
@@ -235,7 +234,7 @@ def test_observability_of_a_protocol_does_not_depend_on_the_legs_names(machine):
     sheet_, families = protocol("standard"), ("joint_offset", "leg_length", "axis_tilt")
     found = observability(machine, sheet_, families)
     assert found.singular == pytest.approx(
-        observability(machine, relabelled_campaign(sheet_), families).singular, rel=1e-6, abs=1e-6
+        observability(machine, sheet_.relabelled(), families).singular, rel=1e-6, abs=1e-6
     )
     assert found.rank < found.unknowns  # six tilts are more than twelve deviations show
 

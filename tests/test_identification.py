@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from orthoglide import reduction
+from orthoglide.effects import relabelled
 from orthoglide.errors import CrossCheckError, InputError, SolverError, UnidentifiableError
 from orthoglide.fit import (
     Estimate,
@@ -33,7 +34,6 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, nominal_machine_file
 from orthoglide.observations import Campaign, Setup, protocol, read_campaign
-from tests.relabelling import relabelled, relabelled_campaign
 from tests.rig import Rig
 from tests.rig_campaigns import Row, protocol_rows, simulate
 
@@ -355,7 +355,7 @@ def test_refuses_what_makes_no_sense(
 def test_relabelling_a_campaign_relabels_the_result(free: tuple[str, ...]) -> None:
     campaign = measured("standard", 6, (("axis_tilt.x.y", 1e-3),))
     plain = identify(campaign, MACHINE, free, method="nested")
-    turned = identify(relabelled_campaign(campaign), MACHINE, free, method="nested")
+    turned = identify(campaign.relabelled(), MACHINE, free, method="nested")
     for name, value in plain.values.items():
         assert turned.values[relabelled(name)] == pytest.approx(value, abs=NANOMETRE)
         assert turned.sigmas[relabelled(name)] == pytest.approx(plain.sigmas[name], rel=1e-6)

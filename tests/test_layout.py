@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from orthoglide.accuracy import workspace
 from orthoglide.closing import close_loop
-from orthoglide.effects import catalogue_of
+from orthoglide.effects import catalogue_of, relabelled
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -30,7 +30,6 @@ from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate_tcp
-from tests.relabelling import next_leg, relabelled
 from tests.rig_delta import DeltaRig
 
 RIG = DeltaRig()
@@ -178,8 +177,8 @@ def test_compensated_commands_reach_the_points_on_the_independent_machine(machin
 
 
 def test_every_layout_has_its_names() -> None:
-    assert next_leg(Orthoglide.names, "x", "y") == ("y", "z")
-    assert next_leg(LinearDelta.names, "c", "radial") == ("a", "radial")
+    assert Orthoglide.names.relabelled("x", "y") == ("y", "z")
+    assert LinearDelta.names.relabelled("c", "radial") == ("a", "radial")
     assert "axis_tilt.tangential.common" in CATALOGUE.structured("axis_tilt")
     assert {"plate_bow", "plate_trefoil"} <= set(catalogue_of(Orthoglide.names))
     for name in CATALOGUE:

@@ -38,7 +38,6 @@ from orthoglide.observations import (
 from orthoglide.observations.approach import built_up
 from orthoglide.prediction import Conditions
 from tests import rig_campaigns
-from tests.relabelling import relabelled_campaign
 
 KINDS = ("standard", "sweep", "two-gauges")
 PUBLISHED = sorted(
@@ -704,14 +703,20 @@ def test_subset_keeps_what_it_needs() -> None:
 
 def test_relabelling_three_times_is_no_change() -> None:
     campaign = measured("sweep")
-    once = relabelled_campaign(campaign)
+    once = campaign.relabelled()
     assert once.setups[0].leg == (campaign.setups[0].leg + 1) % 3
     assert np.array_equal(once.command[:, 1], campaign.command[:, 0])
     assert np.array_equal(once.leg, (campaign.leg + 1) % 3)
     assert not once.same_as(campaign)
-    assert relabelled_campaign(relabelled_campaign(once)).same_as(campaign)
+    assert once.relabelled().relabelled().same_as(campaign)
     # the sequence relabelled is the relabelled sequence
     assert np.array_equal(once.approach, derive_approach(once.command, once.order))
+
+
+def test_weight_forbids_relabelling() -> None:
+    campaign = measured()
+    with pytest.raises(InputError, match="acts along z"):
+        replace(campaign, load=np.ones(len(campaign))).relabelled()
 
 
 def test_conditions_are_what_was_recorded_and_else_0() -> None:

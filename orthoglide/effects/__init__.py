@@ -4,6 +4,7 @@ from orthoglide.effects.catalogue import (
     CATALOGUE as CATALOGUE,
     Catalogue as Catalogue,
     catalogue_of as catalogue_of,
+    relabelled as relabelled,
 )
 from orthoglide.effects.effect import Effect as Effect
 from orthoglide.effects.motions import (

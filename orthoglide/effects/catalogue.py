@@ -263,6 +263,12 @@ def catalogue_of(names: LegNames) -> Catalogue:
     return Catalogue(tuple(replace(e, names=names) for e in effects), names)
 
 
+def relabelled(name: Parameter, names: LegNames = Orthoglide.names) -> Parameter:
+    """The parameter's name after the legs are relabelled, x -> y -> z -> x on the Orthoglide."""
+    leg, direction = names.relabelled(name.leg, name.direction)
+    return Parameter(name.effect, leg, direction, name.setup, name.member, name.campaign)
+
+
 # An effect holds functions, which do not travel between processes: those of the package go by name.
 def _effect_by_name(name: str, names: LegNames) -> Effect:
     return catalogue_of(names)[name]

@@ -126,6 +126,23 @@ class Campaign(Recorded):
         moves, order = planned_moves(self.command, self.approach, begins)
         return replace(self, moves=moves, order=order, line=order + 2)
 
+    def relabelled(self) -> Campaign:
+        """The campaign of the machine with its legs renamed x -> y -> z -> x.
+
+        Raises:
+            InputError: under a load, as gravity does not turn with the labels.
+        """
+        if np.any(self.load):
+            raise InputError("a campaign under load cannot be relabelled: its weight acts along z")
+        turned = (replace(s, leg=(s.leg + 1) % 3, axis=(s.axis + 1) % 3) for s in self.setups)
+        return replace(
+            self,
+            setups=tuple(turned),
+            command=np.roll(self.command, 1, axis=1),
+            approach=np.roll(self.approach, 1, axis=1),
+            moves=replace(self.moves, command=np.roll(self.moves.command, 1, axis=1)),
+        )
+
     def same_as(self, other: Campaign) -> bool:
         """Whether both hold exactly the same readings; file, lines and warnings aside."""
         return (
