@@ -199,12 +199,12 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         faulty=read if blunders else None,
         alone=found.alone if word == "adequate" else (),
     )  # fmt: skip
-    changed = (
-        *(now for c in read.changes if (now := c.now(verdict.after)).is_larger_than_sigma),
-        *(c.measured(verdict.after) for c in changes),
-    )
+    since = [c.now(verdict.after) for c in read.changes]
+    changed = (*(c for c in since if c.is_told), *(c.measured(verdict.after) for c in changes))
+    notes = (Note(told, "earlier") for c in since if (told := c.found_only_now))
+    after = replace(verdict.after, warnings=(*verdict.after.warnings, *notes))
     progress(Step("judging"))
-    return judge(replace(verdict, changed=changed))
+    return judge(replace(verdict, changed=changed, after=after))
 
 
 def _set_right(

@@ -158,3 +158,19 @@ def test_what_is_left_after_many_changes_at_once_is_told_of_the_new_readings() -
     (left,) = found.verdict.effects
     assert {one.name for one in left.explanations} == {TILT, "rail_tilt.y.z"}
     assert found.verdict.after.scores.rms < 7e-6
+
+
+def test_what_the_first_sheet_did_not_see_is_no_change(tmp_path: Path) -> None:
+    """Dials on the middle of both bars hardly see a width; touched bar by bar it was a change."""
+    errors, rng = {**ERRORS, "parallelogram_width.x": 1.5e-4}, np.random.default_rng(6)
+    file = tmp_path / "out" / "calibrated.toml"
+    og.close_loop(measured(errors, 1, "first"), og.Machine.nominal()).report(str(file.parent))
+    bars = [{**r, "bar": b, "setup": f"{r['setup']}-{b}", "order": 2 * r["order"] + b - 1}
+            for r in protocol_rows("sweep") for b in (1, 2)]  # fmt: skip
+    rows = simulate(Rig(errors=errors, screw_pitch=0.02), bars, rng, noise=5e-6)
+    second = og.Campaign.from_frame({k: [r[k] for r in rows] for k in rows[0]}, name="second")
+    again = og.close_loop(second, og.Machine.load(file))
+    assert not again.changed
+    (told,) = (w for w in again.warnings if "parallelogram width" in w)
+    assert "nothing shows that it changed" in told
+    assert again.values["parallelogram_width.x"] == pytest.approx(1.5e-4, abs=4e-5)

@@ -124,9 +124,22 @@ class Change:
         return tuple(f"{name}@{self.since}" for name in self.members)
 
     @property
-    def is_larger_than_sigma(self) -> bool:
-        """Whether there is a difference to tell, once the evidence has decided for one."""
-        return abs(self.after - self.before) > self.sigma
+    def is_told(self) -> bool:
+        """Whether there is a difference to tell, once the evidence has decided for one: what the
+        readings before did not see may have been as it is now.
+        """
+        return abs(self.after - self.before) > SIGNIFICANT * self.sigma
+
+    @property
+    def found_only_now(self) -> str:
+        """What is told in place of a change that is none to tell; empty where there is nothing."""
+        if self.is_told or abs(self.after - self.before) < SIGNIFICANT * self.sigma_after:
+            return ""
+        value, unit = compact(self.after / self.unit.spoken.si, 3), self.unit.spoken.name
+        return (
+            f"the {parameter_words(self.parameter)} is {value} {unit}: the readings of the "
+            f"calibration before could not see it, so nothing shows that it changed since"
+        )
 
     @property
     def is_cause(self) -> bool:

@@ -71,10 +71,12 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
         summed = summed_of(tuple(one.sizes), catalogue)
         places = [now.names.index(name) for name in summed]
         before, apart = _before(known, left, now, summed)
+        _, as_read = _before(known.as_read, left, now, summed)
         sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
-            before, float(now.x[places].sum()), apart, sigma, tuple(one.sizes.values()),
+            before, float(now.x[places].sum()), max(apart, as_read), sigma,
+            tuple(one.sizes.values()),
         )  # fmt: skip
 
 

@@ -27,11 +27,15 @@ class Posterior:
         names: of the parameters, ``P`` of them.
         mean: ``(P,)``, SI.
         covariance: ``(P, P)``, SI.
+        read: the same as the readings alone have it, with every effect as far off as its
+            tolerance lets expect ``(P, P)``: what was learned of some parameters says nothing of
+            another that the readings did not see; ``None`` where there is no difference.
     """
 
     names: tuple[str, ...]
     mean: Array
     covariance: Array
+    read: Array | None = None
 
     def __post_init__(self) -> None:
         count = (len(self.names),)
@@ -40,6 +44,8 @@ class Posterior:
                 f"{count[0]} names need as many values, and a covariance of that many rows and "
                 f"columns"
             )
+        if self.read is not None and self.read.shape != self.covariance.shape:
+            raise InputError("both covariances are of the same parameters")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise InputError("a mean and a covariance are finite numbers")
 
@@ -50,6 +56,11 @@ class Posterior:
         mean = np.array([values.get(n, 0.0) for n in names])
         return cls(names, mean, np.diag(np.square([sigmas[n] for n in names]).reshape(-1)))
 
+    @property
+    def as_read(self) -> Posterior:
+        """What the readings alone say."""
+        return self if self.read is None else Posterior(self.names, self.mean, self.read)
+
     def without(self, names: Collection[str]) -> Posterior:
         """What is known of the others, these left open."""
         kept = [k for k, n in enumerate(self.names) if n not in names]
@@ -57,6 +68,7 @@ class Posterior:
             tuple(self.names[k] for k in kept),
             self.mean[kept],
             self.covariance[np.ix_(kept, kept)],
+            None if self.read is None else self.read[np.ix_(kept, kept)],
         )
 
     @property
@@ -87,7 +99,9 @@ class Posterior:
         """The same about other values, whose distance from the mean counts as variance."""
         centre = np.array([values.get(n, 0.0) for n in self.names])
         apart = self.mean - centre
-        return Posterior(self.names, centre, self.covariance + np.outer(apart, apart))
+        further = np.outer(apart, apart)
+        read = None if self.read is None else self.read + further
+        return Posterior(self.names, centre, self.covariance + further, read)
 
     def joined(self, other: Posterior) -> Posterior:
         """With the parameters of another that are not in this, taken for independent of these."""
@@ -117,6 +131,7 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
         "mean": posterior.mean,
         "covariance": posterior.covariance,
         "sha256": np.array(digest),
+        **({} if posterior.read is None else {"read": posterior.read}),
     }
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
@@ -149,7 +164,10 @@ def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
-        found = Posterior(tuple(map(str, names)), mean.astype(float), covariance.astype(float))
+            read = stored["read"].astype(float) if "read" in stored else None
+        found = Posterior(
+            tuple(map(str, names)), mean.astype(float), covariance.astype(float), read
+        )
     except Exception:  # a damaged archive fails in as many ways as it can be damaged
         raise FileError("is damaged: write the machine again", file=file) from None
     if str(belongs_to) != digest:

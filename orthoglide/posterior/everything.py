@@ -105,6 +105,23 @@ class FullPosterior:
         found[:count, :count] += along @ spread @ along.T
         return found
 
+    @cached_property
+    def _read(self) -> Array:
+        """As `covariance`, with a background of everything at its tolerance beside what stands out.
+
+        Small scales are learned from what the readings see: of what they do not see they are a
+        guess, and at a later visit with another sheet no more may be held against that.
+        """
+        mixture, own = self.mixture, [self.about.coefficients(place) for place in self.places]
+        at = np.unique(np.concatenate([np.arange(self.about.known), *own]).astype(int))
+        wide = max(
+            (s for s in mixture.scales if s.share <= 1.0 and s.rough == 0),
+            key=lambda s: (s.share, -s.free_share),
+        )
+        found = np.zeros_like(self.covariance)
+        found[np.ix_(at, at)] = mixture.moments(mixture.best, wide, at)[1]
+        return found
+
     @property
     def settled(self) -> bool:
         """Whether the machine found predicts the readings about as its linearisation does, and no
@@ -177,9 +194,9 @@ class FullPosterior:
         known = start.catalogue
         start = start.with_effects(p.effect for p in self.places if p.effect.name not in known)
         names, values, weights = self.machine_with(self.mean)
-        spread = weights @ self.covariance @ weights.T
+        spread, read = (weights @ c @ weights.T for c in (self.covariance, self._read))
         kept = dict(zip(names, values.tolist(), strict=True))
-        return start.with_posterior(kept, Posterior(names, values, spread))
+        return start.with_posterior(kept, Posterior(names, values, spread, read))
 
     @cached_property
     def after(self) -> Estimate:
