@@ -214,6 +214,22 @@ def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
     assert same.sentences[0].startswith("nothing changed")
 
 
+def test_towers_displaced_together_are_told_once_each_by_its_own_size() -> None:
+    """A plate's bow that had changed was found anew in every round, five times in all, and towers
+    were displaced by the height of its rim.
+    """
+    out = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"} | {"axis_offset.b.radial": 8e-4}
+    old, new = probed("probe", 1), probed("probe", 2, **out)
+    found = check([replace(old, name="old")], [replace(new, name="new")], delta())
+    (change,) = found.changes
+    assert {"axis_offset.radial.common", "plate_bow.bed"} <= set(change.members)
+    assert change.summed == (change.parameter,)
+    told = [o.words for a in found.told.actions for o in a.options if "axis offset, rad" in o.words]
+    (size,) = (re.search(r"common by \+([\d.]+) mm", words) for words in told)
+    assert size is not None
+    assert float(size[1]) == pytest.approx(0.5, abs=0.1)
+
+
 def test_two_calibrations_that_a_printer_stores_are_compared() -> None:
     """A shape of the plate that neither sees was a cause without a part: a crash."""
     printer = import_printer(DATA / "v400-april.cfg")

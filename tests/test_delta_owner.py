@@ -59,6 +59,8 @@ def test_two_visits_are_compared(imported: Path, tmp_path: Path) -> None:
     common = ("--machine", imported / "machine.toml")
     told = run("check", imported / "mesh-default.csv", tmp_path / "later.csv", *common)
     assert "Nothing changed" in told
+    assert "Enter the numbers for the firmware, " in told
+    assert "close-loop lists the numbers for the firmware, from the new readings alone" in told
 
 
 def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) -> None:

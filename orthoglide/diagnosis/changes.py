@@ -95,11 +95,13 @@ def _everything(problem: Problem) -> Problem:
     they are, they are at all visits.
     """
     effects = [effect.name for effect in excited_effects(problem)]
+    apart = {name.partition("@")[0] for name in problem.own}
     joined: dict[Parameter, Unknown] = {}
     for unknown in with_others(problem, effects).unknowns:
         effect = problem.machine.catalogue.effect_of(unknown.name)
-        # A plate keeps its shape, whichever campaign it was probed in.
-        name = unknown.name.plain if effect.plate else unknown.name
+        # A plate keeps its shape, whichever campaign it was probed in, until it is seen to change.
+        keeps = effect.plate and unknown.name.plain not in apart
+        name = unknown.name.plain if keeps else unknown.name
         one = joined.setdefault(name, replace(unknown, name=name))
         parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
         width = 1.0 if effect.of_dial and not effect.plate else _OPEN
@@ -121,7 +123,7 @@ def _candidates(wide: Problem, several: Sequence[tuple[str, str, int]]) -> Itera
     if not wide.campaigns:
         for kind in dict.fromkeys(name.effect for name in weights if not name.setup):
             for member, parts in catalogue.structured(kind).items():
-                if set(parts) <= set(weights):
+                if member not in own and set(parts) <= set(weights):
                     weights[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
     for (name, shares), (stem, _, start) in product(weights.items(), several[1:]):
         yield Candidate(name.at(stem), start, shares, machine.tolerance(name))
