@@ -29,7 +29,8 @@ def changes_text(found: Check) -> str:
     parts += ["", "What to do:", *to_do(found.told)]
     advice = found.verdict.firmware
     if advice is not None and advice.corrections is not None:
-        parts.append("(close-loop lists the numbers for the firmware, from the new readings alone.)")
+        source = "from the new readings alone"
+        parts.append(f"(close-loop lists the numbers for the firmware, {source}.)")
     if data["checks"]:
         parts += ["", f"{data['zeros']}:", *(f"- {text}" for text in data["checks"])]
     return "\n".join(parts)
