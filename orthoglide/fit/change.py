@@ -141,6 +141,7 @@ class Change:
             return self
         spread = estimate.covariance[np.ix_(places, places)].sum()
         after = float(estimate.x[places].sum())
+        after += self.before if self.parameter.member else 0.0  # its unknown is the change
         return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
