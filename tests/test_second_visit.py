@@ -1,6 +1,7 @@
 """A calibrated machine measured again: its file is a prior; verdicts speak of its total error."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +177,16 @@ def test_a_plate_that_bent_since_the_calibration_is_in_the_class(
     legs = [again.values[f"axis_offset.{leg}.radial"] for leg in "abc"]
     moved = [legs[k] - known.values[f"axis_offset.{'abc'[k]}.radial"] for k in range(3)]
     assert np.ptp(moved) < 5e-5  # together, or none of them
+
+
+def test_one_plate_that_bent_under_two_setups_is_one_change() -> None:
+    known = og.close_loop([probed("probe", 1)], delta()).machine
+    one, other = probed("probe", 2, **BENT), probed("probe", 3, **BENT)
+    setups = tuple(replace(s, name="fine") for s in other.setups)
+    again = og.close_loop([one, replace(other, name="other", setups=setups)], known)
+    (change,) = again.changed
+    assert change.moved["plate_bow.common"] == pytest.approx(1.5e-4, rel=0.25)
+    assert "axis_offset.radial.common" in change.members
 
 
 def test_a_plate_that_is_as_bent_as_it_was_has_not_changed() -> None:

@@ -113,13 +113,14 @@ def _candidates(wide: Problem, several: Sequence[tuple[str, str, int]]) -> Itera
     """
     own = {u.name.plain for u in wide.unknowns if u.name.campaign}
 
-    def single(name: Parameter) -> bool:
+    def told(name: Parameter) -> bool:
         effect = wide.machine.catalogue.effect_of(name)
+        # Plates of several setups that are one have one shape at all visits.
         return not effect.of_dial or bool(effect.plate and not name.member)
 
-    kept = [name for name in wide.names if name.plain not in own and single(name)]
+    kept = [name for name in wide.names if name.plain not in own and told(name)]
     for (name, shares), (stem, _, start) in product(may_change(wide, kept).items(), several[1:]):
-        if name not in own:
+        if name not in own and told(name):
             yield Candidate(name.at(stem), start, shares, wide.machine.tolerance(name))
 
 

@@ -52,15 +52,17 @@ def may_change(
 
     Args:
         problem: whose unknowns they are.
-        names: single parameters; where no dial was read, patterns of equal legs come beside them.
+        names: single parameters; where no dial was read, patterns of equal legs come beside them,
+            and of one plate that several setups touched.
     """
     machine = problem.machine
     found = {name: {name: machine.tolerance(name)} for name in names}
     if problem.campaigns:
         return found
-    for kind in dict.fromkeys(name.effect for name in names if not name.setup):
-        for member, parts in machine.catalogue.structured(kind).items():
-            if set(parts) <= set(names):
+    setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
+    for kind in dict.fromkeys(name.effect for name in names):
+        for member, parts in machine.catalogue.structured(kind, setups).items():
+            if len(parts) > 1 and set(parts) <= set(names):
                 found[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
     return found
 

@@ -149,7 +149,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
 
 def _pattern_before(known: Posterior, name: Parameter, catalogue: Catalogue) -> float:
     """Share of a pattern in what was calibrated; none of a plate, which was taken for flat."""
-    if name.setup:
+    if catalogue.effect_of(name).plate:
         return 0.0
     weights = catalogue.elementary(name)
     shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
