@@ -21,6 +21,7 @@ from orthoglide.fit import (
     readings_of,
     solve,
 )
+from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.machine import Machine
 from orthoglide.numerals import decimals_for, plain, signed
@@ -103,6 +104,7 @@ class Check:
         verdict: of the machine as it is now, from the new readings alone.
         differences: of the base parameters, of the causes found and of what changed.
         changes: what changed, plates that were probed among it.
+        moves: plates that lie elsewhere than before.
     """
 
     old: tuple[str, ...]
@@ -110,11 +112,24 @@ class Check:
     verdict: Verdict
     differences: tuple[Difference, ...]
     changes: tuple[Change, ...] = ()
+    moves: tuple[PlateMove, ...] = ()
 
     @property
     def plates(self) -> tuple[str, ...]:
         """What changed of probed plates, a sentence each."""
         return tuple(c.message for c in self.changes if c.parameter.setup)
+
+    @property
+    def lying(self) -> tuple[str, ...]:
+        """Where plates lie elsewhere, a sentence each: the machine or the plate, at equal commands
+        one is as good as the other.
+        """
+        known = "what changed above, " * bool(self.changes)
+        return tuple(
+            f"{move.words}: {known}an endstop or zero, an arm, the probe or the plate itself was "
+            f"moved; these readings cannot tell which"
+            for move in self.moves
+        )
 
     @cached_property
     def told(self) -> Verdict:
@@ -127,7 +142,7 @@ class Check:
         changed = [d for d in self.differences if d.changed]
         changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
         rest = [d for d in self.differences if not d.changed]
-        what = "nothing else" if changed or self.plates else "nothing"
+        what = "nothing else" if changed or self.plates or self.moves else "nothing"
         said = (
             (f"{what} changed beyond its uncertainty", [d.still for d in rest if not d.far]),
             (
@@ -137,13 +152,14 @@ class Check:
             ),
         )
         told = (f"{words}: {', '.join(those)}" for words, those in said if those)
-        return (*self.plates, *map(str, changed), *told)
+        return (*self.plates, *map(str, changed), *self.lying, *told)
 
     @property
     def line(self) -> str:
         """What changed by name, and the verdict of the new readings, in one line."""
         names = [parameter_words(d.parameter) for d in self.differences if d.changed]
         names += ["the plate"] * bool(self.plates)
+        names += ["where the plate lies"] * bool(self.moves)
         what = f"Changed: {', '.join(names)}" if names else "Nothing changed"
         return f"{what}. Verdict {self.verdict.word}."
 
@@ -209,7 +225,9 @@ def check(
         float("nan"), machine.catalogue,
     )  # fmt: skip
     changes = tuple(_changes(differences, together.changed, none))
-    return Check(old_names, new_names, verdict, differences, changes)
+    after_all = together.after
+    moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
+    return Check(old_names, new_names, verdict, differences, changes, moves)
 
 
 def _told_apart(

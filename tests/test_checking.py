@@ -211,7 +211,74 @@ def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
     every = {one.name for cause in found.verdict.effects for one in cause.explanations}
     assert "plate_trefoil.bed.cos" in every
     same = check([replace(new, name="old")], [replace(probed("probe", 3), name="new")], delta())
-    assert same.sentences[0].startswith("nothing changed")
+    assert same.changes == ()
+    (move,) = same.moves  # its stand tilts the plate anew
+    one, other = (np.random.default_rng(seed).normal(0, 1e-3, 3)[:2] for seed in (2, 3))
+    along = np.deg2rad(move.toward)
+    rise = move.rise * np.array([np.cos(along), np.sin(along)])
+    assert rise == pytest.approx(0.12 * (other - one), abs=1.5e-5)
+    assert same.sentences[1].startswith("nothing else changed")
+
+
+def test_towers_displaced_together_are_told_once_each_by_its_own_size() -> None:
+    """A plate's bow that had changed was found anew in every round, five times in all, and towers
+    were displaced by the height of its rim.
+    """
+    out = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"} | {"axis_offset.b.radial": 8e-4}
+    old, new = probed("probe", 1), probed("probe", 2, **out)
+    found = check([replace(old, name="old")], [replace(new, name="new")], delta())
+    (change,) = found.changes
+    assert {"axis_offset.radial.common", "plate_bow.bed"} <= set(change.members)
+    assert change.summed == (change.parameter,)
+    told = [o.words for a in found.told.actions for o in a.options if "axis offset, rad" in o.words]
+    (size,) = (re.search(r"common by \+([\d.]+) mm", words) for words in told)
+    assert size is not None
+    assert float(size[1]) == pytest.approx(0.5, abs=0.1)
+
+
+def plate_moved(higher: float, along: tuple[float, float], **errors: float) -> Check:
+    """Two visits of one probe to a plate, raised and tilted between them, as in docs/files.md: a
+    reading is the height of the tool above it.
+    """
+    old, new = probed("probe", 1), probed("probe", 1, **errors)  # of one plane
+    p = delta().forward(new.command)
+    noise = np.random.default_rng(5).normal(0, 1.8e-5, len(new))
+    reading = new.reading - higher - p[:, :2] @ np.array(along) + noise
+    return check([replace(old, name="old")], [replace(new, reading=reading, name="new")], delta())
+
+
+@pytest.mark.parametrize(
+    ("higher", "along", "said"),
+    [
+        (5e-4, (0.0, 3e-3), "lies 0.50 mm higher than before and is tilted against before: its rim "
+         "rises by 0.36 mm toward 90 degrees"),
+        (-2.5e-4, (-2e-3, 0.0), "lies 0.25 mm lower than before and is tilted against before: its "
+         "rim rises by 0.24 mm toward 180 degrees"),
+        (3e-4, (0.0, 0.0), "lies 0.30 mm higher than before: an endstop"),
+    ],
+)  # fmt: skip
+def test_a_plate_that_lies_elsewhere_is_told_with_its_sign(
+    higher: float, along: tuple[float, float], said: str
+) -> None:
+    """Height and slopes of each setup are free in every fit: nothing had changed."""
+    found = plate_moved(higher, along)
+    first, rest, *_ = found.sentences
+    numbers = r"(?<= )[\d.]+(?= (?:mm|degrees))"
+    assert re.sub(numbers, "#", first).startswith(
+        f"at equal commands the plate of bed {re.sub(numbers, '#', said)}"
+    )
+    for told, true in zip(re.findall(numbers, first), re.findall(numbers, said), strict=True):
+        assert float(told) == pytest.approx(float(true), abs=2 if "." not in true else 0.015)
+    assert first.endswith("these readings cannot tell which")
+    assert rest.startswith("nothing else changed")
+    assert found.line.startswith("Changed: where the plate lies. ")
+
+
+def test_a_plate_that_lies_where_it_lay_is_not_told() -> None:
+    assert plate_moved(8e-5, (5e-4, 0.0)).moves == ()
+    (move,) = plate_moved(0.0, (0.0, 0.0), **{"leg_length.b": 3e-4}).moves
+    assert move.is_higher
+    assert move.leans
 
 
 def test_two_calibrations_that_a_printer_stores_are_compared() -> None:

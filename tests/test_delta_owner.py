@@ -59,6 +59,8 @@ def test_two_visits_are_compared(imported: Path, tmp_path: Path) -> None:
     common = ("--machine", imported / "machine.toml")
     told = run("check", imported / "mesh-default.csv", tmp_path / "later.csv", *common)
     assert "Nothing changed" in told
+    assert "Enter the numbers for the firmware, " in told
+    assert "close-loop lists the numbers for the firmware, from the new readings alone" in told
 
 
 def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) -> None:
@@ -86,6 +88,37 @@ def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) 
     calibrated = tmp_path / "o" / "calibrated.toml"
     run("identify", second, "--machine", calibrated, "--out", tmp_path / "again")
     run("identify", first, "--machine", calibrated, "--out", tmp_path / "no", code=2)
+
+
+def test_results_of_other_numbers_are_not_compared(imported: Path, tmp_path: Path) -> None:
+    """A result's rows are read with its own machine: that machine must count as the one given.
+
+    Numbers that were pasted between the visits had been told as drives and towers that moved.
+    """
+    text = (DATA / "electrocally.cfg").read_text()
+    old = re.search(r"delta_radius = ([0-9.]+)", text)
+    assert old is not None
+    (tmp_path / "printer.cfg").write_text(
+        text.replace(old[0], f"delta_radius = {float(old[1]) + 0.1}")
+    )
+    run("import", "klipper", tmp_path / "printer.cfg", "--out", tmp_path / "two")
+    folders = {"one": imported, "later": tmp_path / "two"}
+    for name, folder in folders.items():
+        given = ("--machine", folder / "machine.toml", "--out", tmp_path / name, "--quiet")
+        run("identify", folder / "mesh-default.csv", *given)
+    first, second = (tmp_path / name / "result.json" for name in folders)
+    machine, mesh = ("--machine", tmp_path / "two" / "machine.toml"), tmp_path / "two"
+    for states in (
+        (first, mesh / "mesh-default.csv", *machine),
+        (mesh / "mesh-default.csv", first, *machine),
+        (first, second, *machine),
+        (first, second),
+    ):
+        told = run("check", *states, code=2)
+        assert "imported with other numbers of the firmware" in told
+        assert "close-loop tells from the new readings" in told
+        assert "give it for both" not in told
+    assert "Nothing changed" in run("check", second, mesh / "mesh-default.csv", *machine)
 
 
 def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """A calibrated machine measured again: its file is a prior; verdicts speak of its total error."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +146,53 @@ def test_a_tower_that_leans_since_the_calibration_is_told_in_full(tmp_path: Path
     (change,) = [c for c in again.changed if "axis_tilt.b.radial" in c.members]
     assert change.after - change.before == pytest.approx(1.2e-2, rel=0.15)
     assert again.after.scores.chi2 < 1.5 * again.after.scores.dof
+
+
+TOWERS = {"axis_offset.a.radial": 5e-4, "axis_offset.b.radial": 8e-4, "axis_offset.c.radial": 5e-4}
+"""All displaced by 0.5 mm, b from where it stood."""
+BENT = {"plate_bow.bed": 1.5e-4}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "by"),
+    [
+        ({}, TOWERS, {"axis_offset.radial.common": 5e-4, "plate_bow.bed": 1.5e-4}),
+        ({}, BENT, {"axis_offset.radial.common": 5e-4, "plate_bow.bed": 1.5e-4}),
+        (BENT, {}, {"axis_offset.radial.common": -5e-4, "plate_bow.bed": -1.5e-4}),
+    ],
+)
+def test_a_plate_that_bent_since_the_calibration_is_in_the_class(
+    before: dict[str, float], after: dict[str, float], by: dict[str, float]
+) -> None:
+    """It was told as one leg's parallelogram, far beyond its sigma, and towers that were displaced
+    together as single ones.
+    """
+    known = og.close_loop([probed("probe", 1, **before)], delta()).machine
+    again = og.close_loop([probed("probe", 2, **after)], known)
+    (change,) = again.changed
+    for name, size in by.items():
+        assert change.moved[name] == pytest.approx(size, rel=0.25)
+    assert change.after - change.before == pytest.approx(by[change.parameter], rel=0.25)
+    assert again.word == "adequate"
+    legs = [again.values[f"axis_offset.{leg}.radial"] for leg in "abc"]
+    moved = [legs[k] - known.values[f"axis_offset.{'abc'[k]}.radial"] for k in range(3)]
+    assert np.ptp(moved) < 5e-5  # together, or none of them
+
+
+def test_one_plate_that_bent_under_two_setups_is_one_change() -> None:
+    known = og.close_loop([probed("probe", 1)], delta()).machine
+    one, other = probed("probe", 2, **BENT), probed("probe", 3, **BENT)
+    setups = tuple(replace(s, name="fine") for s in other.setups)
+    again = og.close_loop([one, replace(other, name="other", setups=setups)], known)
+    (change,) = again.changed
+    assert change.moved["plate_bow.common"] == pytest.approx(1.5e-4, rel=0.25)
+    assert "axis_offset.radial.common" in change.members
+
+
+def test_a_plate_that_is_as_bent_as_it_was_has_not_changed() -> None:
+    for shape in (BENT, {"plate_trefoil.bed.cos": 2.5e-4}):
+        known = og.close_loop([probed("probe", 1, **shape)], delta()).machine
+        assert og.close_loop([probed("probe", 2, **shape)], known).changed == ()
 
 
 def test_what_is_left_after_many_changes_at_once_is_told_of_the_new_readings() -> None:

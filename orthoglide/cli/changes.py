@@ -27,6 +27,10 @@ def changes_text(found: Check) -> str:
     parts += ["", "What is left now:", data["left"], data["tool"]]
     parts += [f"Caution: {text}" for text in data["cautions"]]
     parts += ["", "What to do:", *to_do(found.told)]
+    advice = found.verdict.firmware
+    if advice is not None and advice.corrections is not None:
+        source = "from the new readings alone"
+        parts.append(f"(close-loop lists the numbers for the firmware, {source}.)")
     if data["checks"]:
         parts += ["", f"{data['zeros']}:", *(f"- {text}" for text in data["checks"])]
     return "\n".join(parts)

@@ -56,12 +56,14 @@ def check(
         given = None if machine_path is None else opt.load_machine(machine_path)
         machine, before = _readings(old, given, None)
         other, after = _readings(new, given, machine)
+        _check_numbers(old, machine, new, other)
         if other.geometry != machine.geometry:
             raise InputError(
                 f"{old.name} and {new.name} are of machines of different dimensions "
                 f"({machine.spec.title}; {other.spec.title}): check compares two states of one; "
-                f"where the file was corrected since, give it for both with --machine; what "
-                f"numbers pasted into a firmware left, close-loop tells from the new readings"
+                f"where the file was corrected since, and no number that the controller counts "
+                f"with, give it for both with --machine; what other numbers of a controller left, "
+                f"close-loop tells from the new readings"
             )
         found = compare(before, after, machine, noise=noise, seed=seed, progress=step)
         told = wrapped(changes_text(found), text_width())
@@ -92,9 +94,25 @@ def _readings(
 
     if path.suffix == ".json":
         request = request_of(read_result(path), str(path))
+        if given is not None:
+            _check_numbers(path, request.machine, Path(given.spec.file or "the machine"), given)
         return given or request.machine, request.readings
     machine = given or otherwise or Machine.nominal()
     return machine, readings_of([path], machine)
+
+
+def _check_numbers(one: Path, machine: Machine, two: Path, other: Machine) -> None:
+    """Refuses two imports with other numbers of the firmware: equal commands are no equal heights
+    of the carriages, and what was pasted would be told as what changed.
+    """
+    marks = machine.spec.firmware, other.spec.firmware
+    if all(marks) and marks[0] != marks[1]:
+        raise InputError(
+            f"{one} was imported with other numbers of the firmware ({marks[0]}) than {two} "
+            f"({marks[1]}): check compares two states under the same numbers; what the numbers "
+            f"changed between the visits left, close-loop tells from the new readings with the "
+            f"machine.toml of their import"
+        )
 
 
 def _table(found: Check) -> str:

@@ -18,9 +18,10 @@ import numpy as np
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
 from orthoglide.fit import Change, Problem, with_free, with_others
-from orthoglide.fit.changed import Candidate, Changed, what_changed
+from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Unknown
+from orthoglide.fit.unknowns import one_plate
 from orthoglide.parameters import Parameter
 
 _OPEN = 3.0
@@ -95,36 +96,32 @@ def _everything(problem: Problem) -> Problem:
     they are, they are at all visits.
     """
     effects = [effect.name for effect in excited_effects(problem)]
-    joined: dict[Parameter, Unknown] = {}
-    for unknown in with_others(problem, effects).unknowns:
-        effect = problem.machine.catalogue.effect_of(unknown.name)
-        # A plate keeps its shape, whichever campaign it was probed in.
-        name = unknown.name.plain if effect.plate else unknown.name
-        one = joined.setdefault(name, replace(unknown, name=name))
-        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
-        width = 1.0 if effect.of_dial and not effect.plate else _OPEN
-        joined[name] = replace(one, parts=parts, width=width)
-    return replace(problem, unknowns=tuple(joined.values()))
+    catalogue = problem.machine.catalogue
+    apart = {name.partition("@")[0] for name in problem.own}  # what is seen to change already
+
+    def widened(unknown: Unknown) -> Unknown:
+        effect = catalogue.effect_of(unknown.name)
+        return replace(unknown, width=1.0 if effect.of_dial and not effect.plate else _OPEN)
+
+    unknowns = one_plate(with_others(problem, effects).unknowns, catalogue, apart)
+    return replace(problem, unknowns=tuple(map(widened, unknowns)))
 
 
 def _candidates(wide: Problem, several: Sequence[tuple[str, str, int]]) -> Iterator[Candidate]:
     """Every parameter of the machine, and without dials of plates and patterns of equal legs too,
     from every campaign but the first on.
     """
-    machine, catalogue = wide.machine, wide.machine.catalogue
-    weights: dict[Parameter, dict[Parameter, float]] = {}
     own = {u.name.plain for u in wide.unknowns if u.name.campaign}
-    for name in wide.names:
-        effect = catalogue.effect_of(name)
-        if name.plain not in own and (not effect.of_dial or (effect.plate and not name.member)):
-            weights[name] = {name: machine.tolerance(name)}
-    if not wide.campaigns:
-        for kind in dict.fromkeys(name.effect for name in weights if not name.setup):
-            for member, parts in catalogue.structured(kind).items():
-                if set(parts) <= set(weights):
-                    weights[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
-    for (name, shares), (stem, _, start) in product(weights.items(), several[1:]):
-        yield Candidate(name.at(stem), start, shares, machine.tolerance(name))
+
+    def told(name: Parameter) -> bool:
+        effect = wide.machine.catalogue.effect_of(name)
+        # Plates of several setups that are one have one shape at all visits.
+        return not effect.of_dial or bool(effect.plate and not name.member)
+
+    kept = [name for name in wide.names if name.plain not in own and told(name)]
+    for (name, shares), (stem, _, start) in product(may_change(wide, kept).items(), several[1:]):
+        if name not in own and told(name):
+            yield Candidate(name.at(stem), start, shares, wide.machine.tolerance(name))
 
 
 def separated(problem: Problem, changes: Sequence[Change]) -> Problem:

@@ -154,6 +154,7 @@ class Change:
             return self
         spread = estimate.covariance[np.ix_(places, places)].sum()
         after = float(estimate.x[places].sum())
+        after += self.before if self.parameter.member else 0.0  # its unknown is the change
         return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
@@ -190,13 +191,16 @@ class Change:
 
 def summed_of(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Parameter, ...]:
     """What the readings cannot tell apart counts as one, the sum of all of one unit that stand for
-    it; a zero is known apart from a length by the tolerances of both.
+    it: of one leg and direction, one plate, or one pattern of legs. A zero is known apart from a
+    length by the tolerances of both.
     """
     of = catalogue.effect_of
-    first = of(members[0])
-    same = (members[0].leg, members[0].direction, first.unit)
-    alike = tuple(n for n in members if (n.leg, n.direction, of(n).unit) == same)
-    return members[:1] if first.name in catalogue.base else alike
+
+    def place(name: Parameter) -> tuple[object, ...]:
+        return name.leg, name.direction, name.setup, name.member, of(name).unit
+
+    alike = tuple(name for name in members if place(name) == place(members[0]))
+    return members[:1] if of(members[0]).name in catalogue.base else alike
 
 
 def _either_side(problem: Problem, name: str, since: str) -> list[int] | None:

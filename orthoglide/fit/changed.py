@@ -45,6 +45,28 @@ class Candidate:
     tolerance: float
 
 
+def may_change(
+    problem: Problem, names: Sequence[Parameter]
+) -> dict[Parameter, dict[Parameter, float]]:
+    """What may have changed: a tolerance of each, by unknown of the problem, SI.
+
+    Args:
+        problem: whose unknowns they are.
+        names: single parameters; where no dial was read, patterns of equal legs come beside them,
+            and of one plate that several setups touched.
+    """
+    machine = problem.machine
+    found = {name: {name: machine.tolerance(name)} for name in names}
+    if problem.campaigns:
+        return found
+    setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
+    for kind in dict.fromkeys(name.effect for name in names):
+        for member, parts in machine.catalogue.structured(kind, setups).items():
+            if len(parts) > 1 and set(parts) <= set(names):
+                found[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
+    return found
+
+
 @dataclass(frozen=True)
 class Moved:
     """One change, and what could have changed in its place.

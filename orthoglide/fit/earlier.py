@@ -13,15 +13,23 @@ from pathlib import Path
 
 import numpy as np
 
+from orthoglide.effects import Catalogue
 from orthoglide.fit.change import Change, summed_of
 from orthoglide.fit.change_search import WIDTHS
-from orthoglide.fit.changed import Candidate, Changed, what_changed
+from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
+from orthoglide.fit.unknowns import one_plate, with_free
+from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter
+
+_AS_BEFORE, _LITTLE = 0.02, 0.1
+"""Tolerances by which a plate may differ without a change: it is what it was, and what readings
+showed of it then stands in the machine's own numbers; and by which none is an ideal bowl."""
 
 
 def earlier_of(machine: Machine) -> Posterior | None:
@@ -42,25 +50,79 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     known = first.earlier
     if known is None:
         return estimate
-    candidates = [
-        Candidate(u.name, 0, {u.name: u.tolerance}, u.tolerance)
-        for u in first.unknowns
-        if u.name in known.names
-    ]
-    found = what_changed(first, estimate.x, candidates) if candidates else None
+    found = _found(estimate, known)
     if found is None:
         return estimate
     gone = [one.parameter for one in found.moved]
     method = "nested" if method == "auto" else method
     left = known.without(gone)
-    now = solve(_let_go(first, left, gone), method=method, start=estimate.x)
+    free = _let_go(first, left, gone)
+    now = solve(free, method=method, start=_padded(estimate.x, free))
     return replace(now, changes=tuple(_changes(known, left, now, found)))
 
 
+def _found(estimate: Estimate, known: Posterior) -> Changed | None:
+    """What changed; beside plates that are bent a little where that leaves as much to tell, for a
+    shape that is not quite a bowl's must not rule the plate out.
+    """
+    found = _changed(estimate, known, _AS_BEFORE)
+    if found is None or len(found.about.problem.unknowns) == len(estimate.x):
+        return found
+    loose = _changed(estimate, known, _LITTLE)
+    return loose if loose is not None and len(loose.moved) == len(found.moved) else found
+
+
+def _changed(estimate: Estimate, known: Posterior, bent: float) -> Changed | None:
+    first = estimate.problem
+    wide = _beside_plates(first, bent)
+    candidates = list(_candidates(wide, first, known))
+    if not candidates:
+        return None
+    return what_changed(wide, _padded(estimate.x, wide), candidates)
+
+
+def _padded(x: Array, problem: Problem) -> Array:
+    """Unknowns with those of a wider problem behind them, at nothing."""
+    return np.pad(x, (0, len(problem.unknowns) - len(x)))
+
+
+def _beside_plates(problem: Problem, bent: float) -> Problem:
+    """The problem with the shapes of probed plates, of which a calibration keeps nothing.
+
+    Args:
+        problem: of the fit; with dials, who know the machine, as it is.
+        bent: tolerances by which a plate may differ without a change.
+    """
+    if problem.campaigns:
+        return problem
+    shapes = [effect.name for effect in excited_effects(problem) if effect.plate]
+    wide = with_free(problem, shapes, release=False)
+    added = one_plate(wide.unknowns[len(problem.unknowns) :], problem.machine.catalogue)
+    narrow = (replace(unknown, width=bent) for unknown in added)
+    return replace(problem, unknowns=(*problem.unknowns, *narrow))
+
+
+def _candidates(wide: Problem, first: Problem, known: Posterior) -> Iterator[Candidate]:
+    """What was calibrated, and without dials plates and patterns of equal legs too."""
+    names = [name for name in first.names if name in known.names]
+    if not names:
+        return
+    shapes = wide.names[len(first.names) :]
+    for name, shares in may_change(wide, [*names, *shapes]).items():
+        yield Candidate(name, 0, shares, wide.machine.tolerance(name))
+
+
 def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> Problem:
-    """The problem in which some parameters may be anything, and the rest is as known before."""
-    wide = tuple(replace(u, width=max(WIDTHS)) if u.name in names else u for u in problem.unknowns)
-    return replace(problem, unknowns=wide, earlier=left)
+    """The problem in which some parameters may be anything, and the rest is as known before.
+
+    A pattern that changed is an unknown beside its legs, by how much each is not what it was.
+    """
+    more = [name for name in names if name not in problem.names]
+    wide = with_free(problem, more, release=False) if more else problem
+    unknowns = (
+        replace(u, width=max(WIDTHS)) if u.name.plain in names else u for u in wide.unknowns
+    )
+    return replace(wide, unknowns=tuple(unknowns), earlier=left)
 
 
 def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -> Iterator[Change]:
@@ -68,16 +130,31 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
     old = Path(now.problem.machine.spec.file).name or "earlier calibration"
     for one in found.moved:
-        summed = summed_of(tuple(one.sizes), catalogue)
-        places = [now.names.index(name) for name in summed]
-        before, apart = _before(known, left, now, summed)
-        _, as_read = _before(known.as_read, left, now, summed)
-        sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
+        if one.parameter in known.names:
+            summed = summed_of(tuple(one.sizes), catalogue)
+            places = [now.names.index(name) for name in summed]
+            before, apart = _before(known, left, now, summed)
+            apart = max(apart, _before(known.as_read, left, now, summed)[1])
+            sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
+            after = float(now.x[places].sum())
+        else:
+            before = _pattern_before(known, one.parameter, catalogue)
+            place = [n.plain for n in now.problem.names].index(one.parameter)
+            after = before + float(now.x[place])
+            apart = sigma = float(np.sqrt(now.covariance[place, place]))
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
-            before, float(now.x[places].sum()), max(apart, as_read), sigma,
-            tuple(one.sizes.values()),
+            before, after, apart, sigma, tuple(one.sizes.values()),
         )  # fmt: skip
+
+
+def _pattern_before(known: Posterior, name: Parameter, catalogue: Catalogue) -> float:
+    """Share of a pattern in what was calibrated; none of a plate, which was taken for flat."""
+    if catalogue.effect_of(name).plate:
+        return 0.0
+    weights = catalogue.elementary(name)
+    shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
+    return float(sum(shares) / sum(w * w for w in weights.values()))
 
 
 def _before(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -185,6 +185,22 @@ def with_others(problem: Problem, effects: Sequence[str]) -> Problem:
         if not any(p in taken for parts in unknown.parts for p in parts):
             found[unknown.name.plain] = None
     return with_free(problem, tuple(found), release=False)
+
+
+def one_plate(
+    unknowns: Sequence[Unknown], catalogue: Catalogue, apart: Collection[str] = ()
+) -> tuple[Unknown, ...]:
+    """The same with one shape for each plate, whichever campaign it was probed in, unless it is
+    named among those that changed.
+    """
+    joined: dict[Parameter, Unknown] = {}
+    for unknown in unknowns:
+        plate = catalogue.effect_of(unknown.name).plate and unknown.name.plain not in apart
+        name = unknown.name.plain if plate else unknown.name
+        one = joined.setdefault(name, replace(unknown, name=name))
+        parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
+        joined[name] = replace(one, parts=parts)
+    return tuple(joined.values())
 
 
 def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Factor]) -> None:

@@ -81,7 +81,7 @@ def _zeros(result: Result) -> Iterator[Action]:
             touch = "Touch the plate too, for numbers for the firmware: its z = 0 is the plate"
             yield Action("measure", touch)
             return
-        words = f"Enter the numbers for the firmware that stand below, {found.words}"
+        words = f"Enter the numbers for the firmware, {found.words}"
         yield Action("zeros", words, found.height[0] - found.height[1])
         return
     of = result.catalogue.effect_of
