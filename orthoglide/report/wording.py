@@ -41,6 +41,9 @@ MEANINGS: Mapping[str, str] = {
 BESIDES = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""
 
+WHICHEVER = "on average, whichever of these it is"
+"""Behind what it gains to put right one of several causes."""
+
 
 def headline(result: Result) -> str:
     """The result in a few sentences: what must be known first, what is wrong, and by what."""

@@ -215,6 +215,7 @@ class Result(Framed):
             return ()
         causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
         causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
+        causes |= dict(one.in_machine(self.catalogue) for one in self.located)
         return budget(self.posterior, causes)
 
     @cached_property
