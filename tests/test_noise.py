@@ -19,6 +19,7 @@ from orthoglide.fit.noise import (
 )
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, protocol
+from orthoglide.report.wording import headline
 
 SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
@@ -274,3 +275,56 @@ def test_too_quiet_readings_are_held_against_all_of_their_noise() -> None:
     fit = og.identify(sheet.with_readings(machine.readings(sheet)), machine)
     (note,) = (n for n in fit.warnings if n.kind == "quiet")
     assert "0.015 mm, as the machine file has it" in note
+
+
+# -- repeats that scatter by more than was declared -----------------------------------------------
+
+
+def scattering(
+    size: float, loud: float = 0.0, told: float | None = 5e-6, **given: float
+) -> og.Estimate:
+    """A sound machine, read with some noise, the fourth setup with more, and what is said."""
+    nominal = og.Machine.nominal()
+    machine = og.Machine(replace(nominal.spec, dial=Dial(repeatability=told)))
+    read = og.simulate(nominal, "sweep", noise=size, seed=4)
+    extra = loud * np.random.default_rng(1).standard_normal(len(read)) * (read.setup == 3)
+    shown = np.round((read.reading + extra) / 1e-5) * 1e-5
+    return og.identify(read.with_readings(shown), machine, **given)
+
+
+def scatter_notes(fit: og.Estimate) -> list[str]:
+    return [note for note in fit.warnings if note.kind == "scatter"]
+
+
+@pytest.mark.parametrize("noise", [7.5e-6, 1e-5, 1.5e-5])
+def test_repeats_that_scatter_by_more_than_the_machine_file_says_are_told(noise: float) -> None:
+    """What is left was told as a machine with an error that nothing explains, and no more."""
+    fit = scattering(noise)
+    (note,) = scatter_notes(fit)
+    assert "where the machine file says 0.005: correct repeatability under [dial_mm]" in note
+    said = float(note.partition("scatter by ")[2].partition(" mm")[0])
+    assert said == pytest.approx(noise * 1e3, rel=0.15)
+    assert fit.problem.noise.typical == pytest.approx(np.hypot(5e-6, 1e-5 / np.sqrt(12)))
+
+
+def test_one_setup_that_scatters_is_named() -> None:
+    (note,) = scatter_notes(scattering(5e-6, loud=2e-5))
+    assert "setup 'yz-0.5': repeats scatter by" in note
+    assert "look for what is loose on this dial" in note
+
+
+def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> None:
+    for noise in (1e-6, 3e-6, 5e-6):
+        assert not scatter_notes(scattering(noise))
+    assert not scatter_notes(scattering(1e-6, told=1e-6)), "rounding alone"
+    assert not scatter_notes(scattering(1.5e-5, told=None))
+    (note,) = scatter_notes(scattering(1.5e-5, noise=5e-6))
+    assert "where 0.005 was declared: correct what was declared" in note
+
+
+def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None:
+    fit = scattering(1.2e-5)
+    verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
+    assert verdict.word == "unexplained"
+    assert headline(verdict).startswith("Repeats of the dials scatter by 0.01")
+    assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")

@@ -9,6 +9,7 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.loud import loud_dials
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
@@ -56,7 +57,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += [*quieter(estimate), *louder(estimate)]
+    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
-from orthoglide.report.phrases import sentence
+from orthoglide.report.phrases import WHICHEVER, sentence
 from orthoglide.report.wording import (
     BESIDES,
     MEANINGS,
-    WHICHEVER,
     curve_words,
     evidence,
     standing,

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, hundredths, signed
-from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
+from orthoglide.report.phrases import WHICHEVER, sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import MEANINGS, WHICHEVER, headline, too_early
+from orthoglide.report.wording import MEANINGS, headline, too_early
 from orthoglide.result.firmware import UNSEEN, Unseen
 from orthoglide.text import is_terminal, text_width
 

@@ -41,9 +41,6 @@ MEANINGS: Mapping[str, str] = {
 BESIDES = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""
 
-WHICHEVER = "on average, whichever of these it is"
-"""Behind what it gains to put right one of several causes."""
-
 
 def headline(result: Result) -> str:
     """The result in a few sentences: what must be known first, what is wrong, and by what."""
@@ -68,7 +65,10 @@ def standing(result: Result) -> str:
         more = f" {BESIDES}" if result.word == "partial" else ""
         return f"{_causes(result)}{more}"
     if result.word == "unexplained":
-        return f"{_nothing_explains(result)}{where_left(result)}"
+        text = f"{_nothing_explains(result)}{where_left(result)}"
+        noisy = " ".join(map(sentence, result.scattering))
+        against = f"Against what was declared, {text[:1].lower()}{text[1:]}"
+        return f"{noisy} {against}" if noisy else text
     if result.before.scores.dof < _FEW:
         return (
             f"These readings are too few to look for causes with: what the "

@@ -69,7 +69,11 @@ def actions(result: Result) -> tuple[Action, ...]:
     """
     decides, told = _measure(result)
     if withheld(result.machine):
-        return (*_found(result, "confirm"), *told)
+        noisy = [
+            Action("confirm", f"Before more is measured: {one}")
+            for one in (result.scattering if result.word == "unexplained" else ())
+        ]
+        return (*noisy, *_found(result, "confirm"), *told)
     done = [*_zeros(result), *_found(result, "mend"), *_compensate(result)]
     done.sort(key=lambda action: -action.gain if math.isfinite(action.gain) else 0.0)
     return (*told, *done) if decides else (*done, *told)

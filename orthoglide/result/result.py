@@ -386,6 +386,11 @@ class Result(Framed):
         """Of the final fit, lack of fit apart: the verdict's word says it already."""
         return tuple(w for w in self.after.warnings if w.kind != "lack_of_fit")
 
+    @property
+    def scattering(self) -> tuple[str, ...]:
+        """Warnings that repeats scatter by more than was declared of them."""
+        return tuple(w for w in self.after.warnings if w.kind == "scatter")
+
 
 def last_values(estimate: Estimate) -> dict[str, float]:
     """Parameters of the last campaign's machine, dials included, SI."""
