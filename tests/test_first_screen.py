@@ -18,12 +18,14 @@ from orthoglide.closing import Verdict
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
+from orthoglide.numerals import ByUnit
 from orthoglide.pages import rendered
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import Cause, Explanation, Located
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
 from orthoglide.report.text import to_do
+from orthoglide.report.wording import _falls
 from orthoglide.result.actions import Action, Suspect
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
@@ -444,6 +446,21 @@ def test_the_gain_of_a_class_of_places_counts_all_that_the_machine_has() -> None
     name, parts = Located(members, (), 1.0).in_machine(known)  # type: ignore[arg-type]
     assert name == found[kinds[1]].effect.name
     assert set(parts) == {str(p) for kind in kinds[1:] for p in found[kind].effect.motions}
+
+
+@pytest.mark.parametrize(
+    ("now", "said"),
+    [
+        (3e-6, "falls from 0.005 to 0.003 mm rms"),
+        (4.9e-6, "hardly falls from 0.0050 to 0.0049 mm rms"),
+        (5e-6, "does not fall, at 0.0050 mm rms"),
+        (6e-6, "does not fall, at 0.006 mm rms"),
+    ],
+)
+def test_what_does_not_fall_is_not_said_to_fall(now: float, said: str) -> None:
+    """It had hardly fallen, from 0.005 to 0.006 mm."""
+    was, is_now = (SimpleNamespace(told=ByUnit(v, float("nan"))) for v in (5e-6, now))
+    assert _falls(was, is_now) == said  # type: ignore[arg-type]
 
 
 def test_a_question_on_where_to_look_ends_its_sentence() -> None:
