@@ -147,7 +147,7 @@ def _off(verdict: Verdict, moved: Array) -> float:
     kept = np.asarray(moved, dtype=bool).copy()
     kept[aside] = False
     problem = verdict.after.problem
-    noise = np.hypot(problem.sigma, problem.noise.common)
+    noise = np.hypot(problem.sigma, problem.common)
     times = np.abs(verdict.after.residuals) / noise
     # Faulty rows are gone from the problem, or weigh nothing there.
     return float(times[kept].max(initial=0.0)) if len(times) == len(kept) else 0.0

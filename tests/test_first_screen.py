@@ -18,12 +18,14 @@ from orthoglide.closing import Verdict
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.fit import Change
 from orthoglide.layout import LinearDelta
+from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
-from orthoglide.posterior import Cause, Explanation
+from orthoglide.posterior import Cause, Explanation, Located
 from orthoglide.report import report_files, result_text
 from orthoglide.report.first import finding, sure_words
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
+from orthoglide.report.wording import _falls
 from orthoglide.result.actions import Action, Suspect
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
@@ -398,6 +400,67 @@ def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_r
     (row,) = budget(verdict)["rows"]
     assert row["gain"].startswith("0.0000 ±")
     assert row["share"] == "0%"
+
+
+def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_gains() -> None:
+    """Both have the family's name: 0.2 um stood beside a cause of 0.175 mm, behind all else."""
+    from orthoglide.report.found import budget
+
+    tilt, rest = ("axis_tilt.x.z", "axis_tilt.y.z"), ("axis_tilt.x.y",)
+    cause = Explanation(
+        "axis_tilt", tilt, 1.0, dict.fromkeys(tilt, 9e-3), dict.fromkeys(tilt, 1e-5), {},
+        np.zeros(0), CATALOGUE,
+    )  # fmt: skip
+    verdict = made_up("explained", Cause(cause, (), ()))
+    known = lost("platform").budget[0]
+    found = replace(known, cause="axis_tilt", members=tilt, gain=1.75e-4, rest=False)
+    left = replace(found, members=rest, gain=2.2e-10, rest=True)
+    verdict.__dict__["budget"] = (found, left)
+    (action,) = (a for a in verdict.actions if a.kind == "mend")
+    assert action.gain == found.gain
+    assert not action.whichever
+    first, second = (row["words"] for row in budget(verdict)["rows"])
+    assert second == f"{first}: the rest of them"
+
+
+def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
+    chosen, rival = (
+        explained(name, 2e-3, CATALOGUE, 0.5) for name in ("axis_tilt.y.z", "rail_tilt.y.z")
+    )
+    verdict = made_up("ambiguous", Cause(chosen, (rival,), ()))
+    item = replace(lost("platform").budget[0], cause=chosen.name, gain=1e-4, rest=False)
+    verdict.__dict__["budget"] = (item,)
+    said = "gains 0.1 mm at the tool on average, whichever of these it is"
+    assert any(said in line for line in to_do(verdict))
+    assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)
+
+
+def test_the_gain_of_a_class_of_places_counts_all_that_the_machine_has() -> None:
+    """The most probable may be a dial's, or lost motion, which is no part of the machine."""
+    from orthoglide.effects.places import places
+
+    kinds = ("rail.x.y/approach", "rail.x.y/travel", "carriage.x.y/travel")
+    found = {place.name: place for place in places() if place.name in kinds}
+    known = CATALOGUE.with_effects([found[name].effect for name in kinds[1:]])
+    members = tuple(SimpleNamespace(place=found[name]) for name in kinds)
+    name, parts = Located(members, (), 1.0).in_machine(known)  # type: ignore[arg-type]
+    assert name == found[kinds[1]].effect.name
+    assert set(parts) == {str(p) for kind in kinds[1:] for p in found[kind].effect.motions}
+
+
+@pytest.mark.parametrize(
+    ("now", "said"),
+    [
+        (3e-6, "falls from 0.005 to 0.003 mm rms"),
+        (4.9e-6, "hardly falls from 0.0050 to 0.0049 mm rms"),
+        (5e-6, "does not fall, at 0.0050 mm rms"),
+        (6e-6, "does not fall, at 0.006 mm rms"),
+    ],
+)
+def test_what_does_not_fall_is_not_said_to_fall(now: float, said: str) -> None:
+    """It had hardly fallen, from 0.005 to 0.006 mm."""
+    was, is_now = (SimpleNamespace(told=ByUnit(v, float("nan"))) for v in (5e-6, now))
+    assert _falls(was, is_now) == said  # type: ignore[arg-type]
 
 
 def test_a_question_on_where_to_look_ends_its_sentence() -> None:

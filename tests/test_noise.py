@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,10 +14,12 @@ from orthoglide.fit import noise_of
 from orthoglide.fit.noise import (
     PUBLISHED_REPEATABILITY,
     common_rounding,
+    dial_steps,
     repeat_variance,
 )
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, protocol
+from orthoglide.report.wording import headline
 
 SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
@@ -179,8 +182,149 @@ def test_rounding_that_repeats_have_in_common(scatter: float) -> None:
 def test_a_coarse_dial_sets_its_rounding_apart() -> None:
     coarse = Dial(resolution=1e-5, repeatability=1e-6)
     noise = noise_of([campaign()], coarse)
-    assert noise.common > 0
-    assert noise.sigma[0][0] ** 2 + noise.common**2 == pytest.approx(noise.typical**2)
-    assert noise_of([unrepeated()], coarse).common == 0.0
-    assert noise_of([campaign()], replace(coarse, repeatability=2e-5)).common == 0.0
+    assert (noise.common[0] > 0).all()
+    assert noise.sigma[0][0] ** 2 + noise.common[0][0] ** 2 == pytest.approx(noise.typical**2)
+    assert not noise_of([unrepeated()], coarse).common[0].any()
+    assert not noise_of([campaign()], replace(coarse, repeatability=2e-5)).common[0].any()
     assert common_rounding(1e-5, 0.0) == 0.0
+
+
+# -- the step that a dial's readings show ---------------------------------------------------------
+
+STEP = 5e-5
+DATA = Path(og.__file__).parent / "data"
+RIG = Path(__file__).parent / "data" / "rig"
+
+
+def on_grid(step: float, setups: int = 6) -> Campaign:
+    """A sound machine whose zeros are off, its first setups read on a step without the rest."""
+    worn = og.Machine.nominal().with_parameters({"joint_offset.x": 3e-3, "joint_offset.y": -2e-3})
+    exact = og.simulate(worn, "sweep", noise=5e-6, seed=3)
+    coarse = np.round(exact.reading / step) * step
+    return exact.with_readings(np.where(exact.setup < setups, coarse, exact.reading))
+
+
+def steps(read: Campaign) -> list[float]:
+    """Step of each setup's dial, as its readings tell."""
+    found = dial_steps(read, 1e-5)
+    return [float(found[read.setup == k].max()) for k in range(len(read.setups))]
+
+
+def test_a_coarse_step_is_seen_in_the_readings() -> None:
+    assert steps(on_grid(STEP)) == [STEP] * 6
+    assert steps(on_grid(STEP, setups=1)) == [STEP, *[1e-5] * 5]
+    moved = on_grid(STEP)
+    assert steps(moved.with_readings(moved.reading + 3e-5)) == [STEP] * 6, "off the datum"
+    assert steps(on_grid(25.4e-6)) == [25.4e-6] * 6, "a thousandth of an inch"
+
+
+def test_a_step_is_never_made_up() -> None:
+    """Few different readings are on a coarser grid by chance; what is finer is no dial's."""
+    for path in (*DATA.glob("experiment*.csv"), *RIG.glob("rig-?.csv")):
+        (read,) = og.read_readings(path, og.Machine.nominal().spec)
+        assert set(steps(read)) == {1e-5}, path.name
+    still = on_grid(1e-5)
+    metres = np.where(still.setup == 0, still.reading * 1e-3, still.reading + 1e-5 * still.order)
+    assert set(steps(still.with_readings(metres))) == {1e-5}
+    sheet, rng = protocol("standard"), np.random.default_rng(0)
+    once = sheet.subset(sheet.repeat == 1)
+    drawn = 1e-5 * rng.integers(0, 20, (2000, len(once)))
+    assert sum(set(steps(once.with_readings(d))) != {1e-5} for d in drawn) <= 4
+
+
+def test_the_noise_of_a_coarse_dial_has_its_rounding() -> None:
+    known = Dial(repeatability=5e-6)
+    noise = noise_of([on_grid(STEP)], known)
+    declared = noise_of([on_grid(STEP)], replace(known, resolution=STEP))
+    assert noise.typical == declared.typical
+    assert np.array_equal(noise.sigma[0], declared.sigma[0])
+    assert noise.resolution == STEP
+    one = on_grid(STEP, setups=1)
+    mixed, fine = noise_of([one], known), noise_of([one], known, step=[np.full(len(one), 1e-5)])
+    assert mixed.typical == fine.typical
+    assert np.array_equal(mixed.sigma[0][one.setup > 0], fine.sigma[0][one.setup > 0])
+    station = np.hypot(mixed.sigma[0], mixed.common[0])[one.setup == 0]
+    assert np.sqrt(25e-12 + STEP**2 / 12) == pytest.approx(station.min())
+    for read in (on_grid(STEP), one):
+        assert noise_of([read], Dial()).source == "repeats"
+
+
+@pytest.mark.parametrize("setups", [6, 1])
+@pytest.mark.parametrize("repeatability", [None, 5e-6])
+def test_a_sound_machine_read_on_a_coarse_step_is_sound(
+    setups: int, repeatability: float | None
+) -> None:
+    """5 to 8 innocent readings were set aside, and up to five places found."""
+    nominal = og.Machine.nominal()
+    dial = replace(nominal.spec.dial, repeatability=repeatability)
+    verdict = og.close_loop([on_grid(STEP, setups)], og.Machine(replace(nominal.spec, dial=dial)))
+    assert verdict.word == "adequate"
+    assert not verdict.blunders
+    assert not verdict.located
+    (note,) = (n for n in verdict.warnings if n.kind == "step")
+    assert "multiples of 0.05 mm" in note
+    said = "declare it as resolution under [dial_mm]" if setups == 6 else "setup 'xy-0.5'"
+    assert said in note
+
+
+def test_too_quiet_readings_are_held_against_all_of_their_noise() -> None:
+    """It had been told ten times too small: what repeats have in common was left out."""
+    dial = Dial(resolution=STEP, repeatability=5e-6)
+    machine = og.Machine(replace(og.Machine.nominal().spec, dial=dial))
+    sheet = protocol("sweep")
+    fit = og.identify(sheet.with_readings(machine.readings(sheet)), machine)
+    (note,) = (n for n in fit.warnings if n.kind == "quiet")
+    assert "0.015 mm, as the machine file has it" in note
+
+
+# -- repeats that scatter by more than was declared -----------------------------------------------
+
+
+def scattering(
+    size: float, loud: float = 0.0, told: float | None = 5e-6, **given: float
+) -> og.Estimate:
+    """A sound machine, read with some noise, the fourth setup with more, and what is said."""
+    nominal = og.Machine.nominal()
+    machine = og.Machine(replace(nominal.spec, dial=Dial(repeatability=told)))
+    read = og.simulate(nominal, "sweep", noise=size, seed=4)
+    extra = loud * np.random.default_rng(1).standard_normal(len(read)) * (read.setup == 3)
+    shown = np.round((read.reading + extra) / 1e-5) * 1e-5
+    return og.identify(read.with_readings(shown), machine, **given)
+
+
+def scatter_notes(fit: og.Estimate) -> list[str]:
+    return [note for note in fit.warnings if note.kind == "scatter"]
+
+
+@pytest.mark.parametrize("noise", [7.5e-6, 1e-5, 1.5e-5])
+def test_repeats_that_scatter_by_more_than_the_machine_file_says_are_told(noise: float) -> None:
+    """What is left was told as a machine with an error that nothing explains, and no more."""
+    fit = scattering(noise)
+    (note,) = scatter_notes(fit)
+    assert "where the machine file says 0.005: correct repeatability under [dial_mm]" in note
+    said = float(note.partition("scatter by ")[2].partition(" mm")[0])
+    assert said == pytest.approx(noise * 1e3, rel=0.15)
+    assert fit.problem.noise.typical == pytest.approx(np.hypot(5e-6, 1e-5 / np.sqrt(12)))
+
+
+def test_one_setup_that_scatters_is_named() -> None:
+    (note,) = scatter_notes(scattering(5e-6, loud=2e-5))
+    assert "setup 'yz-0.5': repeats scatter by" in note
+    assert "look for what is loose on this dial" in note
+
+
+def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> None:
+    for noise in (1e-6, 3e-6, 5e-6):
+        assert not scatter_notes(scattering(noise))
+    assert not scatter_notes(scattering(1e-6, told=1e-6)), "rounding alone"
+    assert not scatter_notes(scattering(1.5e-5, told=None))
+    (note,) = scatter_notes(scattering(1.5e-5, noise=5e-6))
+    assert "where 0.005 was declared: correct what was declared" in note
+
+
+def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None:
+    fit = scattering(1.2e-5)
+    verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
+    assert verdict.word == "unexplained"
+    assert headline(verdict).startswith("Repeats of the dials scatter by 0.01")
+    assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")

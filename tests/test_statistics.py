@@ -48,7 +48,7 @@ def covariance(found: Estimate) -> np.ndarray:
     loose = nuisance.columns * wide
     return (
         np.diag(problem.sigma**2)
-        + problem.noise.common**2 * same
+        + problem.common**2 * same
         + (columns / nuisance.precision[known]) @ columns.T
         + loose @ loose.T
     )
@@ -208,7 +208,7 @@ def test_unknowns_stay_within_fifty_tolerances() -> None:
 def test_station_means_against_all_written_out() -> None:
     """Residual, signatures and shown readings, as the projected means of dense algebra."""
     found = fitted("sweep", noise=None, resolution=1e-5, repeatability=1e-6)
-    assert found.problem.noise.common > 0
+    assert (found.problem.common > 0).all()
     seen = signatures(found)
     means = StationMeans.of(seen)
     station = found.problem.station

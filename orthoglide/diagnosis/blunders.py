@@ -213,7 +213,7 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     Raises:
         InputError: where nothing is left of a campaign.
     """
-    campaigns, sigmas = [], []
+    campaigns, rows_kept = [], []
     for k, campaign in enumerate(problem.campaigns):
         kept = np.ones(len(campaign), dtype=bool)
         split = campaign
@@ -230,10 +230,10 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
                 f"it again ({fault.message})"
             )
         campaigns.append(split.subset(kept))
-        sigmas.append(problem.noise.sigma[k][kept])
-    noise: Noise = replace(problem.noise, sigma=tuple(sigmas))
+        rows_kept.append(kept)
+    noise: Noise = problem.noise.of(rows_kept)
     if noise.source == "repeats":
-        noise = noise_of(campaigns, problem.machine.spec.dial)
+        noise = noise_of(campaigns, problem.machine.spec.dial, step=noise.step)
     return replace(problem.at_tolerance(), campaigns=tuple(campaigns), noise=noise)
 
 

@@ -164,9 +164,9 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     evidence = means.evidence(after, 1) - np.log(len(rows))
     # A cause in no catalogue looks much the same: only what mends the fit counts, and where no
     # other visit bears witness it must be a slip larger than such causes are.
-    least = _SPOILT * problem.machine.spec.dial.resolution
+    least = _SPOILT * problem.step[rows]
     witnessed = np.bincount(problem.place)[problem.place][rows] > 1
-    needed = np.where(witnessed, least, max(least, _ALONE))
+    needed = np.where(witnessed, least, np.maximum(least, _ALONE))
     sure = visible & (np.abs(size) >= needed) & (after <= _MENDS * means.dof)
     return [
         Fault(

@@ -29,7 +29,7 @@ def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
     """Squared scatter of all readings of dials about their stations, whitened."""
     least = 1.0
     if problem.noise.source == "repeats":
-        least = (problem.machine.spec.dial.resolution / problem.noise.typical) ** 2 / 12
+        least = (problem.noise.resolution / problem.noise.typical) ** 2 / 12
     return median_scatter(setups, least)
 
 
@@ -45,9 +45,9 @@ def repeat_faults(
     """
     scale = noise_scale(problem, setups)
     free = untouched(problem, known)
-    step, count = problem.machine.spec.dial.resolution, len(problem.measured)
+    count = len(problem.measured)
     able = [s for s in setups if s.dof >= 2 and s.setup in free]
-    return [fault for s in able for fault in Slips(s, scale, step, count).confirmed()]
+    return [fault for s in able for fault in _slips(problem, s, scale, count).confirmed()]
 
 
 def scatter_faults(
@@ -68,18 +68,22 @@ def scatter_faults(
     """
     if problem.noise.source == "declared":
         return []
-    dial = max(PUBLISHED_REPEATABILITY, problem.machine.spec.dial.resolution)
-    limit = _BEYOND * max(dial, problem.machine.spec.dial.repeatability or 0.0)
-    scale, found = noise_scale(problem, setups), []
-    step, count = problem.machine.spec.dial.resolution, len(problem.measured)
+    dial = max(PUBLISHED_REPEATABILITY, problem.machine.spec.dial.repeatability or 0.0)
+    scale, found, count = noise_scale(problem, setups), [], len(problem.measured)
     for scatter in setups:
-        size = Slips(scatter, scale, step, count).spread()
-        if size > limit:
+        slips = _slips(problem, scatter, scale, count)
+        size = slips.spread()
+        if size > _BEYOND * max(dial, slips.step):
             found.append(Fault("scatter", scatter.rows, (scatter.setup,), size))
     if 2 * len(found) > len(setups):
         raise InputError(message(problem, found[0]) + "; most other setups are no better")
     free = untouched(problem, known)
     return [fault for fault in found if fault.setups[0] in free]
+
+
+def _slips(problem: Problem, scatter: Scatter, scale: float, count: int) -> Slips:
+    """A search in a setup, whose dial has a step of its own."""
+    return Slips(scatter, scale, float(problem.step[scatter.rows].max(initial=0.0)), count)
 
 
 _Place = tuple[Kind | Literal["trend"], int]

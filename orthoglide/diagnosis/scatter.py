@@ -56,7 +56,7 @@ class Scatter:
         """Of a setup, numbered over all campaigns."""
         problem = estimate.problem
         rows = in_order(problem, setup)
-        weight = 1 / np.hypot(problem.sigma, problem.noise.common)[rows]
+        weight = 1 / np.hypot(problem.sigma, problem.common)[rows]
         station = numbered(problem.station[rows])
         rest = (problem.measured - estimate.at.value)[rows] * weight
         time = np.concatenate([c.time for c in problem.campaigns])[rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import past
-from orthoglide.fit.noise import off_grid, repeat_variance, total_variance
+from orthoglide.fit.noise import finest_of, off_grid, repeat_variance, total_variance
 from orthoglide.geometry import Array
+from orthoglide.observations import Campaign
 
 DRAWS = 1999
 """Draws of the noise from which thresholds are taken."""
@@ -58,11 +60,9 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     readings = _noise(problem, signatures, rng, draws)
     rows = signatures.whiten(readings)
     if problem.noise.source == "repeats":
-        variance = np.array(
-            [repeat_variance(problem.with_readings(r).campaigns)[0] for r in readings.T]
-        )
-        total = total_variance(variance, problem.machine.spec.dial.resolution)
-        rows = rows * (problem.noise.typical / np.sqrt(np.maximum(total, 1e-300)))
+        drawn = [problem.with_readings(r).campaigns for r in readings.T]
+        total, single = (_single(problem, given) for given in (drawn, [problem.campaigns]))
+        rows = rows * np.sqrt(single / np.maximum(total, 1e-300))
     # A prior that holds an unknown back leaves something of it in the readings.
     known = len(problem.prior_rows[0])
     padded = np.zeros((len(signatures.fitted), draws))
@@ -73,13 +73,18 @@ def noise_residuals(signatures: Signatures, rng: np.random.Generator, draws: int
     return np.asarray(rows + signatures.columns @ little)
 
 
+def _single(problem: Problem, drawn: Sequence[Sequence[Campaign]]) -> Array:
+    """Variance of one reading from the repeats of each of some draws of all campaigns."""
+    kept = [finest_of(campaigns, problem.noise.step) for campaigns in drawn]
+    variance = np.array([repeat_variance(campaigns)[0] for campaigns, _ in kept])
+    return total_variance(variance, kept[0][1])
+
+
 def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, draws: int) -> Array:
     """Noise of all readings ``(n, draws)``, metres: scatter, rounding, placement, datum."""
-    n = len(problem.measured)
+    n, resolution = len(problem.measured), problem.step
     dials = problem.rows[-1].stop if problem.rows else 0
-    # What is not read from a dial has no step: its noise is all scatter.
-    resolution = problem.machine.spec.dial.resolution * (np.arange(n) < dials)
-    variance = problem.sigma**2 + problem.noise.common**2 - resolution**2 / 12
+    variance = problem.sigma**2 + problem.common**2 - resolution**2 / 12
     scatter = np.sqrt(np.maximum(variance, 0.0))
     noise = rng.standard_normal((n, draws)) * scatter[:, None]
     nuisance = signatures.estimate.nuisance
@@ -88,11 +93,16 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places = rng.standard_normal((int(placed.sum()), draws))
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
-    step = problem.machine.spec.dial.resolution
-    if dials and step > 0 and (off_grid(problem.measured[:dials], step) < _BINARY).all():
+    step = resolution[:dials, None]
+    if dials and (step > 0).all() and _on_grid(problem.measured[:dials], resolution[:dials]):
         value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
-        datum = rng.uniform(0, step, (problem.setup_count, draws))[setup]
+        datum = rng.uniform(0, 1, (problem.setup_count, draws))[setup] * step
         shown = np.round((value + datum + noise[:dials]) / step) * step
         noise[:dials] = shown - value - datum
         return np.asarray(noise)
     return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
+
+
+def _on_grid(readings: Array, step: Array) -> bool:
+    """Whether readings ``(n,)`` are multiples of the steps of their dials ``(n,)``."""
+    return bool((off_grid(readings, step) < _BINARY).all())

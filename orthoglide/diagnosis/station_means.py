@@ -130,8 +130,8 @@ class StationMeans:
         """Least chi2 a degree of freedom: the noise itself, or the rounding where it is unsure."""
         if self.problem.noise.source != "repeats":
             return 1.0
-        step = self.problem.machine.spec.dial.resolution
-        return min(1.0, (step / self.problem.noise.typical) ** 2 / 12)
+        noise = self.problem.noise
+        return min(1.0, (noise.resolution / noise.typical) ** 2 / 12)
 
     def evidence(self, after: Array, size: int = 0) -> Array:
         """Log Bayes factor where chi2 falls to ``after``, with ``size`` readings' worth freed.

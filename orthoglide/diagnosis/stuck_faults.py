@@ -34,7 +34,7 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
     found = []
     residual = base.estimate.nuisance.weighing.metres(base.residual[: base.count])
     for setup, run in runs:
-        step, sigma = problem.machine.spec.dial.resolution, float(problem.sigma[run].max())
+        step, sigma = float(problem.step[run].max()), float(problem.sigma[run].max())
         least = max(_STEPS * step, _SIGMAS * sigma)
         # What a fit without the run leaves of it is no longer than this, and most runs are short.
         share = float(np.sum(base.fitted[run] ** 2))
@@ -124,12 +124,12 @@ def _by_scatter(problem: Problem, setups: Sequence[Scatter], setup: int, run: Ro
     """Evidence of repeats that are all the same where the other dials' are not."""
     from scipy.special import erf
 
-    step = problem.machine.spec.dial.resolution
+    step, others = float(problem.step[run].max()), problem.noise.resolution
     able = [s for s in setups if s.dof >= 2 and s.setup != setup]
     again = len(run) - len(np.unique(problem.station[run]))
     if not able or step <= 0:
         return 0.0
     shown = np.median([s.chi2 / s.dof / np.mean(s.weight**2) for s in able])
     # At best every true value stands in the middle of its step.
-    scatter = np.sqrt(max(float(shown) - step**2 / 12, 1e-6 * step**2))
+    scatter = np.sqrt(max(float(shown) - others**2 / 12, 1e-6 * others**2))
     return float(-again * np.log(erf(step / (np.sqrt(8) * scatter))))

@@ -111,7 +111,7 @@ def _patterns(cause: Cause, after: Estimate) -> list[Pattern]:
                 mounting.x[first],
                 mounting.side[first],
                 _mean(residual[rows], station),
-                2e3 * np.hypot(noise, problem.noise.common),
+                2e3 * np.hypot(noise, problem.common[rows[first]]),
                 tuple(_mean(p[rows], station) for p in predicted),
             )
         )

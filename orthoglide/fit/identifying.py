@@ -227,5 +227,7 @@ def _anchored(problem: Problem) -> Problem:
         _, first = np.unique(campaign.setup, return_index=True)
         sigma[first] *= _EXACT
         sigmas.append(sigma)
-    noise = replace(problem.noise, sigma=tuple(sigmas), common=0.0)
+    none = tuple(np.zeros(len(s)) for s in sigmas)
+    step = tuple(np.full(len(s), problem.noise.resolution) for s in sigmas)
+    noise = replace(problem.noise, sigma=tuple(sigmas), common=none, step=step)
     return replace(problem, campaigns=campaigns, noise=noise, placement=0.0)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
@@ -28,7 +28,9 @@ _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
 _STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
 _QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
 _GRIDS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
+_INCHES = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
 _EXACT = 1e-3  # of a step, by which a figure that is printed in it may be off
+_CHANCE = 1e-3  # of readings that all fall on a coarser step than their dial has
 _FEWEST_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
 FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of the noise
 
@@ -42,45 +44,189 @@ class Noise:
         typical: one figure for a single reading of a length, metres, all counted; radians where
             nothing but inclinations was read.
         source: where it comes from.
-        common: standard deviation of what a dial rounds away alike at every visit to a station,
-            metres; 0 where the scatter of the readings spreads the rounding out.
+        common: by campaign, each ``(n,)``, metres: standard deviation of what a dial rounds away
+            alike at every visit to a station; 0 where the scatter spreads the rounding out.
+        step: by campaign, each ``(n,)``, metres: of every reading's dial.
+        resolution: the commonest of the steps, which ``typical`` counts, metres.
         dof: degrees of freedom behind ``typical``; infinite where it was not estimated.
     """
 
     sigma: tuple[Array, ...]
     typical: float
     source: NoiseSource
-    common: float = 0.0
+    common: tuple[Array, ...]
+    step: tuple[Array, ...]
+    resolution: float
     dof: float = float("inf")
 
+    def of(self, rows: Sequence[NDArray[Any]]) -> Noise:
+        """Of some rows of each campaign, by indices or booleans ``(n,)``."""
+        sigma, common, step = (
+            tuple(value[k] for value, k in zip(values, rows, strict=True))
+            for values in (self.sigma, self.common, self.step)
+        )
+        return replace(self, sigma=sigma, common=common, step=step)
 
-def noise_of(campaigns: Sequence[Campaign], dial: Dial, declared: float | None = None) -> Noise:
+
+@dataclass(frozen=True)
+class _Level:
+    """What one reading scatters by.
+
+    Attributes:
+        total: standard deviation, rounding to ``step`` counted, metres.
+        step: of the dials that it was found for, metres.
+        source: where it comes from.
+        dof: degrees of freedom behind it.
+        rows_count: whether ``sigma_mm`` of the rows goes before.
+    """
+
+    total: float
+    step: float
+    source: NoiseSource
+    dof: float = float("inf")
+    rows_count: bool = True
+
+    def at(self, step: Array) -> Array:
+        """The same of dials of other steps; what is declared is told of every reading."""
+        if self.source == "declared":
+            return np.full_like(step, self.total)
+        scatter = max(self.total**2 - self.step**2 / 12, 0.0)
+        return np.where(step == self.step, self.total, np.sqrt(scatter + step**2 / 12))
+
+
+def noise_of(
+    campaigns: Sequence[Campaign],
+    dial: Dial,
+    declared: float | None = None,
+    step: Sequence[Array] | None = None,
+) -> Noise:
     """Noise of the readings, with the part that averaging does not reduce set apart.
 
     A figure declared for the run counts first, then ``sigma_mm`` of the rows, then the machine
     file's repeatability, then the scatter of repeats (successive differences, so that slow drift
     does not count), then the published repeatability. What a dial rounds away is added, and never
-    less: resolution^2 / 12.
+    less: step^2 / 12, where the step is the dial's, or the coarser one that its readings show.
 
     Args:
         campaigns: the readings.
         dial: of the machine.
         declared: standard deviation of one reading, metres; replaces all others.
+        step: of every reading's dial, by campaign, each ``(n,)``, metres, where it is known.
 
     Raises:
         InputError: where ``declared`` is nothing that a dial scatters by.
     """
-    noise = _level(campaigns, dial, declared)
-    common = float(common_rounding(noise.typical, dial.resolution))
-    if common**2 < _COUNTS * noise.typical**2 or not repeated(campaigns):
-        return noise
-    sigma = tuple(np.sqrt(np.maximum(s**2 - common**2, _COUNTS * s**2)) for s in noise.sigma)
-    at_edges = map(_at_edges, campaigns, sigma, [dial.resolution] * len(sigma))
-    return replace(noise, sigma=tuple(at_edges), common=common)
+    steps = tuple(dial_steps(c, dial.resolution) for c in campaigns) if step is None else step
+    every = np.concatenate([np.zeros(0), *steps])
+    sizes, count = np.unique(every, return_counts=True)
+    commonest = float(sizes[np.argmax(count)]) if len(sizes) else dial.resolution
+    fine, finest = finest_of(campaigns, steps) if len(sizes) else (campaigns, dial.resolution)
+    level = _level(fine, replace(dial, resolution=finest), declared)
+    typical = float(level.at(np.array([commonest]))[0])
+    again = repeated(campaigns)
+    sigmas, commons = [], []
+    for campaign, size in zip(campaigns, steps, strict=True):
+        total = level.at(size)
+        common = _common(total, size) if again else np.zeros(len(campaign))
+        given = np.isfinite(campaign.sigma) & level.rows_count
+        total = np.where(given, campaign.sigma, total)
+        own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
+        edges = _at_edges(campaign, own, size)
+        sigmas.append(np.where(common > 0, edges, total))
+        commons.append(common)
+    return Noise(
+        tuple(sigmas), typical, level.source, tuple(commons), tuple(steps), commonest, level.dof
+    )
 
 
-def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
-    """Sigmas ``(n,)``, half a step where the visits to a station show two neighbouring digits.
+def _common(total: Array, step: Array) -> Array:
+    """Rounding that repeats have in common ``(n,)``, metres; 0 where it is too small to matter."""
+    found = np.zeros(len(total))
+    for size in np.unique(step):
+        rows = step == size
+        common = float(common_rounding(total[rows][0], size))
+        if common**2 >= _COUNTS * total[rows][0] ** 2:
+            found[rows] = common
+    return found
+
+
+def finest_of(
+    campaigns: Sequence[Campaign], step: Sequence[Array]
+) -> tuple[Sequence[Campaign], float]:
+    """Readings of the dials of the smallest step, which show best what readings scatter by, and
+    that step.
+
+    Args:
+        campaigns: the readings.
+        step: of every reading's dial, by campaign, each ``(n,)``, metres.
+    """
+    finest = float(np.concatenate(step).min())
+    if all((s == finest).all() for s in step):
+        return campaigns, finest
+    kept = [(c, s == finest) for c, s in zip(campaigns, step, strict=True)]
+    return [c.subset(rows) for c, rows in kept if rows.any()], finest
+
+
+def dial_steps(campaign: Campaign, resolution: float) -> Array:
+    """Step of every reading's dial ``(n,)``, metres: the resolution, or a coarser one of which all
+    readings off the datum are multiples, of the campaign or else of one setup whose repeats show
+    that it is no other unit.
+
+    Args:
+        campaign: the readings.
+        resolution: of the machine's dial, metres; 0 where it does not round.
+    """
+    found = np.full(len(campaign), resolution)
+    if resolution <= 0:
+        return found
+    apart = [_off_datum(campaign.reading[campaign.setup == k]) for k in range(len(campaign.setups))]
+    whole = _coarser(np.concatenate(apart), resolution)
+    for k, readings in enumerate(apart):
+        rows, larger = campaign.setup == k, _coarser(readings, whole)
+        found[rows] = larger if _is_coarse(campaign, rows, whole, larger) else whole
+    return found
+
+
+def _is_coarse(campaign: Campaign, rows: NDArray[np.bool_], step: float, larger: float) -> bool:
+    """Whether repeats in some rows ``(n,)`` scatter less, in steps, than the rest does in its own:
+    else these are readings of the same dial in a smaller unit.
+    """
+    if larger == step:
+        return False
+    own, dof = repeat_variance([campaign.subset(rows)])
+    rest, _ = repeat_variance([campaign.subset(~rows)])
+    less = own / larger**2 < rest / step**2 * np.sqrt(step / larger)
+    return bool(less and dof >= FEWEST_REPEATS)
+
+
+def _off_datum(readings: Array) -> Array:
+    """Different readings of a setup less the first of them, metres; itself left out."""
+    read = readings[np.isfinite(readings)]
+    apart = np.unique(np.round(read - read[:1], 9))
+    return np.asarray(apart[apart != 0])
+
+
+def _coarser(apart: Array, step: float) -> float:
+    """The largest step that different readings are multiples of; a smaller one where that may be
+    by chance, which is of k readings ``(smaller / larger)^k``.
+
+    Args:
+        apart: readings off their datum, all different in a setup ``(k,)``, metres.
+        step: that the dial has, metres.
+    """
+    for larger in sorted((*_GRIDS, *_INCHES)):
+        few = larger <= step or (step / larger) ** len(apart) >= _CHANCE
+        if (
+            not few
+            and np.abs(apart).min() > larger / 2
+            and (off_grid(apart, larger) < _EXACT).all()
+        ):
+            step = larger
+    return step
+
+
+def _at_edges(campaign: Campaign, sigma: Array, resolution: Array) -> Array:
+    """Sigmas ``(n,)`` of dials, half a step where a station's visits show two neighbouring digits.
 
     There the true value stands at the edge between them, and a quiet dial shows one or the other:
     a whole step apart, which to its scatter elsewhere would be a slip, or a drift.
@@ -90,12 +236,12 @@ def _at_edges(campaign: Campaign, sigma: Array, resolution: float) -> Array:
     high = -low
     np.minimum.at(low, station, campaign.reading)
     np.maximum.at(high, station, campaign.reading)
-    steps = (high - low)[station] / resolution
-    edge = (steps > 0.5) & (steps < 1.5) & (resolution > _QUIET * sigma)
+    apart = (high - low)[station]
+    edge = (apart > 0.5 * resolution) & (apart < 1.5 * resolution) & (resolution > _QUIET * sigma)
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
-def off_grid(readings: Array, step: float) -> Array:
+def off_grid(readings: Array, step: float | Array) -> Array:
     """How far readings ``(n,)`` are from multiples of a dial's step, both metres; in steps."""
     return np.abs(readings / step - np.round(readings / step))
 
@@ -178,31 +324,20 @@ def check_noise(noise: float, least: float = NOISE[0]) -> float:
     return noise + 0.0
 
 
-def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> Noise:
-    rounding = dial.resolution**2 / 12
+def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> _Level:
+    step, rounding = dial.resolution, dial.resolution**2 / 12
     if declared is not None:
-        check_noise(declared)
-        return _filled(campaigns, declared, "declared", rows_count=False)
-    if dial.repeatability is not None:
-        return _filled(campaigns, float(np.sqrt(dial.repeatability**2 + rounding)), "machine")
-    variance, dof = repeat_variance(campaigns)
-    if dof >= FEWEST_REPEATS and (variance > 0 or dial.resolution > 0):
-        total = float(np.sqrt(total_variance(variance, dial.resolution)))
-        return replace(_filled(campaigns, total, "repeats"), dof=dof)
-    return _filled(campaigns, float(np.sqrt(PUBLISHED_REPEATABILITY**2 + rounding)), "machine")
-
-
-def _filled(
-    campaigns: Sequence[Campaign], typical: float, source: NoiseSource, *, rows_count: bool = True
-) -> Noise:
-    sigmas = tuple(
-        np.where(np.isfinite(c.sigma), c.sigma, typical) if rows_count else np.full(len(c), typical)
-        for c in campaigns
-    )
+        return _Level(check_noise(declared), step, "declared", rows_count=False)
     given = np.concatenate([np.zeros(0), *(c.sigma for c in campaigns)])
-    if rows_count and len(given) and np.isfinite(given).all():
-        return Noise(sigmas, float(np.sqrt(np.mean(given**2))), "declared")
-    return Noise(sigmas, typical, source)
+    if len(given) and np.isfinite(given).all():
+        return _Level(float(np.sqrt(np.mean(given**2))), step, "declared")
+    if dial.repeatability is not None:
+        return _Level(float(np.sqrt(dial.repeatability**2 + rounding)), step, "machine")
+    variance, dof = repeat_variance(campaigns)
+    if dof >= FEWEST_REPEATS and (variance > 0 or step > 0):
+        total = float(np.sqrt(total_variance(variance, step)))
+        return _Level(total, step, "repeats", dof)
+    return _Level(float(np.sqrt(PUBLISHED_REPEATABILITY**2 + rounding)), step, "machine")
 
 
 def repeat_variance(campaigns: Sequence[Recorded]) -> tuple[float, int]:

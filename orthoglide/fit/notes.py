@@ -9,6 +9,8 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.loud import loud_dials
+from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.notes import Note
@@ -24,6 +26,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     """Notes of a fit: what was noticed on reading, lack of fit, bounds, tolerances, the check."""
     problem, scores = estimate.problem, estimate.scores
     found = [Note(text, "campaign") for f in problem.factors for text in f.points.warnings]
+    found += coarse(problem)
     tool = [f.points for f in problem.points]
     found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
     for campaign in (*problem.campaigns, *problem.tool_campaigns):
@@ -54,7 +57,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += [*quieter(estimate), *louder(estimate)]
+    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -78,6 +81,29 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         )
         found.append(Note(text, "second_order"))
     return tuple(found)
+
+
+def coarse(problem: Problem) -> Iterator[Note]:
+    """Campaigns and setups whose readings show a coarser step than that of the machine's dial."""
+    declared = problem.machine.spec.dial.resolution
+    for campaign, step in zip(problem.campaigns, problem.noise.step, strict=True):
+        if (least := float(step.min())) > declared:
+            told = f"{least * 1e3:g} mm"
+            yield Note(
+                f"{source(campaign)}: the readings are all multiples of {told}: this is taken for "
+                f"the dials' step, not {declared * 1e3:g} mm; declare it as resolution under "
+                f"[dial_mm] in the machine file",
+                "step",
+            )
+        for setup in np.unique(campaign.setup[step > least]).tolist():
+            told = f"{float(step[campaign.setup == setup][0]) * 1e3:g} mm"
+            yield Note(
+                f"{source(campaign)}, setup {campaign.setups[setup].name!r}: the readings are all "
+                f"multiples of {told}, those of others of {least * 1e3:g} mm: this is taken for "
+                f"the step of this setup's dial; read it to its last digit, or look whether these "
+                f"readings are in another unit",
+                "step",
+            )
 
 
 def louder(estimate: Estimate) -> Iterator[Note]:
@@ -109,7 +135,7 @@ def slips(estimate: Estimate) -> Iterator[Note]:
     chance = 1 - _CHANCE / (2 * max(len(residual), 1))
     limit = float(stdtrit(min(problem.noise.dof, 1e9), chance))
     for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
-        noise = np.hypot(problem.sigma, problem.noise.common)[rows]
+        noise = np.hypot(problem.sigma, problem.common)[rows]
         times = np.abs(residual[rows]) / noise
         off = np.flatnonzero(times > limit)
         if len(off):

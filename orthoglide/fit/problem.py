@@ -169,6 +169,16 @@ class Problem:
         """Standard deviation of all rows ``(n,)``, metres or radians."""
         return np.concatenate([*self.noise.sigma, *(f.sigma for f in self.points)])
 
+    @cached_property
+    def common(self) -> Array:
+        """What a dial rounds away alike at every visit, of all rows ``(n,)``, metres."""
+        return np.concatenate([*self.noise.common, *(np.zeros(len(f.sigma)) for f in self.points)])
+
+    @cached_property
+    def step(self) -> Array:
+        """Step of the dial of all rows ``(n,)``, metres; 0 of what is read at the tool."""
+        return np.concatenate([*self.noise.step, *(np.zeros(len(f.sigma)) for f in self.points)])
+
     @property
     def one_reading(self) -> ByUnit:
         """Standard deviation of a single reading: of a length, and of an inclination."""
@@ -179,9 +189,7 @@ class Problem:
     @cached_property
     def weighing(self) -> Weighing:
         """The noise of all rows, with what visits to a station have in common."""
-        dials = self.rows[-1].stop if self.rows else 0
-        common = np.where(np.arange(len(self.sigma)) < dials, self.noise.common, 0.0)
-        return Weighing(self.sigma, common, self.station)
+        return Weighing(self.sigma, self.common, self.station)
 
     @cached_property
     def tolerance(self) -> Array:

@@ -61,7 +61,8 @@ def _by_part(estimate: Estimate) -> Iterator[Note]:
     leverage = None
     for part in _parts(problem):
         limit = _QUIET["told" if part.told else "usual"] ** 2
-        rows, sigma = part.rows, float(np.sqrt(np.mean(problem.sigma[part.rows] ** 2)))
+        rows = part.rows
+        sigma = float(np.sqrt(np.mean(problem.sigma[rows] ** 2 + problem.common[rows] ** 2)))
         if sigma < _EXACT or len(rows) < _FEWEST or square[rows].mean() > limit:
             continue
         if leverage is None:

@@ -124,7 +124,7 @@ def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: fl
     """
     noise, rows, stations = problem.noise, len(problem.measured), len(problem.weighing.first)
     means = tail(max(here.chi2 - within, 0.0), stations - nuisance.free, here.shares, noise.dof)
-    if rows == stations or noise.source == "repeats" or noise.common > 0:
+    if rows == stations or noise.source == "repeats" or problem.common.any():
         return means
     whole = tail(here.chi2, rows - nuisance.free, here.shares)
     return min(1.0, 2 * min(means, whole)) if np.isfinite(means) else whole

@@ -144,8 +144,7 @@ def _begin(problem: Problem, method: Method) -> Array:
         some = [np.flatnonzero(campaign.setup == s)[::every] for s in range(len(campaign.setups))]
         kept.append(np.isin(np.arange(len(campaign)), np.concatenate(some)))
     campaigns = tuple(c.subset(k) for c, k in zip(problem.campaigns, kept, strict=True))
-    sigma = tuple(s[k] for s, k in zip(problem.noise.sigma, kept, strict=True))
-    thin = replace(problem, campaigns=campaigns, noise=replace(problem.noise, sigma=sigma))
+    thin = replace(problem, campaigns=campaigns, noise=problem.noise.of(kept))
     try:
         return solve(thin, method="nested", widen=False).x
     except (NumericsError, InputError):

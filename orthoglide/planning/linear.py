@@ -96,7 +96,7 @@ class LinearReadings:
         parts, weights = in_tolerances(machine, names, setups)
         at = machine.model.linearised(machine.values, campaign, parts)
         level = expected_noise(machine, campaign, noise)
-        total = np.sqrt(level.sigma[0] ** 2 + level.common**2)
+        total = np.hypot(level.sigma[0], level.common[0])
         return cls.around(machine, campaign, at.jacobian @ weights, at.slopes[:, 0], total)
 
     @classmethod

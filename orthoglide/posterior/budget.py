@@ -47,6 +47,7 @@ class BudgetItem:
         compensated_sigma: standard deviation of that.
         share: ``gain`` over the mean error.
         readings_turn_rms: as ``readings_rms`` of inclinations, radians.
+        rest: whether it is what is left of an effect beside all that was found.
     """
 
     cause: str
@@ -64,6 +65,7 @@ class BudgetItem:
     compensated_sigma: float
     share: float
     readings_turn_rms: float = float("nan")
+    rest: bool = False
 
 
 def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
@@ -87,7 +89,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
     drawn = now + off @ slopes.T
     total = _mean_length(drawn)
     found = []
-    for cause, names in _members(posterior, causes, known.names, base):
+    for cause, names, rest in _members(posterior, causes, known.names, base):
         at = [known.names.index(n) for n in names]
         # Exact at the mean: a bar off by millimetres turns the platform by more than its slope.
         mended = controller.left({n: v for n, v in values.items() if n not in names})
@@ -115,6 +117,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 float(compensated.std()),
                 float(gain.mean() / max(total.mean(), 1e-12)),
                 shown.turn,
+                rest,
             )
         )
     return tuple(sorted(found, key=lambda item: (-item.gain, item.cause)))
@@ -122,22 +125,24 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
 
 def _members(
     posterior: FullPosterior, causes: Mapping[str, Sequence[str]], names: Sequence[str], base: Array
-) -> list[tuple[str, list[str]]]:
-    """Causes with the machine's parameters that each is made of, none twice, zeros left out."""
+) -> list[tuple[str, list[str], bool]]:
+    """Causes with the machine's parameters that each is made of, none twice, zeros left out, and
+    whether it is what is left of an effect: a cause that is a whole family has the effect's name.
+    """
     catalogue = posterior.machine.catalogue
     twins = {t for others in posterior.about.twins.values() for t, _ in others}
     left = [n for n, b in zip(names, base, strict=True) if not b and n not in twins]
-    found: list[tuple[str, list[str]]] = []
+    found: list[tuple[str, list[str], bool]] = []
     for cause, parameters in causes.items():
         parts = set(map(str, catalogue.moved_by(dict.fromkeys(parameters, 1.0))))
         mine = [n for n in left if n in parts]
         if mine:
-            found.append((cause, mine))
+            found.append((cause, mine, False))
             left = [n for n in left if n not in parts]
     by_effect: dict[str, list[str]] = {}
     for n in left:
         by_effect.setdefault(catalogue.effect_of(n).name, []).append(n)
-    return [*found, *by_effect.items()]
+    return [*found, *((effect, mine, True) for effect, mine in by_effect.items())]
 
 
 @dataclass(frozen=True, eq=False)

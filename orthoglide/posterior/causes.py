@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -185,6 +185,18 @@ class Located:
     def name(self) -> str:
         """Of the most probable place."""
         return self.members[0].place.name
+
+    def in_machine(self, known: Container[str]) -> tuple[str, tuple[str, ...]]:
+        """Name of the class in an error budget, and the parameters of its places in a machine.
+
+        Args:
+            known: effects of the calibrated machine; places of a dial, of lost motion, and
+                improbable ones, are none of them.
+        """
+        effects = [curve.place.effect for curve in self.members]
+        found = [effect for effect in effects if effect.name in known]
+        name = (found or effects)[0].name
+        return name, tuple(str(part) for effect in found for part in effect.motions)
 
 
 @dataclass(frozen=True)

@@ -47,13 +47,14 @@ def remains(posterior: FullPosterior) -> Left:
 
 def _chance(posterior: FullPosterior, inverse: Array) -> float:
     """Probability of as much being left by noise alone, the inverse covariance given."""
-    linear, noise = posterior.mixture.linear, posterior.before.problem.noise
+    linear, problem = posterior.mixture.linear, posterior.before.problem
+    noise = problem.noise
     rest = inverse @ linear.residual
     vectors, size, _ = np.linalg.svd(linear.stations, full_matrices=False)
     means = vectors[:, size > _VISIBLE * size.max(initial=1.0)]
     square, count, _ = linear.beyond
     p = _tail(means.T @ rest, means.T @ inverse @ means, square, count, noise.dof)
-    if count == 0 and noise.source != "repeats" and noise.common == 0:
+    if count == 0 and noise.source != "repeats" and not problem.common.any():
         p = float(np.nanmin([1.0, 2 * p, 2 * _tail(rest, inverse, 0.0, 0.0, np.inf)]))
     return p if np.isfinite(p) else 1.0
 

@@ -11,8 +11,14 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
-from orthoglide.report.phrases import sentence
-from orthoglide.report.wording import BESIDES, MEANINGS, curve_words, evidence, standing
+from orthoglide.report.phrases import WHICHEVER, sentence
+from orthoglide.report.wording import (
+    BESIDES,
+    MEANINGS,
+    curve_words,
+    evidence,
+    standing,
+)
 from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
@@ -205,5 +211,6 @@ def action_data(action: Action) -> Data:
         "kind": action.kind,
         "words": sentence(action.words),
         "gain": gain,
+        "mean": f" {WHICHEVER}" if gain and action.whichever else "",
         "options": options,
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -198,11 +198,15 @@ def located(result: Result, figures: Figures) -> Data:
 
 def budget(result: Result) -> Data:
     """What is wrong by what mending it gains."""
+    several = {c.name for c in result.effects if len(c.explanations) > 1}
+    classes = [one for one in result.located if len(one.members) > 1]
+    several |= {one.in_machine(result.catalogue)[0] for one in classes}
+    named = {item.cause for item in result.budget if not item.rest}
     return {
         "rows": [
             {
                 "cause": item.cause,
-                "words": result.short(item.cause),
+                "words": result.short(item.cause) + _counted(item, named, several),
                 "tolerances": compact(item.tolerances, 2),
                 "beyond": f"{item.beyond_tolerance:.2f}",
                 "readings": _of_readings(item),
@@ -216,6 +220,19 @@ def budget(result: Result) -> Data:
             for item in result.budget[:_MOST_ITEMS]
         ]
     }
+
+
+def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
+    """What else a row counts than its name says, behind it.
+
+    Args:
+        item: of the budget.
+        named: causes and places found.
+        several: those of which the readings cannot tell which of several it is.
+    """
+    if item.rest:
+        return ": the rest of them" if item.cause in named else ""
+    return ", or what these readings cannot tell from it" if item.cause in several else ""
 
 
 def _of_readings(item: BudgetItem) -> str:

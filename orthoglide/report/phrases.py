@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
     from orthoglide.result import Result
 
+WHICHEVER = "on average, whichever of these it is"
+"""Behind what it gains to put right one of several causes."""
+
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
     """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence.

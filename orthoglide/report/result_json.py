@@ -236,6 +236,7 @@ def _budget(item: BudgetItem, result: Result) -> dict[str, Any]:
         "compensated_mm": _mm(item.compensated, _SHORT),
         "compensated_sigma_mm": _mm(item.compensated_sigma, _SHORT),
         "gain_share": number(item.share, _SHORT),
+        "rest": item.rest,
     }
 
 
@@ -245,6 +246,7 @@ def _action(action: Action) -> dict[str, Any]:
         "words": action.words,
         "gain_mm": _mm(action.gain, _SHORT),
         "gain_sigma_mm": _mm(action.gain_sigma, _SHORT),
+        "whichever": action.whichever,
         "options": [vars(option) for option in action.options],
     }
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, hundredths, signed
-from orthoglide.report.phrases import sentence, unshown_words, weak_sentences
+from orthoglide.report.phrases import WHICHEVER, sentence, unshown_words, weak_sentences
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline, too_early
 from orthoglide.result.firmware import UNSEEN, Unseen
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from orthoglide.klipper import Corrections
     from orthoglide.result import Result
+    from orthoglide.result.actions import Action
 
 
 def summary(result: Result, ranked: bool = False) -> str:
@@ -69,11 +70,18 @@ def _unseen(found: Sequence[Unseen]) -> Iterator[str]:
 def to_do(result: Result) -> Iterator[str]:
     """What to do, a line each, with what to look at below."""
     for k, action in enumerate(result.actions, start=1):
-        gain = f" (gains {compact(action.gain * 1e3, 2)} mm at the tool)" if action.gain > 0 else ""
-        yield f"{k}. {sentence(action.words)[:-1]}{gain}."
+        yield f"{k}. {sentence(action.words)[:-1]}{_gain(action)}."
         for one in action.options:
             told = (f"{one.words}: look at {one.look_at}", one.confirm)
             yield f"   - {' '.join(sentence(text) for text in told if text)}"
+
+
+def _gain(action: Action) -> str:
+    """What it gains, in brackets; empty where nothing."""
+    if not action.gain > 0:
+        return ""
+    mean = f" {WHICHEVER}" if action.whichever else ""
+    return f" (gains {compact(action.gain * 1e3, 2)} mm at the tool{mean})"
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:

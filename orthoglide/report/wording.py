@@ -65,7 +65,10 @@ def standing(result: Result) -> str:
         more = f" {BESIDES}" if result.word == "partial" else ""
         return f"{_causes(result)}{more}"
     if result.word == "unexplained":
-        return f"{_nothing_explains(result)}{where_left(result)}"
+        text = f"{_nothing_explains(result)}{where_left(result)}"
+        noisy = " ".join(map(sentence, result.scattering))
+        against = f"Against what was declared, {text[:1].lower()}{text[1:]}"
+        return f"{noisy} {against}" if noisy else text
     if result.before.scores.dof < _FEW:
         return (
             f"These readings are too few to look for causes with: what the "
@@ -284,9 +287,11 @@ def _falls(before: Scores, after: Scores) -> str:
     for unit, now in after.told.shown.items():
         was = before.told.shown[unit]
         verb = "hardly falls" if now > _SLIGHT * was else "falls"
-        figures = " to ".join(told_apart(was, now))
-        parts.append(f"{verb if verb != last else ''} from {figures} {unit} rms".strip())
-        last = verb
+        figures = told_apart(was, now)
+        text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()
+        stays = now >= was or figures[0] == figures[1]
+        parts.append(f"does not fall, at {figures[1]} {unit} rms" if stays else text)
+        last = "" if stays else verb
     return ", and ".join(parts)
 
 

@@ -51,6 +51,7 @@ class Action:
             nothing on the machine.
         gain_sigma: standard deviation of that; nan where it is not known.
         options: causes to look for, most probable first.
+        whichever: whether ``gain`` is the mean over the options, of which one is there.
     """
 
     kind: Kind
@@ -58,6 +59,7 @@ class Action:
     gain: float = math.nan
     gain_sigma: float = math.nan
     options: tuple[Suspect, ...] = ()
+    whichever: bool = False
 
 
 def actions(result: Result) -> tuple[Action, ...]:
@@ -67,7 +69,11 @@ def actions(result: Result) -> tuple[Action, ...]:
     """
     decides, told = _measure(result)
     if withheld(result.machine):
-        return (*_found(result, "confirm"), *told)
+        noisy = [
+            Action("confirm", f"Before more is measured: {one}")
+            for one in (result.scattering if result.word == "unexplained" else ())
+        ]
+        return (*noisy, *_found(result, "confirm"), *told)
     done = [*_zeros(result), *_found(result, "mend"), *_compensate(result)]
     done.sort(key=lambda action: -action.gain if math.isfinite(action.gain) else 0.0)
     return (*told, *done) if decides else (*done, *told)
@@ -95,16 +101,19 @@ def _zeros(result: Result) -> Iterator[Action]:
 
 def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]:
     """Causes, places and changes found, each with what to look at and what it gains."""
-    gains = {item.cause: (item.gain, item.gain_sigma) for item in result.budget}
+    found = [item for item in result.budget if not item.rest]
+    gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
     what = {"confirm": "Confirm before anything is changed", "mend": "Look, confirm and put right"}
     several: tuple[Cause | Located, ...] = (*result.effects, *result.located)
     for one in several:
-        name = one.name if isinstance(one, Cause) else one.members[0].place.effect.name
+        name = one.name if isinstance(one, Cause) else one.in_machine(result.catalogue)[0]
+        options = suspects(one)
         if kind == "mend" and not loses(one):
-            yield Action(kind, what[kind], *gains.get(name, (0.0, 0.0)), options=suspects(one))
+            gain = gains.get(name, (0.0, 0.0))
+            yield Action(kind, what[kind], *gain, options, whichever=len(options) > 1)
         else:
             lost = f": {_LOST}" if kind == "mend" else ""
-            yield Action(kind, f"{what[kind]}{lost}", options=suspects(one))
+            yield Action(kind, f"{what[kind]}{lost}", options=options)
     for change in result.moved:
         again = _AGAIN.format(change.files[1])
         if kind == "confirm":

@@ -215,6 +215,7 @@ class Result(Framed):
             return ()
         causes: dict[str, tuple[str, ...]] = {c.name: c.every for c in self.effects}
         causes |= {c.parameter: c.members for c in self.moved if c.is_cause}
+        causes |= dict(one.in_machine(self.catalogue) for one in self.located)
         return budget(self.posterior, causes)
 
     @cached_property
@@ -384,6 +385,11 @@ class Result(Framed):
     def warnings(self) -> tuple[str, ...]:
         """Of the final fit, lack of fit apart: the verdict's word says it already."""
         return tuple(w for w in self.after.warnings if w.kind != "lack_of_fit")
+
+    @property
+    def scattering(self) -> tuple[str, ...]:
+        """Warnings that repeats scatter by more than was declared of them."""
+        return tuple(w for w in self.after.warnings if w.kind == "scatter")
 
 
 def last_values(estimate: Estimate) -> dict[str, float]:

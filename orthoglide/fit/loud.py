@@ -1,0 +1,128 @@
+"""Repeats of dials that scatter by more than was declared of them.
+
+Noise that is declared too small makes a broken machine of a sound one: what is left is held against
+it. Repeats show the noise whatever the machine does, so they are held against it as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.noise import repeat_steps, total_variance
+from orthoglide.fit.problem import Problem
+from orthoglide.geometry import Array
+from orthoglide.notes import Note
+from orthoglide.numerals import compact
+from orthoglide.observations import source
+
+_CHANCE = 1e-3  # of readings as noisy as declared, of which it is said that they scatter by more
+_ALIKE = 0.01  # the same of all other setups, from which single ones are not told
+_FEW = 2  # setups that are named: more of them are no single dials
+_FEWEST = 10.0  # degrees of freedom
+_TIMES = 1.2  # the noise declared: less is not worth a word
+
+
+@dataclass(frozen=True)
+class _Repeats:
+    """Repeats of a setup, about what the fit explains.
+
+    Attributes:
+        where: its file and setup, for people.
+        apart: each less the visit before ``(k,)``, metres.
+        sigma: standard deviation of one reading as declared, rounding counted, metres.
+        step: of the dial, metres.
+    """
+
+    where: str
+    apart: Array
+    sigma: float
+    step: float
+
+
+def loud_dials(estimate: Estimate) -> Iterator[Note]:
+    """A sentence on all dials whose repeats scatter by more than was declared, or on single ones.
+
+    Nothing is said where the noise was taken from the repeats, or from what is usual.
+    """
+    problem = estimate.problem
+    if not (told := _told(problem)):
+        return
+    every = _repeats(estimate)
+    loud = [one for one in every if _is_loud([one], _CHANCE / len(every))]
+    rest = [one for one in every if one not in loud]
+    rather_all = 2 * len(loud) >= len(every) > 1 or len(loud) > _FEW or _is_loud(rest, _ALIKE, 1.0)
+    if rather_all or (not loud and _is_loud(every)):
+        yield Note(
+            f"repeats of the dials scatter by {_size(every)} mm, where {told}: "
+            f"{_remedy(problem)}, or look for what is loose",
+            "scatter",
+        )
+        return
+    for one in loud:
+        yield Note(
+            f"{one.where}: repeats scatter by {_size([one])} mm, where {told}, which those of "
+            f"other setups agree with: look for what is loose on this dial, its stand and its leg, "
+            f"and read the setup again",
+            "scatter",
+        )
+
+
+def _told(problem: Problem) -> str:
+    """What was declared of the dials' noise, as a clause; empty where nothing was."""
+    repeatability, source_of = problem.machine.spec.dial.repeatability, problem.noise.source
+    if source_of == "machine" and repeatability is not None:
+        return f"the machine file says {compact(repeatability * 1e3, 2)}"
+    if source_of == "declared" and problem.campaigns:
+        return f"{compact(problem.noise.typical * 1e3, 2)} was declared"
+    return ""
+
+
+def _remedy(problem: Problem) -> str:
+    if problem.noise.source == "declared":
+        return "correct what was declared"
+    return "correct repeatability under [dial_mm]"
+
+
+def _repeats(estimate: Estimate) -> list[_Repeats]:
+    """Repeats of every setup that has any."""
+    problem, found = estimate.problem, []
+    total = np.hypot(problem.sigma, problem.common)
+    for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
+        rest = campaign.with_readings(estimate.residuals[rows])
+        for k in np.unique(campaign.setup).tolist():
+            own = campaign.setup == k
+            apart = repeat_steps(rest.subset(own))
+            sigma = float(np.sqrt(np.mean(total[rows][own] ** 2)))
+            where = f"{source(campaign)}, setup {campaign.setups[k].name!r}"
+            if len(apart):
+                found.append(_Repeats(where, apart, sigma, float(problem.step[rows][own].max())))
+    return found
+
+
+def _is_loud(several: Sequence[_Repeats], chance: float = _CHANCE, times: float = _TIMES) -> bool:
+    """Whether noise as declared makes so much scatter less often than by some chance, and it is
+    some times that noise.
+    """
+    from scipy.special import chdtrc
+
+    count = sum(len(one.apart) for one in several)
+    dof = 2 * count / 3  # differences of a run share readings
+    if dof < _FEWEST:
+        return False
+    square = sum(float(np.sum(one.apart**2)) / 2 / one.sigma**2 for one in several) / count
+    return bool(square > times**2 and chdtrc(dof, dof * square) < chance)
+
+
+def _size(several: Sequence[_Repeats]) -> str:
+    """Standard deviation of one reading but for its rounding, millimetres."""
+    squares = [
+        len(one.apart) * float(total_variance(np.mean(one.apart**2) / 2, one.step))
+        - len(one.apart) * one.step**2 / 12
+        for one in several
+    ]
+    mean = sum(squares) / sum(len(one.apart) for one in several)
+    return compact(np.sqrt(max(mean, 0.0)) * 1e3, 2)
