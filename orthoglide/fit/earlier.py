@@ -134,7 +134,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             summed = summed_of(tuple(one.sizes), catalogue)
             places = [now.names.index(name) for name in summed]
             before, apart = _before(known, left, now, summed)
-            apart = max(apart, _before(known.as_read, left, now, summed)[1])
+            apart = float(np.hypot(apart, _alone(known, summed)))
             sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
             after = float(now.x[places].sum())
         else:
@@ -146,6 +146,13 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
             before, after, apart, sigma, tuple(one.sizes.values()),
         )  # fmt: skip
+
+
+def _alone(known: Posterior, members: tuple[Parameter, ...]) -> float:
+    """Sigma of a sum at the earlier calibration, were it alone off by about its tolerance."""
+    if known.alone is None:
+        return 0.0
+    return float(np.sqrt(max(known.alone[known.names.index(name)] for name in members)))
 
 
 def _pattern_before(known: Posterior, name: Parameter, catalogue: Catalogue) -> float:

@@ -27,15 +27,15 @@ class Posterior:
         names: of the parameters, ``P`` of them.
         mean: ``(P,)``, SI.
         covariance: ``(P, P)``, SI.
-        read: the same as the readings alone have it, with every effect as far off as its
-            tolerance lets expect ``(P, P)``: what was learned of some parameters says nothing of
-            another that the readings did not see; ``None`` where there is no difference.
+        alone: variance of each as the readings have it were it off as far as its tolerance lets
+            expect, all others as they are ``(P,)``, SI: that most are small says little of one
+            that the readings did not see; 0 of what is as free already, ``None`` of all.
     """
 
     names: tuple[str, ...]
     mean: Array
     covariance: Array
-    read: Array | None = None
+    alone: Array | None = None
 
     def __post_init__(self) -> None:
         count = (len(self.names),)
@@ -44,8 +44,8 @@ class Posterior:
                 f"{count[0]} names need as many values, and a covariance of that many rows and "
                 f"columns"
             )
-        if self.read is not None and self.read.shape != self.covariance.shape:
-            raise InputError("both covariances are of the same parameters")
+        if self.alone is not None and self.alone.shape != count:
+            raise InputError("each parameter has one variance of its own")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise InputError("a mean and a covariance are finite numbers")
 
@@ -56,11 +56,6 @@ class Posterior:
         mean = np.array([values.get(n, 0.0) for n in names])
         return cls(names, mean, np.diag(np.square([sigmas[n] for n in names]).reshape(-1)))
 
-    @property
-    def as_read(self) -> Posterior:
-        """What the readings alone say."""
-        return self if self.read is None else Posterior(self.names, self.mean, self.read)
-
     def without(self, names: Collection[str]) -> Posterior:
         """What is known of the others, these left open."""
         kept = [k for k, n in enumerate(self.names) if n not in names]
@@ -68,7 +63,7 @@ class Posterior:
             tuple(self.names[k] for k in kept),
             self.mean[kept],
             self.covariance[np.ix_(kept, kept)],
-            None if self.read is None else self.read[np.ix_(kept, kept)],
+            None if self.alone is None else self.alone[kept],
         )
 
     @property
@@ -99,9 +94,8 @@ class Posterior:
         """The same about other values, whose distance from the mean counts as variance."""
         centre = np.array([values.get(n, 0.0) for n in self.names])
         apart = self.mean - centre
-        further = np.outer(apart, apart)
-        read = None if self.read is None else self.read + further
-        return Posterior(self.names, centre, self.covariance + further, read)
+        spread = self.covariance + np.outer(apart, apart)
+        return Posterior(self.names, centre, spread, self.alone)
 
     def joined(self, other: Posterior) -> Posterior:
         """With the parameters of another that are not in this, taken for independent of these."""
@@ -131,7 +125,7 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
         "mean": posterior.mean,
         "covariance": posterior.covariance,
         "sha256": np.array(digest),
-        **({} if posterior.read is None else {"read": posterior.read}),
+        **({} if posterior.alone is None else {"alone": posterior.alone}),
     }
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
@@ -164,9 +158,9 @@ def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)
-            read = stored["read"].astype(float) if "read" in stored else None
+            alone = stored["alone"].astype(float) if "alone" in stored else None
         found = Posterior(
-            tuple(map(str, names)), mean.astype(float), covariance.astype(float), read
+            tuple(map(str, names)), mean.astype(float), covariance.astype(float), alone
         )
     except Exception:  # a damaged archive fails in as many ways as it can be damaged
         raise FileError("is damaged: write the machine again", file=file) from None

@@ -39,6 +39,9 @@ _UNSETTLED = 1.25
 noise. Machines off by all their tolerances come to 1.1; what a command typed wrong was taken for,
 to 1.3 and more."""
 
+_HELD = 1e-10
+"""Variance, in tolerances, of what another parameter stands for: nothing is known of it apart."""
+
 TOLERANCES, _SHOWN = 3.0, 3.0
 """What shows less than three sigmas of all readings together at three tolerances is invisible."""
 
@@ -106,20 +109,18 @@ class FullPosterior:
         return found
 
     @cached_property
-    def _read(self) -> Array:
-        """As `covariance`, with a background of everything at its tolerance beside what stands out.
+    def _alone(self) -> Array:
+        """Variance of each coefficient that the background holds back, were it alone off by about
+        its tolerance ``(C,)``; 0 of others.
 
-        Small scales are learned from what the readings see: of what they do not see they are a
+        Small scales are learned from what the readings see; of what they do not see they are a
         guess, and at a later visit with another sheet no more may be held against that.
         """
-        mixture, own = self.mixture, [self.about.coefficients(place) for place in self.places]
-        at = np.unique(np.concatenate([np.arange(self.about.known), *own]).astype(int))
-        wide = max(
-            (s for s in mixture.scales if s.share <= 1.0 and s.rough == 0),
-            key=lambda s: (s.share, -s.free_share),
-        )
-        found = np.zeros_like(self.covariance)
-        found[np.ix_(at, at)] = mixture.moments(mixture.best, wide, at)[1]
+        found, at = np.zeros(len(self.covariance)), np.arange(self.about.known)
+        variance, spike = self.mixture.likeliest_variance(at)
+        held = (spike < 1.0) & (variance < spike) & (spike > _HELD)
+        precision = 1 / variance[held] - 1 / spike[held] + 1.0
+        found[at[held]] = 1 / precision
         return found
 
     @property
@@ -194,9 +195,9 @@ class FullPosterior:
         known = start.catalogue
         start = start.with_effects(p.effect for p in self.places if p.effect.name not in known)
         names, values, weights = self.machine_with(self.mean)
-        spread, read = (weights @ c @ weights.T for c in (self.covariance, self._read))
+        spread, alone = weights @ self.covariance @ weights.T, weights**2 @ self._alone
         kept = dict(zip(names, values.tolist(), strict=True))
-        return start.with_posterior(kept, Posterior(names, values, spread, read))
+        return start.with_posterior(kept, Posterior(names, values, spread, alone))
 
     @cached_property
     def after(self) -> Estimate:

@@ -162,6 +162,12 @@ class Mixture(Search):
         """Mean ``(C,)`` of the same."""
         return self._mean(state, self._likeliest(state))
 
+    def likeliest_variance(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Variance of some coefficients in the best state, and before the readings ``(k,)``."""
+        scale = self._likeliest(self.best)
+        prior = scale.spike[at] + np.sum(self._spread(self.best)[at] ** 2, axis=1)
+        return np.diag(self._covariance(self.best, scale, at)), prior
+
     def _likeliest(self, state: State) -> Scale:
         logs = self.visited[state] if state in self.visited else self.weights[state]
         return self.scales[int(np.argmax(logs))]
