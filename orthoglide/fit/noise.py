@@ -130,9 +130,10 @@ def noise_of(
         common = _common(total, size) if again else np.zeros(len(campaign))
         given = np.isfinite(campaign.sigma) & level.rows_count
         total = np.where(given, campaign.sigma, total)
-        own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
-        edges = _at_edges(campaign, own, size)
-        sigmas.append(np.where(common > 0, edges, total))
+        if common.any():
+            own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
+            total = np.where(common > 0, _at_edges(campaign, own, size), total)
+        sigmas.append(total)
         commons.append(common)
     return Noise(
         tuple(sigmas), typical, level.source, tuple(commons), tuple(steps), commonest, level.dof
