@@ -53,6 +53,7 @@ OUTSIDE: dict[str, Callable[[int, int, float], Rig]] = {
 FAULTS = {
     "outlier": (0.1, 0.2, 0.5, 1.0),
     "knocked_stand": (0.05, 0.1, 0.2, 0.5),
+    "command": (0.3, 1.0, 10.0),
     "sign": (0.0,),
     "label": (0.0, 1.0),
     "exchanged_labels": (0.0, 1.0),
@@ -184,6 +185,8 @@ def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.
         return rc.outlier(rows, int(rng.integers(len(rows))), sign * case.size), own
     if case.name == "knocked_stand":
         return rc.knocked_stand(rows, own, sign * case.size, after), own
+    if case.name == "command":
+        return _mistyped(rows, sign * case.size, rng), own
     if case.name == "sign":
         return rc.swapped_sign(rows, own), own
     if case.name == "unit":
@@ -196,6 +199,17 @@ def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.
     same = [n for n in names if n != own and n[0] == leg and n[2:] == own[2:]]
     apart = [n for n in names if n[0] != leg]
     return rc.swapped_labels(rows, own, str(rng.choice(apart if case.size else same))), own
+
+
+def _mistyped(rows: list[rc.Row], size: float, rng: np.random.Generator) -> rc.Fault:
+    """The command of a posture on a drive that size more, or less where it would be beyond it."""
+    postures = len({(r["leg"], *(r[c] for c in rc.RHO)) for r in rows})
+    chosen, drive, rig = int(rng.integers(postures)), int(rng.integers(3)), Rig()
+    found = rc.wrong_command(rows, chosen, drive, size)
+    travel = found.rows[found.touched[0]][rc.RHO[drive]] * 1e-3 - rig.L
+    if rig.stroke[0] <= travel <= rig.stroke[1]:
+        return found
+    return rc.wrong_command(rows, chosen, drive, -size)
 
 
 def judge(job: tuple[Case, World]) -> Outcome:
@@ -233,11 +247,13 @@ def _about(blunder: Blunder, touched: Sequence[int]) -> bool:
 
 def _visible(rows: list[rc.Row], spoilt: list[rc.Row]) -> bool:
     """Whether labels change, or deviations within a setup by more than 0.05 mm."""
+    labels = [[(r["setup"], r["leg"], r["direction"]) for r in of] for of in (rows, spoilt)]
+    if labels[0] != labels[1]:
+        return True
     change = {}
-    for a, b in zip(rows, spoilt, strict=True):
-        if any(a[k] != b[k] for k in ("setup", "leg", "direction")):
-            return True
-        change.setdefault(a["setup"], []).append(a["reading_mm"] - b["reading_mm"])
+    shown = (rc.predict(Rig(), spoilt) - rc.predict(Rig(), rows)) * 1e3
+    for a, b, moved in zip(rows, spoilt, shown, strict=True):
+        change.setdefault(a["setup"], []).append(a["reading_mm"] - b["reading_mm"] - moved)
     return max(np.ptp(c) for c in change.values()) > 0.05
 
 
@@ -300,7 +316,7 @@ def _line(kind: str, size: float, own: Sequence[Outcome]) -> str:
     )
 
 
-MM = ("outlier", "knocked_stand")
+MM = ("outlier", "knocked_stand", "command")
 
 
 def _unseen(own: Sequence[Outcome]) -> str:

@@ -406,6 +406,14 @@ def wrong_label(rows: Sequence[Row], setup: str, column: str) -> Fault:
     return _changed(rows, _of(rows, setup), lambda r: {column: wrong})
 
 
+def wrong_command(rows: Sequence[Row], posture_index: int, drive: int, mm: float) -> Fault:
+    """The command of one posture of one leg is written for one drive mm more than it was."""
+    keys = [(row["leg"], *(row[c] for c in RHO)) for row in rows]
+    chosen = list(dict.fromkeys(keys))[posture_index]
+    touched = [k for k, key in enumerate(keys) if key == chosen]
+    return _changed(rows, touched, lambda r: {RHO[drive]: round(r[RHO[drive]] + mm, 6)})
+
+
 def wrong_unit(rows: Sequence[Row], setup: str, factor: float = 1e-3) -> Fault:
     """Readings of a setup in another unit: 1e-3 for metres, 1 / 25.4 for inches."""
     return _changed(rows, _of(rows, setup), lambda r: {"reading_mm": r["reading_mm"] * factor})

@@ -1,5 +1,7 @@
 """Faults of the data are found and named, and physics is not taken for one."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +11,13 @@ from benchmarks.attribution_cases import Case
 from benchmarks.attribution_run import draw
 from orthoglide.closing import close_loop
 from orthoglide.diagnosis.blunders import Blunder, examine, without
+from orthoglide.diagnosis.misreadings import misreadings
+from orthoglide.diagnosis.signatures import signatures
+from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, identify, solve
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, read_campaign
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -162,6 +168,100 @@ def test_a_label_of_another_leg_or_direction(column, protocol, machine):
     (blunder,) = found_in(rc.wrong_label(rows_of(protocol), "yz-0.5", column).rows, machine)
     assert (blunder.kind, blunder.setups) == ("label", ("yz-0.5",))
     assert "as those of a dial on leg y that reads along z" in blunder.message
+
+
+def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
+    """A wrong command at one posture was told of a dial whose place the other one takes."""
+    base = signatures(estimate_of(rows_of("standard"), machine))
+    setups = base.estimate.problem.campaigns[0].setups
+    labels = [h.fault for h in misreadings(StationMeans.of(base), range(6)) if h.labels]
+    tried = {f.label for f in labels if f.kind == "label" and setups[f.setups[0]].name == "xy-0.5"}
+    assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
+
+
+def posture_of(rows: list[rc.Row], leg: str, label: str) -> int:
+    """Its number, as `rc.wrong_command` counts."""
+    keys = [(r["leg"], r["posture"]) for r in rows]
+    return list(dict.fromkeys(keys)).index((leg, label))
+
+
+@pytest.mark.parametrize("mm", [0.3, 1.0, -10.0])
+@pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
+@pytest.mark.parametrize("protocol", ["sweep", "two-gauges"])
+def test_a_command_that_is_not_the_one_written(protocol, errors, mm, machine, nominal):
+    """It was told of dials that show 85 % less, or of a drive."""
+    rows = rows_of(protocol, seed=2, **errors)
+    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, mm)
+    for judge in (machine, nominal):
+        (blunder,) = found_in(spoilt, judge)
+        assert blunder.kind == "command"
+        assert [row for _, row in blunder.rows] == touched
+        (drive, size), *others = blunder.commands
+        assert (drive, others) == (0, [])
+        assert size * 1e3 == pytest.approx(-mm, abs=0.1)
+        written, meant = (of[touched[0]]["rho_x_mm"] for of in (spoilt, rows))
+        said = f"fit with rho_x = {written + size * 1e3:.2f} mm where {written:.8g} is written"
+        assert said in blunder.message
+        assert abs(written + size * 1e3 - meant) < 0.1
+        assert "off at this place" not in blunder.message
+
+
+def test_a_command_of_the_drive_along_its_own_leg_may_be_the_machine(machine):
+    """No other posture goes there: the drive may be wrong at that place."""
+    rows = rows_of(seed=2)
+    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+40"), 1, 1.0)
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.setups) == ("command", ("yx-0.5", "yz-0.5"))
+    assert [row for _, row in blunder.rows] == touched
+    assert "or drive y is off at this place alone: measure it again" in blunder.message
+
+
+def test_a_command_of_one_visit_alone(machine):
+    rows = rows_of(seed=2)
+    spoilt = [dict(row) for row in rows]
+    for row in spoilt[60:62]:
+        row["rho_x_mm"] += 10.0
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.rows) == ("command", ((0, 60), (0, 61)))
+    assert "off at this place" not in blunder.message
+
+
+def test_a_wrong_command_in_a_setup_with_an_outlier(machine):
+    rows = rc.outlier(rows_of(seed=5), 30, 0.3).rows
+    rows, touched = rc.wrong_command(rows, posture_of(rows, "x", "-50"), 2, 0.3)
+    outlier, command = found_in(rows, machine)
+    assert (outlier.kind, outlier.rows) == ("outlier", ((0, 30),))
+    assert command.kind == "command"
+    assert [row for _, row in command.rows] == touched
+
+
+def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
+    own = replace(machine.spec, controller=Controller((0.01, 0.0, 0.0), (-1, 1, 1)))
+    judge = Machine(own)
+    rows = rows_of(seed=2)
+    spoilt = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 1.0).rows
+    (blunder,) = found_in(spoilt, judge)
+    assert re.search(r"\(the controller's 10\.6\d where 9\.645313\) is written", blunder.message), (
+        blunder.message
+    )
+
+
+def test_neighbours_of_a_wrong_command_are_reached_from_their_own_side(machine):
+    """The step to the next posture had the other sign, by the command as it was written."""
+    rows = rows_of(seed=2)
+    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 3.0)
+    estimate = estimate_of(spoilt, machine)
+    (clean,) = without(estimate.problem, examine(estimate).blunders).campaigns
+    sound, wrong = campaign_of(rows, machine), campaign_of(spoilt, machine)
+    kept = np.delete(np.arange(len(rows)), touched)
+    assert (wrong.approach[kept] != sound.approach[kept]).any()
+    np.testing.assert_array_equal(clean.approach, sound.approach[kept])
+
+
+@pytest.mark.parametrize("what", ["kinked_rail", "stick_slip", "wavy_rail", "drive_step"])
+def test_what_is_wrong_along_a_rail_is_no_wrong_command(what, machine):
+    drawn = draw(Case("outside", what, "sweep", 12.0, 0), 2029)
+    assert [b for b in found_in(drawn.rows, machine) if b.kind == "command"] == []
 
 
 @pytest.mark.parametrize(("protocol", "rms"), [("fine-sweep", 6.0), ("sweep", 12.0)])

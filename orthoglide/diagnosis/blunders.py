@@ -1,9 +1,9 @@
 """Faults of the data, before any physics: found, named with their rows, and set aside in the open.
 
 Data faults, changes between campaigns and causes of the machine compete on the same readings. What
-repeats contradict is no cause that depends on the posture (`repeat_faults`); a sign, a unit, two
-labels, a stuck dial or a change must explain the readings better than the best effect of the
-catalogue (`fit_faults`, `joint_faults`, `stuck_faults`).
+repeats contradict is no cause that depends on the posture (`repeat_faults`); a command, a sign, a
+unit, labels, a stuck dial or a change must explain the readings better than the best effect of the
+catalogue (`fit_faults`, `command_faults`, `joint_faults`, `stuck_faults`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.changes import Change, Changes, separated, visits
+from orthoglide.diagnosis.commands import all_put_right, put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
@@ -49,13 +50,16 @@ class Blunder:
     """A fault of the data.
 
     Attributes:
-        kind: outlier, knocked_stand, sign, label, exchanged_labels, unit or stuck.
+        kind: outlier, knocked_stand, command, sign, label, exchanged_labels, unit, stuck or
+            scatter.
         rows: campaign and row within it; of a knocked stand the rows after the knock.
         setups: names of the setups concerned.
         message: which file, which lines, what it looks like, what to do.
         improvement: fall of chi2 once it is known, the faults found before it set aside.
         rms_with: of the residuals with it, metres.
         rms_without: of the residuals without it, metres.
+        commands: of a wrong command the drives that it may be of, the likeliest first, and how
+            much more each was told than is written, metres.
     """
 
     kind: Kind
@@ -65,6 +69,7 @@ class Blunder:
     improvement: float
     rms_with: float
     rms_without: float
+    commands: tuple[tuple[int, float], ...] = ()
 
     def lines(self, campaigns: Sequence[Campaign]) -> dict[str, tuple[int, ...]]:
         """Lines of the rows by file, or by campaign where there is none."""
@@ -134,7 +139,7 @@ def examine(estimate: Estimate) -> Findings:
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """The same rows, those of faults without any weight and knocks taken back."""
+    """The same rows, those of faults without any weight, knocks and commands put right."""
     silent = np.zeros(len(problem.measured), dtype=bool)
     readings = problem.measured.copy()
     for fault in faults:
@@ -142,6 +147,7 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
             readings[fault.rows] -= fault.size
         else:
             silent[fault.rows] = True
+    problem = all_put_right(problem, faults)  # the side that its neighbours were reached from, too
     sigma = np.where(silent, SILENT * problem.sigma, problem.sigma)
     noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
     return replace(problem.with_readings(readings), noise=noise)
@@ -171,6 +177,7 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
                 before - chi2,
                 with_it,
                 rms,
+                fault.commands,
             )
         )
     return tuple(blunders)
@@ -219,6 +226,9 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
         split = campaign
         for blunder in blunders:
             rows = np.array([row for c, row in blunder.rows if c == k], dtype=np.int64)
+            if blunder.commands and len(rows):
+                # The side that its neighbours were reached from depends on it.
+                split = put_right(split, rows, *blunder.commands[0])
             if blunder.kind != "knocked_stand":
                 kept[rows] = False
             elif len(rows):

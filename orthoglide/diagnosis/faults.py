@@ -11,17 +11,20 @@ from numpy.typing import NDArray
 
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
+from orthoglide.machine_file import Controller
 from orthoglide.observations import source
 from orthoglide.units import MISTAKEN
 
 Kind = Literal[
-    "outlier", "knocked_stand", "sign", "label", "exchanged_labels", "unit", "stuck", "scatter"
-]
+    "outlier", "knocked_stand", "command", "sign", "label", "exchanged_labels", "unit", "stuck",
+    "scatter",
+]  # fmt: skip
 Rows = NDArray[np.int64]
 
 EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
 
+_NEAR = 2e-3  # metres: a drive that is wrong at a command is wrong as near as this, by no more
 _SHOWN = 12  # lines that a message lists one by one
 
 
@@ -37,6 +40,8 @@ class Fault:
         size: of an outlier or a knock, metres; a unit's factor.
         evidence: log Bayes factor in its favour, the number of its like discounted.
         label: of a wrong label the leg and axis that fit.
+        commands: of a wrong command the drives that it may be of, the likeliest first, and how
+            much more each was told than is written, metres.
     """
 
     kind: Kind
@@ -45,6 +50,7 @@ class Fault:
     size: float
     evidence: float = 0.0
     label: tuple[int, int] = (0, 0)
+    commands: tuple[tuple[int, float], ...] = ()
 
 
 def in_order(problem: Problem, setup: int) -> Rows:
@@ -69,6 +75,13 @@ def untouched(problem: Problem, faults: Sequence[Fault]) -> list[int]:
     """Setups in which no fault was found."""
     touched = {s for fault in faults for s in fault.setups}
     return [s for s in range(problem.setup_count) if s not in touched]
+
+
+def same_place(one: Fault, other: Fault) -> bool:
+    """Whether two faults are about the same readings: of a posture, else of a setup."""
+    if "command" in (one.kind, other.kind):
+        return np.array_equal(one.rows, other.rows)
+    return bool(set(one.setups) & set(other.setups))
 
 
 def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
@@ -99,9 +112,10 @@ def _clause(problem: Problem, fault: Fault) -> str:
         case "outlier":
             visits = np.sum(problem.station[fault.rows[0]] == problem.station)
             rest = "the other readings of this posture" if visits > 1 else "what all others say"
+            looked = "it" if visits > 1 else "it and its command"
             return (
-                f"the reading {first} is {size} off {rest}: look it up in the notes and correct "
-                f"it, or measure this posture again"
+                f"the reading {first} is {size} off {rest}: look {looked} up in the notes and "
+                f"correct it, or measure this posture again"
             )
         case "knocked_stand":
             return (
@@ -109,6 +123,8 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"dial's stand had been knocked: give these rows a setup name of their own, or "
                 f"measure the setup again"
             )
+        case "command":
+            return _commanded(problem, fault)
         case "sign":
             setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
             other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
@@ -147,6 +163,36 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure "
                 f"these rows again"
             )
+
+
+def _commanded(problem: Problem, fault: Fault) -> str:
+    """Which command fits a posture, in the coordinates of files, and what else it could be."""
+    (k, row), *_ = places(problem, fault.rows)
+    written = problem.campaigns[k].command[row]
+    spec, said = problem.machine.spec, []
+    for drive, size in fault.commands:
+        meant = written + size * np.eye(3)[drive]
+        text = f"rho_{LEGS[drive]} = {meant[drive] * 1e3:.2f} mm where {written[drive] * 1e3:.8g}"
+        if spec.controller != Controller():
+            both = spec.controller.from_rho(np.stack([meant, written]), spec.geometry)[:, drive]
+            text += f" (the controller's {both[0] * 1e3:.2f} where {both[1] * 1e3:.8g})"
+        said.append(f"{text} is written")
+    text = (
+        f"the readings of this posture fit with {', or with '.join(said)}: look up the command, "
+        f"and correct or drop these rows"
+    )
+    alone = [LEGS[d] for d, s in fault.commands if _is_alone(problem, fault.rows, d, s)]
+    if not alone:
+        return text
+    return f"{text}; or drive {' or '.join(alone)} is off at this place alone: measure it again"
+
+
+def _is_alone(problem: Problem, rows: Rows, drive: int, size: float) -> bool:
+    """Whether it may be the drive: no other posture has it near, and it is off by little."""
+    if abs(size) > _NEAR:
+        return False
+    command = np.concatenate([c.command[:, drive] for c in problem.campaigns])
+    return bool((np.abs(np.delete(command, rows) - command[rows[0]]) > _NEAR).all())
 
 
 def _listed(lines: Sequence[int]) -> str:

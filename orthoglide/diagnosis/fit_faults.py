@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, untouched
+from orthoglide.diagnosis.command_faults import change_of, command_faults
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, same_place, untouched
 from orthoglide.diagnosis.misreadings import LABELS, Misreading, digits, factor_fits, misreadings
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
@@ -51,11 +52,15 @@ def fit_fault(
         return changes
     free = untouched(means.problem, known)
     hypotheses = misreadings(means, free)
+    commands = command_faults(means, known)  # beside effects they are left to `joint_fault`
     for _ in range(_EFFECTS + 1):
-        best = _likeliest(_misread(means, hypotheses, setups, known) + _single(means, free))
+        misread = _misread(means, hypotheses, setups, known)
+        best = _likeliest(misread + _single(means, free) + commands)
         rival, place = means.best_effect
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
-            return changes if changes and _are_changes(changes, best, hypotheses) else best
+            likelier = changes and _are_changes(changes, best, means, hypotheses)
+            return changes if likelier else best
+        commands = []
         if rival < EVIDENCE:
             break
         means = means.beside(place)
@@ -64,11 +69,15 @@ def fit_fault(
     return changes
 
 
-def _are_changes(changes: Changes, fault: Fault, hypotheses: Sequence[Misreading]) -> bool:
+def _are_changes(
+    changes: Changes, fault: Fault, means: StationMeans, hypotheses: Sequence[Misreading]
+) -> bool:
     """Whether changes are likelier than a fault, with all that both leave open."""
     found = changes.found
     readings = np.zeros(len(found.about.problem.measured))
     readings[fault.rows] = -fault.size
+    if fault.commands:
+        readings = change_of(means, fault)
     for one in hypotheses:
         if one.fault.rows is fault.rows and one.fault.kind == fault.kind:
             readings = one.change
@@ -81,12 +90,18 @@ def _lacking(means: StationMeans) -> bool:
 
 
 def _likeliest(faults: list[Fault]) -> Fault | None:
-    """The most probable fault, unless one of other setups is nearly as probable."""
+    """The most probable fault, unless one of other readings is nearly as probable."""
     best = max(faults, key=lambda f: f.evidence, default=None)
     if best is None:
         return None
-    others = [f.evidence for f in faults if not set(f.setups) & set(best.setups)]
-    return best if best.evidence - max(others, default=-np.inf) >= _APART else None
+    # A command bends to much: against other kinds it must win clearly, and is no rival to them.
+    commands = best.kind == "command"
+    others = [
+        f.evidence for f in faults if not same_place(f, best) and (commands or f.kind != "command")
+    ]
+    if best.evidence - max(others, default=-np.inf) >= _APART:
+        return best
+    return _likeliest([f for f in faults if f.kind != "command"]) if commands else None
 
 
 def _misread(

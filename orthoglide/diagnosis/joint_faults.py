@@ -15,7 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.faults import Fault, untouched
+from orthoglide.diagnosis.command_faults import MENDS, commands_beside, told
+from orthoglide.diagnosis.commands import postures
+from orthoglide.diagnosis.faults import Fault, same_place, untouched
 from orthoglide.diagnosis.misreadings import (
     LABELS,
     Misreading,
@@ -28,6 +30,7 @@ from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import solve, with_free
+from orthoglide.geometry import LEGS
 
 _MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the readings as they are
 _SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
@@ -54,27 +57,56 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     bare_left = min(bare.left, means.chi2 - float(gains.max()))
     bare_score = max(bare.score, float(evidences.max()) - means.chi2 / 2)
     hypotheses = misreadings(means, untouched(problem, known))
-    if _is_noise(means, bare_left) or not hypotheses:
+    if _is_noise(means, bare_left):
         return None
-    shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
-    ranked = np.argsort([-e.score for e in means.explained(means.residual[:, None] + shown)])
+    nothing = np.zeros(len(problem.measured))
+    likely = [(len(hypotheses), h) for h in _ranked(means, hypotheses)]
+    places = len(LEGS) * (int(postures(problem).max()) + 1)
+    likely += [(places, Misreading(f, nothing)) for f in commands_beside(means, known, bare_left)]
     faults = []
-    for k in ranked[:_REFITS]:
-        after = _identified(means, hypotheses[k], known)
+    for tried, hypothesis in likely:
+        after = _identified(means, hypothesis, known)
         if after is None or after.left > _SHARE * bare_left:
             continue
-        gain = after.score - bare_score - np.log(len(hypotheses))
-        gain += digits(problem, hypotheses[k].fault)
+        gain = after.score - bare_score - np.log(tried)
+        gain += digits(problem, hypothesis.fault) + hypothesis.fault.evidence
         if gain >= _MARGIN:
-            faults.append(replace(hypotheses[k].fault, evidence=float(gain)))
-    best = max(faults, key=lambda f: f.evidence, default=None)
+            faults.append(replace(hypothesis.fault, evidence=float(gain)))
+    best = _likeliest(told(faults))
     if best is None:
-        return None
-    others = [f.evidence for f in faults if f.setups != best.setups]
-    if best.evidence - max(others, default=-np.inf) < _APART:
         return None
     rivals = {bare.places, (int(gains.argmax()),), (int(evidences.argmax()),)}
     return None if any(_fits(means, places, known) for places in rivals) else best
+
+
+def _ranked(means: StationMeans, hypotheses: Sequence[Misreading]) -> list[Misreading]:
+    """The likeliest signs, units and labels, each with its own best effects."""
+    if not hypotheses:
+        return []
+    shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
+    scores = [e.score for e in means.explained(means.residual[:, None] + shown)]
+    return [hypotheses[k] for k in np.argsort(-np.array(scores))[:_REFITS]]
+
+
+def _likeliest(faults: list[Fault]) -> Fault | None:
+    """The most probable fault, unless another is nearly as probable.
+
+    A command bends to much: against other kinds it must win clearly, and is no rival to them.
+    """
+    best = max(faults, key=lambda f: f.evidence, default=None)
+    if best is None:
+        return None
+    commands = best.kind == "command"
+    rivals = [f for f in faults if not _same(f, best) and (commands or f.kind != "command")]
+    if best.evidence - max((f.evidence for f in rivals), default=-np.inf) >= _APART:
+        return best
+    return _likeliest([f for f in faults if f.kind != "command"]) if commands else None
+
+
+def _same(one: Fault, other: Fault) -> bool:
+    """Whether two faults are about the same setups, of commands the same posture."""
+    commands = "command" in (one.kind, other.kind)
+    return same_place(one, other) if commands else one.setups == other.setups
 
 
 def _fits(means: StationMeans, places: Sequence[int], known: Sequence[Fault]) -> bool:
@@ -106,7 +138,8 @@ def _identified(
     if after is None or not after.signatures.candidates:
         return None
     (explained,) = after.explained(after.residual[:, None])
-    if not _is_noise(after, explained.left):
+    command = hypothesis.fault.kind == "command" and explained.left <= MENDS * after.dof
+    if not command and not _is_noise(after, explained.left):
         return None
     for place in explained.places:
         after = after.beside(place)
@@ -116,6 +149,8 @@ def _identified(
 def _says_so(before: StationMeans, after: StationMeans, hypothesis: Misreading) -> bool:
     """Whether the readings themselves say the factor, beside the effects."""
     kind, rows = hypothesis.fault.kind, hypothesis.fault.rows
+    if kind == "command":
+        return True
     if kind in LABELS:
         return hypothesis.leaves_none(before.problem, after)
     shown = after.shown(only(rows, after.problem.measured))

@@ -8,10 +8,11 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from orthoglide.diagnosis.commands import all_put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, in_order
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.errors import NumericsError
+from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Problem, solve
 from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.geometry import Array
@@ -41,6 +42,8 @@ class Misreading:
 
     def corrected(self, problem: Problem) -> Problem:
         """The problem with the fault taken back."""
+        if self.fault.commands:
+            return all_put_right(problem, [self.fault])
         if self.labels:
             return _labelled(problem, self.labels)
         return problem.with_readings(problem.measured + self.change)
@@ -50,7 +53,7 @@ class Misreading:
         try:
             fit = solve(self.corrected(means.problem), method="nested", widen=False)
             return StationMeans.of(signatures(fit), known)
-        except NumericsError:
+        except (InputError, NumericsError):
             return None
 
     def leaves_none(self, before: Problem, after: StationMeans) -> bool:
@@ -97,7 +100,8 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         setup = _setup(problem, s)
         for leg, axis in set(permutations(range(3), 2)) - {(setup.leg, setup.axis)}:
             fault = Fault("label", rows, (s,), 0.0, label=(leg, axis))
-            relabel(fault, {s: replace(setup, leg=leg, axis=axis)})
+            if not _taken(problem, s, leg, axis):
+                relabel(fault, {s: replace(setup, leg=leg, axis=axis)})
     commands = np.concatenate([c.command for c in problem.campaigns])
     campaign = np.repeat(range(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
     for one, other in combinations(setups, 2):
@@ -127,6 +131,21 @@ def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
 def _setup(problem: Problem, setup: int) -> Setup:
     """Of all setups, numbered over all campaigns."""
     return [s for c in problem.campaigns for s in c.setups][setup]
+
+
+def _taken(problem: Problem, setup: int, leg: int, axis: int) -> bool:
+    """Whether another dial reads a leg along an axis, at the same place, while this one is read."""
+    rows = in_order(problem, setup)
+    k = next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
+    campaign = problem.campaigns[k]
+    own = campaign.order[rows - problem.rows[k].start]
+    place = (leg, axis, _setup(problem, setup).gauge, _setup(problem, setup).bar)
+    for number, other in enumerate(campaign.setups):
+        if (other.leg, other.axis, other.gauge, other.bar) == place:
+            order = campaign.order[campaign.setup == number]
+            if order.min() <= own.max() and own.min() <= order.max():
+                return True
+    return False
 
 
 def _labelled(problem: Problem, labels: Mapping[int, Setup]) -> Problem:

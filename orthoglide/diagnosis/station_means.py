@@ -110,6 +110,28 @@ class StationMeans:
         back = self.residual - self.right @ (self.left.T @ self.residual)
         return self.seen * square, self.seen * back[: len(self.seen)]
 
+    def together(self, values: Array, group: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        """Of a column for each group of stations, all at once.
+
+        Args:
+            values: whitened rows along their stations ``(G,)``.
+            group: number of each station's group ``(G,)``.
+
+        Returns:
+            Of each, all ``(H,)``: its square past what is fitted, its product with the residual,
+            and its square before.
+        """
+        n, shown = len(self.seen), self.seen * values
+        count = int(group.max(initial=-1)) + 1
+        by_left, by_right = np.zeros((2, count, self.left.shape[1]))
+        np.add.at(by_left, group, self.left[:n] * shown[:, None])
+        np.add.at(by_right, group, self.right[:n] * shown[:, None])
+        whole = np.asarray(np.bincount(group, shown**2, minlength=count), dtype=float)
+        across = by_right @ (self.left.T @ self.left) - 2 * by_left
+        along = np.bincount(group, shown * self.residual[:n], minlength=count)
+        square = whole + np.einsum("hq,hq->h", across, by_right)
+        return square, along - by_right @ (self.left.T @ self.residual), whole
+
     @property
     def problem(self) -> Problem:
         """Of the fit."""

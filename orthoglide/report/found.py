@@ -36,6 +36,7 @@ _MOST_ITEMS = 12
 _FAULTS = {
     "outlier": "a reading out of line",
     "knocked_stand": "a stand that was knocked",
+    "command": "a posture that is not where its command says",
     "sign": "a dial that counted the other way",
     "label": "a setup of another leg or direction",
     "exchanged_labels": "two setups exchanged",
