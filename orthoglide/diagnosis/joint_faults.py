@@ -49,7 +49,9 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
         known: faults found before; their setups take no part.
     """
     problem = means.problem
-    if not means.signatures.candidates or means.dof < _FEWEST or _is_noise(means, means.chi2):
+    if not (problem.campaigns and means.signatures.candidates) or means.dof < _FEWEST:
+        return None
+    if _is_noise(means, means.chi2):
         return None
     (bare,) = means.explained(means.residual[:, None])
     # The family that leaves least counts as well: is there any explanation but a fault?
