@@ -47,7 +47,7 @@ def check_travel(document: Document, geometry: Geometry, provenance: Mapping[str
     if abs(geometry.L - arm) > _SAME:
         document.fail(
             f"L must stay the mean of the firmware's arms, {arm * 1e3:.6f} mm, by which travel was "
-            f"counted: give lengths that were measured under [parameters], as leg_length",
+            f"counted: give lengths that were measured under [parameters]",
             "geometry_mm",
             "L",
         )

@@ -24,7 +24,8 @@ def remains(posterior: FullPosterior) -> Left:
     is declared.
 
     The machine that is handed out is the mean of all of these: where two differ much it may fit as
-    neither does, and then it leaves what it leaves.
+    neither does, and then it leaves what it leaves. Not so where errors of single stations are
+    likely: these are noise to it.
 
     A posterior that did not settle was not looked at where it is: what it leaves is not known.
 
@@ -40,7 +41,8 @@ def remains(posterior: FullPosterior) -> Left:
             break
     if not mixture.linear.unnamed.any():
         mean = posterior.after.scores.lack_of_fit_p
-        return Left(min(p, mean) if mean < _NEVER else p, mixture.rare)
+        bent = mean < _NEVER and mixture.rare < _ENOUGH
+        return Left(min(p, mean) if bent else p, mixture.rare)
     shaped = mixture.precision(*mixture.named[0], unnamed=True)
     return Left(p, mixture.rare, _chance(posterior, shaped))
 
