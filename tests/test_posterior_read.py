@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from orthoglide.fit import identify
-from orthoglide.machine import Machine
-from orthoglide.observations import Campaign
-from orthoglide.posterior.everything import full_posterior
 from orthoglide.posterior.linear import Group
 from orthoglide.posterior.mixture import Mixture
 from orthoglide.posterior.outstanding import _Reader
-from orthoglide.posterior.remains import remains
-from tests import rig_campaigns as rc
-from tests.rig import Rig
 
 NONE = np.zeros(0, dtype=np.intp)
 
@@ -107,14 +99,3 @@ def test_the_covariance_has_what_explanations_differ_by() -> None:
         np.einsum("k,kij->ij", weights, covariances) + (weights * apart.T) @ apart
     )
     assert found.prior == pytest.approx(np.diag([0.25 + 0.3, 4.0 + 0.2]))
-
-
-def test_a_mean_that_fits_as_no_explanation_does_leaves_something(machine: Machine) -> None:
-    """Verdicts said that nothing is left above a table that gave it a probability of 1e-12."""
-    rows = rc.simulate(Rig(), "standard", np.random.default_rng(2))
-    columns = {key: [row[key] for row in rows] for key in rows[0]}
-    known = full_posterior(identify(Campaign.from_frame(columns), machine, method="nested"))
-    assert remains(known).p_value > 0.01
-    between = replace(known.after, scores=replace(known.after.scores, lack_of_fit_p=1e-9))
-    known.__dict__["after"] = between
-    assert remains(known).p_value == 1e-9

@@ -10,7 +10,6 @@ from orthoglide.geometry import Array
 from orthoglide.posterior.everything import FullPosterior
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
-_NEVER = 1e-4  # probability below which the mean of explanations leaves more than noise
 _ENOUGH = 0.05  # probability from which an explanation leaves nothing
 
 
@@ -22,10 +21,6 @@ def remains(posterior: FullPosterior) -> Left:
     is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
     means, which see best what repeats at every visit; and of everything, doubled, where the noise
     is declared.
-
-    The machine that is handed out is the mean of all of these: where two differ much it may fit as
-    neither does, and then it leaves what it leaves. Not so where errors of single stations are
-    likely: these are noise to it.
 
     A posterior that did not settle was not looked at where it is: what it leaves is not known.
 
@@ -40,9 +35,7 @@ def remains(posterior: FullPosterior) -> Left:
         if p > _ENOUGH:
             break
     if not mixture.linear.unnamed.any():
-        mean = posterior.after.scores.lack_of_fit_p
-        bent = mean < _NEVER and mixture.rare < _ENOUGH
-        return Left(min(p, mean) if bent else p, mixture.rare)
+        return Left(p, mixture.rare)
     shaped = mixture.precision(*mixture.named[0], unnamed=True)
     return Left(p, mixture.rare, _chance(posterior, shaped))
 
