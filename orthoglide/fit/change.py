@@ -36,6 +36,7 @@ class Change:
         sigma: standard deviation of the difference, SI.
         sigma_after: standard deviation of the value after the change, SI.
         sizes: by how much each of ``members`` would have changed, SI.
+        unseen: by how much it may have been off before unseen, a standard deviation, SI.
     """
 
     parameter: Parameter
@@ -49,6 +50,7 @@ class Change:
     sigma: float = float("nan")
     sigma_after: float = float("nan")
     sizes: tuple[float, ...] = ()
+    unseen: float = 0.0
 
     def __repr__(self) -> str:
         return f"<Change of {self.parameter}: {self.message}>"
@@ -128,7 +130,7 @@ class Change:
         """Whether there is a difference to tell, once the evidence has decided for one: what the
         readings before did not see may have been as it is now.
         """
-        return abs(self.after - self.before) > SIGNIFICANT * self.sigma
+        return abs(self.after - self.before) > max(self.sigma, SIGNIFICANT * self.unseen)
 
     @property
     def found_only_now(self) -> str:

@@ -134,7 +134,8 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             summed = summed_of(tuple(one.sizes), catalogue)
             places = [now.names.index(name) for name in summed]
             before, apart = _before(known, left, now, summed)
-            apart = float(np.hypot(apart, _alone(known, summed)))
+            unseen = _alone(known, summed)
+            apart = float(np.hypot(apart, unseen))
             sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
             after = float(now.x[places].sum())
         else:
@@ -142,9 +143,10 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             place = [n.plain for n in now.problem.names].index(one.parameter)
             after = before + float(now.x[place])
             apart = sigma = float(np.sqrt(now.covariance[place, place]))
+            unseen = 0.0
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
-            before, after, apart, sigma, tuple(one.sizes.values()),
+            before, after, apart, sigma, tuple(one.sizes.values()), unseen,
         )  # fmt: skip
 
 
