@@ -162,9 +162,11 @@ def test_a_command_recorded_wrongly_is_blamed_on_no_part(number: int, beside: fl
         if row["leg"] == leg and row["posture"] == moved:
             row[f"rho_{leg}_mm"] = round(float(row[f"rho_{leg}_mm"]) + beside * 1e3, 6)
     verdict = og.close_loop([campaign_of(rows)], MACHINE, tcp=points_of(machine, rng))
-    assert verdict.word == "unexplained"
+    (told,) = verdict.blunders
+    assert (told.kind, told.commands[0][0]) == ("command", "xyz".index(leg))
+    assert told.commands[0][1] == pytest.approx(-beside, abs=0.1e-3)
+    assert verdict.word == "adequate"
     assert not verdict.effects
     assert not verdict.located
     assert verdict.tcp is not None
-    errors = verdict.tcp["translation"]
-    assert errors.after[0] == errors.before[0] < 0.02e-3
+    assert verdict.tcp["translation"].after[0] < 0.02e-3
