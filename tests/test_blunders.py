@@ -124,6 +124,38 @@ def test_knocked_stand(protocol, step, machine, nominal):
         assert [row for _, row in blunder.rows] == touched
 
 
+@pytest.mark.parametrize("setups", [["yz-0.5"], []], ids=["one", "all"])
+def test_a_dial_set_to_zero_anew_at_each_repeat(setups, machine, nominal):
+    """Three data were a creeping stand and a bent rail, and of all dials noise."""
+    rng, rows = np.random.default_rng(4), rows_of("sweep", seed=2)
+    names = setups or list(dict.fromkeys(row["setup"] for row in rows))
+    by_repeat = {
+        name: dict(zip((1, 2, 3), rng.uniform(-0.4, 0.4, 3), strict=True)) for name in names
+    }
+    expected = []
+    for name, datum in by_repeat.items():
+        own = [k for k, row in enumerate(rows) if row["setup"] == name]
+        for k in own:
+            rows[k]["reading_mm"] = round(rows[k]["reading_mm"] + datum[rows[k]["repeat"]], 2)
+        for r in (2, 3):
+            later = [k for k in own if rows[k]["repeat"] >= r]
+            expected.append((name, later, datum[r] - datum[r - 1]))
+    for judge in (machine, nominal):
+        found = found_in(rows, judge)
+        assert [(b.setups[0], [row for _, row in b.rows]) for b in found] == [
+            (name, later) for name, later, _ in expected
+        ]
+        for blunder, (_, _, step) in zip(found, expected, strict=True):
+            assert blunder.kind == "knocked_stand"
+            told = re.search(r"are ([0-9.]+) mm (higher|lower) than before", blunder.message)
+            assert told is not None
+            size = float(told[1]) * {"higher": 1, "lower": -1}[told[2]]
+            assert size == pytest.approx(step, abs=0.01)
+            assert "as if the dial had been set to zero anew" in blunder.message
+    kept = close_loop(campaign_of(rows, machine), machine)
+    assert kept.word == "adequate"
+
+
 def test_sign(machine):
     (blunder,) = found_in(rc.swapped_sign(rows_of(), "yz-0.5").rows, machine)
     assert (blunder.kind, blunder.setups) == ("sign", ("yz-0.5",))

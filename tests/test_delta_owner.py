@@ -63,8 +63,8 @@ def test_two_visits_are_compared(imported: Path, tmp_path: Path) -> None:
     assert "close-loop lists the numbers for the firmware, from the new readings alone" in told
 
 
-def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) -> None:
-    """Their commands count from other numbers; a file that does not say so is read as ever."""
+def _other_numbers(tmp_path: Path) -> None:
+    """The same readings imported with another radius of the firmware, into ``two``."""
     text = (DATA / "electrocally.cfg").read_text()
     old = re.search(r"delta_radius = ([0-9.]+)", text)
     assert old is not None
@@ -72,6 +72,11 @@ def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) 
         text.replace(old[0], f"delta_radius = {float(old[1]) + 0.1}")
     )
     run("import", "klipper", tmp_path / "printer.cfg", "--out", tmp_path / "two")
+
+
+def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) -> None:
+    """Their commands count from other numbers; a file that does not say so is read as ever."""
+    _other_numbers(tmp_path)
     first, second = imported / "calibration.csv", tmp_path / "two" / "mesh-default.csv"
     both = ("--machine", tmp_path / "two" / "machine.toml", "--out", tmp_path / "o")
     told = run("close-loop", first, second, *both, code=2)
@@ -95,13 +100,7 @@ def test_results_of_other_numbers_are_not_compared(imported: Path, tmp_path: Pat
 
     Numbers that were pasted between the visits had been told as drives and towers that moved.
     """
-    text = (DATA / "electrocally.cfg").read_text()
-    old = re.search(r"delta_radius = ([0-9.]+)", text)
-    assert old is not None
-    (tmp_path / "printer.cfg").write_text(
-        text.replace(old[0], f"delta_radius = {float(old[1]) + 0.1}")
-    )
-    run("import", "klipper", tmp_path / "printer.cfg", "--out", tmp_path / "two")
+    _other_numbers(tmp_path)
     folders = {"one": imported, "later": tmp_path / "two"}
     for name, folder in folders.items():
         given = ("--machine", folder / "machine.toml", "--out", tmp_path / name, "--quiet")

@@ -257,7 +257,7 @@ def test_slips_against_all_written_out() -> None:
     weight = rng.uniform(0.5, 2, count)
     read, trend = rng.standard_normal(count), rng.standard_normal((count, 3))
     empty = np.zeros((count, 0))
-    seen = Scatter(0, np.arange(count), weight, station, read, trend, read, empty)
+    seen = Scatter(0, np.arange(count), weight, station, np.ones(count), read, trend, read, empty)
     seen = seen.without(rng.standard_normal((count, 2)))
     free = np.hstack([np.eye(9)[station] * weight[:, None], seen.found])
     hidden = np.linalg.qr(free)[0]

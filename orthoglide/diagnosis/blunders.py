@@ -33,7 +33,7 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 _MOST = 8
-"""Faults that are slips: what is left beyond them is for a person to look at."""
+"""Slips: what is left beyond them is for a person to look at."""
 
 _REFITS = 3
 """Faults of whole setups that are looked for one after the other, each at a new fit."""
@@ -111,7 +111,7 @@ def examine(estimate: Estimate) -> Findings:
     found = stuck_faults(base, means, setups)
     found += repeat_faults(estimate.problem, setups, found)
     changes: list[Change] = []
-    stale = 0 < len(found) < _MOST
+    stale = 0 < _slips(found) < _MOST or any(f.anew for f in found)
     several = len(visits(estimate.problem)) > 1
     for _ in range(_REFITS + (_CHANGED if several else 0)):
         if stale:
@@ -130,12 +130,21 @@ def examine(estimate: Estimate) -> Findings:
             found.append(item)
             changes = []  # found anew: what a fault does was not theirs to explain
         stale = True
-    if len(found) < _MOST and not any(f.kind in MEANINGS for f in found):
+    if _slips(found) < _MOST and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
-    found = found[:_MOST] + scatter_faults(estimate.problem, setups, found)
+    found = _limited(found) + scatter_faults(estimate.problem, setups, found)
     last = means.signatures.estimate
     return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
+
+
+def _slips(faults: Sequence[Fault]) -> int:
+    """How many are slips: a dial that is set to zero anew is no mistake."""
+    return sum(not f.anew for f in faults)
+
+
+def _limited(faults: Sequence[Fault]) -> list[Fault]:
+    return [f for k, f in enumerate(faults) if f.anew or _slips(faults[:k]) < _MOST]
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.faults import Fault, Rows
+from orthoglide.diagnosis.faults import Fault, Rows, campaign_of
 from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations import Campaign
@@ -59,7 +59,7 @@ def all_put_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
     campaigns = list(problem.campaigns)
     for fault in faults:
         for drive, size in fault.commands[:1]:
-            k = next(k for k, part in enumerate(problem.rows) if fault.rows[0] < part.stop)
+            k = campaign_of(problem, fault.rows)
             within = fault.rows - problem.rows[k].start
             campaigns[k] = put_right(campaigns[k], within, drive, size)
     return replace(problem, campaigns=tuple(campaigns))

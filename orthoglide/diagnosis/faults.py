@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,7 @@ Kind = Literal[
     "scatter",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
+Same = Callable[["Fault", "Fault"], bool]
 
 EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
@@ -42,6 +43,7 @@ class Fault:
         label: of a wrong label the leg and axis that fit.
         commands: of a wrong command the drives that it may be of, the likeliest first, and how
             much more each was told than is written, metres.
+        anew: whether a knock is where a repeat begins, as where a dial is set to zero anew.
     """
 
     kind: Kind
@@ -51,6 +53,7 @@ class Fault:
     evidence: float = 0.0
     label: tuple[int, int] = (0, 0)
     commands: tuple[tuple[int, float], ...] = ()
+    anew: bool = False
 
 
 def in_order(problem: Problem, setup: int) -> Rows:
@@ -82,6 +85,32 @@ def same_place(one: Fault, other: Fault) -> bool:
     if "command" in (one.kind, other.kind):
         return np.array_equal(one.rows, other.rows)
     return bool(set(one.setups) & set(other.setups))
+
+
+def likeliest(faults: Sequence[Fault], apart: float, same: Same = same_place) -> Fault | None:
+    """The most probable fault, unless another is nearly as probable.
+
+    A command bends to much: against other kinds it must win clearly, and is no rival to them.
+
+    Args:
+        faults: with their evidence.
+        apart: log Bayes factor that decides.
+        same: whether two are about the same readings, so that either will do.
+    """
+    best = max(faults, key=lambda f: f.evidence, default=None)
+    if best is None:
+        return None
+    commands = best.kind == "command"
+    rivals = [f for f in faults if not same(f, best) and (commands or f.kind != "command")]
+    if best.evidence - max((f.evidence for f in rivals), default=-np.inf) >= apart:
+        return best
+    others = [f for f in faults if f.kind != "command"]
+    return likeliest(others, apart, same) if commands else None
+
+
+def campaign_of(problem: Problem, rows: Rows) -> int:
+    """Number of the campaign that stacked rows of one campaign belong to."""
+    return next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
 
 
 def places(problem: Problem, rows: Rows) -> tuple[tuple[int, int], ...]:
@@ -116,6 +145,12 @@ def _clause(problem: Problem, fault: Fault) -> str:
             return (
                 f"the reading {first} is {size} off {rest}: look {looked} up in the notes and "
                 f"correct it, or measure this posture again"
+            )
+        case "knocked_stand" if fault.anew:
+            return (
+                f"from here on, where a repeat begins, all readings of the setup are {up} than "
+                f"before, as if the dial had been set to zero anew: give each repeat a setup name "
+                f"of its own, as is done here"
             )
         case "knocked_stand":
             return (

@@ -13,7 +13,7 @@ import numpy as np
 
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
 from orthoglide.diagnosis.command_faults import change_of, command_faults
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, same_place, untouched
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, likeliest, untouched
 from orthoglide.diagnosis.misreadings import LABELS, Misreading, digits, factor_fits, misreadings
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
@@ -55,7 +55,7 @@ def fit_fault(
     commands = command_faults(means, known)  # beside effects they are left to `joint_fault`
     for _ in range(_EFFECTS + 1):
         misread = _misread(means, hypotheses, setups, known)
-        best = _likeliest(misread + _single(means, free) + commands)
+        best = likeliest(misread + _single(means, free) + commands, _APART)
         rival, place = means.best_effect
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
             likelier = changes and _are_changes(changes, best, means, hypotheses)
@@ -89,21 +89,6 @@ def _lacking(means: StationMeans) -> bool:
     return means.chi2 >= _LACK * means.dof * means.floor
 
 
-def _likeliest(faults: list[Fault]) -> Fault | None:
-    """The most probable fault, unless one of other readings is nearly as probable."""
-    best = max(faults, key=lambda f: f.evidence, default=None)
-    if best is None:
-        return None
-    # A command bends to much: against other kinds it must win clearly, and is no rival to them.
-    commands = best.kind == "command"
-    others = [
-        f.evidence for f in faults if not same_place(f, best) and (commands or f.kind != "command")
-    ]
-    if best.evidence - max(others, default=-np.inf) >= _APART:
-        return best
-    return _likeliest([f for f in faults if f.kind != "command"]) if commands else None
-
-
 def _misread(
     means: StationMeans,
     hypotheses: list[Misreading],
@@ -132,7 +117,7 @@ def _says_so(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]
     fault = hypothesis.fault
     if fault.kind not in LABELS:
         return factor_fits(means, fault.rows, fault.size)
-    after = hypothesis.refitted(means, known)
+    after = StationMeans.anew(hypothesis.corrected(means.problem), known)
     return after is not None and hypothesis.leaves_none(means.problem, after)
 
 

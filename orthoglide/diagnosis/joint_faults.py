@@ -17,7 +17,7 @@ import numpy as np
 
 from orthoglide.diagnosis.command_faults import MENDS, commands_beside, told
 from orthoglide.diagnosis.commands import postures
-from orthoglide.diagnosis.faults import Fault, same_place, untouched
+from orthoglide.diagnosis.faults import Fault, likeliest, same_place, untouched
 from orthoglide.diagnosis.misreadings import (
     LABELS,
     Misreading,
@@ -26,10 +26,9 @@ from orthoglide.diagnosis.misreadings import (
     misreadings,
     only,
 )
-from orthoglide.diagnosis.signatures import signatures
 from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.fit import solve, with_free
+from orthoglide.fit import with_free
 from orthoglide.geometry import LEGS
 
 _MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the readings as they are
@@ -74,7 +73,7 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
         gain += digits(problem, hypothesis.fault) + hypothesis.fault.evidence
         if gain >= _MARGIN:
             faults.append(replace(hypothesis.fault, evidence=float(gain)))
-    best = _likeliest(told(faults))
+    best = likeliest(told(faults), _APART, _same)
     if best is None:
         return None
     rivals = {bare.places, (int(gains.argmax()),), (int(evidences.argmax()),)}
@@ -88,21 +87,6 @@ def _ranked(means: StationMeans, hypotheses: Sequence[Misreading]) -> list[Misre
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
     scores = [e.score for e in means.explained(means.residual[:, None] + shown)]
     return [hypotheses[k] for k in np.argsort(-np.array(scores))[:_REFITS]]
-
-
-def _likeliest(faults: list[Fault]) -> Fault | None:
-    """The most probable fault, unless another is nearly as probable.
-
-    A command bends to much: against other kinds it must win clearly, and is no rival to them.
-    """
-    best = max(faults, key=lambda f: f.evidence, default=None)
-    if best is None:
-        return None
-    commands = best.kind == "command"
-    rivals = [f for f in faults if not _same(f, best) and (commands or f.kind != "command")]
-    if best.evidence - max((f.evidence for f in rivals), default=-np.inf) >= _APART:
-        return best
-    return _likeliest([f for f in faults if f.kind != "command"]) if commands else None
 
 
 def _same(one: Fault, other: Fault) -> bool:
@@ -120,11 +104,11 @@ def _fits(means: StationMeans, places: Sequence[int], known: Sequence[Fault]) ->
     names = [name for c in candidates for name in c.parameters]
     machines = not any(problem.machine.catalogue.effect_of(n).of_dial for n in names)
     try:
-        fit = solve(with_free(problem, names), method="nested", widen=machines)
-        after = StationMeans.of(signatures(fit), known)
+        wide = with_free(problem, names)
     except (InputError, NumericsError):
         return False
-    return _is_noise(after, after.chi2)
+    after = StationMeans.anew(wide, known, widen=machines)
+    return after is not None and _is_noise(after, after.chi2)
 
 
 def _is_noise(means: StationMeans, left: float) -> bool:
@@ -136,7 +120,7 @@ def _identified(
     means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]
 ) -> Explained | None:
     """What is left once the fault is taken back and all is identified anew, if it is noise."""
-    after = hypothesis.refitted(means, known)
+    after = StationMeans.anew(hypothesis.corrected(means.problem), known)
     if after is None or not after.signatures.candidates:
         return None
     (explained,) = after.explained(after.residual[:, None])

@@ -9,11 +9,9 @@ from itertools import combinations, permutations
 import numpy as np
 
 from orthoglide.diagnosis.commands import all_put_right
-from orthoglide.diagnosis.faults import Fault, Kind, Rows, in_order
-from orthoglide.diagnosis.signatures import signatures
+from orthoglide.diagnosis.faults import Fault, Kind, Rows, campaign_of, in_order
 from orthoglide.diagnosis.station_means import StationMeans
-from orthoglide.errors import InputError, NumericsError
-from orthoglide.fit import Problem, solve
+from orthoglide.fit import Problem
 from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.geometry import Array
 from orthoglide.observations import Setup
@@ -47,14 +45,6 @@ class Misreading:
         if self.labels:
             return _labelled(problem, self.labels)
         return problem.with_readings(problem.measured + self.change)
-
-    def refitted(self, means: StationMeans, known: Sequence[Fault]) -> StationMeans | None:
-        """Station means with the fault taken back and all identified anew; none without a fit."""
-        try:
-            fit = solve(self.corrected(means.problem), method="nested", widen=False)
-            return StationMeans.of(signatures(fit), known)
-        except (InputError, NumericsError):
-            return None
 
     def leaves_none(self, before: Problem, after: StationMeans) -> bool:
         """Whether labels, once put right, leave nothing of what they did before.
@@ -122,7 +112,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
 
 def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
     """What rows of one campaign would read, datums apart, were they of a setup, metres."""
-    k = next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
+    k = campaign_of(problem, rows)
     under = problem.campaigns[k].subset(rows - problem.rows[k].start)
     under = replace(under, setups=(setup,), setup=np.zeros(len(rows), dtype=np.int64))
     return problem.machine.model.readings(problem.values(k, x), under)
@@ -136,7 +126,7 @@ def _setup(problem: Problem, setup: int) -> Setup:
 def _taken(problem: Problem, setup: int, leg: int, axis: int) -> bool:
     """Whether another dial reads a leg along an axis, at the same place, while this one is read."""
     rows = in_order(problem, setup)
-    k = next(k for k, part in enumerate(problem.rows) if rows[0] < part.stop)
+    k = campaign_of(problem, rows)
     campaign = problem.campaigns[k]
     own = campaign.order[rows - problem.rows[k].start]
     place = (leg, axis, _setup(problem, setup).gauge, _setup(problem, setup).bar)

@@ -26,11 +26,14 @@ _TREND_MARGIN = 12.0  # fall of chi2, over the noise, by which a step must beat 
 
 
 def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
-    """Squared scatter of all readings of dials about their stations, whitened."""
+    """Squared scatter of all readings of dials about their stations, whitened, within a repeat or
+    over all, whichever is less.
+    """
     least = 1.0
     if problem.noise.source == "repeats":
         least = (problem.noise.resolution / problem.noise.typical) ** 2 / 12
-    return median_scatter(setups, least)
+    within = [scatter.without(scatter.anew) for scatter in setups]
+    return min(median_scatter(one, least) for one in (setups, within))
 
 
 def repeat_faults(
@@ -86,8 +89,8 @@ def _slips(problem: Problem, scatter: Scatter, scale: float, count: int) -> Slip
     return Slips(scatter, scale, float(problem.step[scatter.rows].max(initial=0.0)), count)
 
 
-_Place = tuple[Kind | Literal["trend"], int]
-"""A fault at a reading, or a trend of some powers of time."""
+_Place = tuple[Kind | Literal["trend", "anew"], int]
+"""A fault at a reading, a trend of some powers of time, or a datum anew at each repeat."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +114,36 @@ class Slips:
         kind, place = item
         if kind == "trend":
             return self.scatter.past(self.scatter.trend[:, :place])
+        if kind == "anew":
+            return self.scatter.anew
         return self.scatter.column(kind, place)
 
     @cached_property
     def found(self) -> list[_Place]:
+        """What is likeliest: slips and trends, or a datum anew at each repeat and these beside."""
+        scatter = self.scatter
+        either = [self._search(scatter)]
+        if np.abs(scatter.datums).max(initial=0.0) > (_STEPS["knocked_stand"] - 0.5) * self.step:
+            anew: _Place = ("anew", len(scatter.starts))
+            either.append([anew, *self._search(scatter.without(scatter.anew))])
+        return max(map(self._pruned, either), key=self._score)
+
+    def _pruned(self, found: list[_Place]) -> list[_Place]:
+        """Without what later finds explain as well: two steps look like a trend at first."""
+        fewer = [found[:k] + found[k + 1 :] for k in range(len(found))]
+        best = max(fewer, key=self._score, default=found)
+        return self._pruned(best) if self._score(best) > self._score(found) else found
+
+    def _score(self, found: list[_Place]) -> float:
+        """Log evidence for all of some faults and trends together."""
+        past = self._past(found)
+        each = [np.log(self.count) if kind in _STEPS else 2.0 * size for kind, size in found]
+        gain, size = self.scatter.chi2 - past.chi2, self.scatter.dof - past.dof
+        return float(self.scatter.evidence(gain, size, self.scale)) - sum(each)
+
+    def _search(self, now: Scatter) -> list[_Place]:
         """The best of outliers, steps and trends, one after the other, until none is left."""
         found: list[_Place] = []
-        now = self.scatter
         for _ in range(_MOST):
             evidence, item = max(self._choices(now), key=lambda choice: choice[0])
             past = now.without(self.columns(item))
@@ -168,7 +194,10 @@ class Slips:
 
     def confirmed(self) -> list[Fault]:
         """Faults that stand beside all others found, and no smooth trend in their place."""
-        scatter, found = self.scatter, self.found
+        scatter = self.scatter
+        begun = scatter.starts.tolist() if any(kind == "anew" for kind, _ in self.found) else []
+        found: list[_Place] = [("knocked_stand", place) for place in begun]
+        found += [item for item in self.found if item[0] != "anew" and item not in found]
         columns = [self.columns(item) for item in found]
         last = self._past(found)
         noisy = last.chi2 > _NOISY * self.scale * max(last.dof, 1) or 2 * last.dof < scatter.dof
@@ -177,16 +206,19 @@ class Slips:
             return []  # a setup that scatters as a whole is no handful of slips
         faults = []
         for k, (kind, place) in enumerate(found):
-            if kind == "trend":
+            if kind == "trend" or kind == "anew":
                 continue
             others = columns[:k] + columns[k + 1 :]
             rest = scatter.without(np.hstack(others)) if others else scatter
             gain, size = (values[place] for values in rest.gains(kind))
+            step, anew = kind == "knocked_stand", kind == "knocked_stand" and place in begun
+            # Of data that are all set anew, any single one may be a drift beside the others.
+            smooth = step and not anew and self._smooth(rest, float(gain))
             evidence = float(self._evidence(rest, gain))
-            step = kind == "knocked_stand"
-            if evidence >= EVIDENCE and not (step and self._smooth(rest, float(gain))):
+            if evidence >= EVIDENCE and not smooth:
                 rows = scatter.rows[place:] if step else scatter.rows[[place]]
-                faults.append(Fault(kind, rows, (scatter.setup,), float(size), evidence))
+                fault = Fault(kind, rows, (scatter.setup,), float(size), evidence, anew=anew)
+                faults.append(fault)
         return faults
 
     def _smooth(self, rest: Scatter, gain: float) -> bool:

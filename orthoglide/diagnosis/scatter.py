@@ -36,6 +36,7 @@ class Scatter:
         rows: stacked ``(k,)``.
         weight: 1 / sigma ``(k,)``.
         station: of each ``(k,)``, numbered within the setup.
+        repeat: of each ``(k,)``, as the campaign numbers them.
         read: whitened readings less the fit ``(k,)``.
         trend: whitened powers of time 1 to 3 ``(k, 3)``.
         fitted: whitened residuals of the fit to all readings ``(k,)``.
@@ -46,6 +47,7 @@ class Scatter:
     rows: Rows
     weight: Array
     station: Rows
+    repeat: Rows
     read: Array
     trend: Array
     fitted: Array
@@ -62,8 +64,9 @@ class Scatter:
         time = np.concatenate([c.time for c in problem.campaigns])[rows]
         along = clock(time, np.arange(len(rows)))
         powers = along[:, None] ** [1, 2, 3] * weight[:, None]
-        fitted = estimate.residuals[rows] * weight
-        return cls(setup, rows, weight, station, rest, powers, fitted, np.zeros((len(rows), 0)))
+        repeat = np.concatenate([c.repeat for c in problem.campaigns])[rows]
+        fitted, none = estimate.residuals[rows] * weight, np.zeros((len(rows), 0))
+        return cls(setup, rows, weight, station, repeat, rest, powers, fitted, none)
 
     @property
     def dof(self) -> int:
@@ -112,16 +115,36 @@ class Scatter:
 
     def only(self, kept: NDArray[np.bool_]) -> Scatter:
         """Of some of the readings ``(k,)``, nothing found yet."""
-        names = ("rows", "weight", "read", "trend", "fitted")
+        names = ("rows", "weight", "repeat", "read", "trend", "fitted")
         parts = {name: getattr(self, name)[kept] for name in names}
         station = numbered(self.station[kept])
         return replace(self, **parts, station=station, found=np.zeros((int(kept.sum()), 0)))
+
+    @cached_property
+    def starts(self) -> Rows:
+        """Places ``(r - 1,)`` at which a repeat begins; none where repeats do not follow each
+        other, or are too short to have a datum of their own.
+        """
+        places = np.flatnonzero(np.diff(self.repeat)) + 1
+        follow = len(places) == len(np.unique(self.repeat)) - 1
+        return places if follow and 2 * len(places) <= self.dof else places[:0]
 
     def column(self, kind: Kind, place: int) -> Array:
         """What a fault at a reading would show: that one off, or all from there on ``(k, 1)``."""
         k = np.arange(len(self.rows))
         shown = k == place if kind == "outlier" else k >= place
         return self.past((shown * self.weight)[:, None])
+
+    @cached_property
+    def anew(self) -> Array:
+        """What a dial would show that was set to zero anew at each repeat ``(k, r - 1)``."""
+        steps = [self.column("knocked_stand", int(place)) for place in self.starts]
+        return np.hstack([np.zeros((len(self.rows), 0)), *steps])
+
+    @property
+    def datums(self) -> Array:
+        """By how much the datum of each repeat would be off that before ``(r - 1,)``, metres."""
+        return np.asarray(np.linalg.lstsq(self.anew, self.rest, rcond=None)[0])
 
     def without(self, columns: Array) -> Scatter:
         """With whitened columns ``(k, c)`` set free besides."""

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.evidence import Scoring, best_pairs
 from orthoglide.diagnosis.faults import Fault
-from orthoglide.diagnosis.signatures import Signatures
-from orthoglide.fit import Problem
+from orthoglide.diagnosis.signatures import Signatures, signatures
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.fit import Problem, solve
 from orthoglide.fit.least_squares import past
 from orthoglide.geometry import Array
 
@@ -94,6 +95,17 @@ class StationMeans:
         )
         dof = float(seen.sum() - np.sum(free[: len(seen)] ** 2))
         return cls(averaged, seen, free, free, dof)
+
+    @classmethod
+    def anew(
+        cls, problem: Problem, known: Sequence[Fault] = (), *, widen: bool = False
+    ) -> StationMeans | None:
+        """Of a problem once all is identified anew; none where that does not end in a fit."""
+        try:
+            fit = solve(problem, method="nested", widen=widen)
+            return cls.of(signatures(fit), known)
+        except (InputError, NumericsError):
+            return None
 
     def shown(self, readings: Array) -> Array:
         """Station means ``(g, ...)`` of what is added to the readings ``(n, ...)``, metres."""

@@ -96,8 +96,8 @@ class _Setup:
         powers = clock(campaign.time[rows], np.arange(len(rows)))[:, None] ** [1, 2, 3]
         return Scatter(
             self.setup, rows, weight, numbered(np.column_stack([alike, second])),
-            campaign.reading[rows] * weight, powers * weight[:, None], self.left[rows] * weight,
-            np.zeros((len(rows), 0)),
+            np.ones_like(rows), campaign.reading[rows] * weight, powers * weight[:, None],
+            self.left[rows] * weight, np.zeros((len(rows), 0)),
         )  # fmt: skip
 
     def _slips(self, scatter: Scatter) -> Evidence:
