@@ -121,12 +121,14 @@ class Slips:
     @cached_property
     def found(self) -> list[_Place]:
         """What is likeliest: slips and trends, or a datum anew at each repeat and these beside."""
-        scatter = self.scatter
-        either = [self._search(scatter)]
-        if np.abs(scatter.datums).max(initial=0.0) > (_STEPS["knocked_stand"] - 0.5) * self.step:
-            anew: _Place = ("anew", len(scatter.starts))
-            either.append([anew, *self._search(scatter.without(scatter.anew))])
-        return max(map(self._pruned, either), key=self._score)
+        scatter, slips = self.scatter, self._pruned(self._search(self.scatter))
+        if np.abs(scatter.datums).max(initial=0.0) <= (_STEPS["knocked_stand"] - 0.5) * self.step:
+            return slips
+        anew: _Place = ("anew", len(scatter.starts))
+        beside = self._pruned([anew, *self._search(scatter.without(scatter.anew))])
+        # Warmth comes and goes in steps and trends besides.
+        alone = all(kind in ("anew", "outlier") for kind, _ in beside)
+        return max(slips, beside, key=self._score) if alone else slips
 
     def _pruned(self, found: list[_Place]) -> list[_Place]:
         """Without what later finds explain as well: two steps look like a trend at first."""
