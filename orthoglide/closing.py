@@ -184,7 +184,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("testing"))
     known = full_posterior(before, causes)
     progress(Step("allowing"))
-    found, left = outstanding(known, causes), remains(known)
+    found = outstanding(known, causes)
+    left = remains(known, found)
     if not known.settled:
         found = replace(found, causes=())
     if _missing(left):  # a place is missing, and others may stand in for it
@@ -257,7 +258,7 @@ def _with_rivals(read: Estimate, blunders: Sequence[Blunder]) -> tuple[Blunder, 
     except NumericsError:
         return tuple(blunders)
     found = outstanding(known)
-    if found.causes or len(found.located) != 1 or _missing(remains(known)):
+    if found.causes or len(found.located) != 1 or _missing(remains(known, found)):
         return tuple(blunders)
     curve = found.located[0].members[0]
     rival = (

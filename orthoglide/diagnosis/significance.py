@@ -32,11 +32,13 @@ class Left:
         rare: probability that the machine is beyond its tolerances altogether, or that stations
             have errors without structure.
         shaped: ``p_value`` where probed plates may have shapes that no effect names.
+        untold: ``p_value`` where what may stand out counts that is not likely enough to be told.
     """
 
     p_value: float
     rare: float = 0.0
     shaped: float = 0.0
+    untold: float = 0.0
 
 
 def left_over(estimate: Estimate) -> Left:

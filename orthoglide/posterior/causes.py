@@ -232,3 +232,10 @@ class Outstanding:
     located: tuple[Located, ...]
     weighed: tuple[CandidateScore, ...]
     alone: tuple[Explanation, ...] = ()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Causes and places of all credible sets."""
+        causes = {one.name for cause in self.causes for one in cause.explanations}
+        places = {one.place.name for located in self.located for one in located.members}
+        return frozenset(causes | places | {n for one in self.located for n in one.resembling})

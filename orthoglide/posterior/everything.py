@@ -236,9 +236,12 @@ class FullPosterior:
                 yield Note(f"these readings fit as well if {far}: measure it", "instead")
 
     def _curves(self, prior: Array) -> Block | None:
-        """Rows by the places that stand out and by the plates' own shapes, as nuisances."""
-        linear = self.mixture.linear
-        out = [g.places for g in (linear.groups[k] for k, _ in self.mixture.best) if g.free]
+        """Rows by the places that may stand out and by the plates' own shapes, as nuisances: the
+        mean is over explanations, each of which needs its own.
+        """
+        linear, best = self.mixture.linear, {k for k, _ in self.mixture.best}
+        likely = [k in best or p > LEAST_SHARE for k, p in enumerate(self.mixture.inclusion)]
+        out = [g.places for g, out in zip(linear.groups, likely, strict=True) if g.free and out]
         at = np.concatenate([*out, np.flatnonzero(linear.unnamed)]).astype(np.intp)
         if not len(at):
             return None

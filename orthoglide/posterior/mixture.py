@@ -7,6 +7,7 @@ regression*, whose credible sets these are).
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -99,6 +100,23 @@ class Mixture(Search):
         likely = [state for state in order if weight[state] >= _LIKELY * weight[order[0]]]
         at = [int(np.argmax(np.where(plain, self.weights[s], -1.0))) for s in likely]
         return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
+
+    def told(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
+        """Of these explanations those in which nothing else stands out than what has been told; of
+        the best state what has, where none of them is among these.
+
+        Args:
+            names: of groups.
+        """
+        groups = self.linear.groups
+        found = [one for one in self.named if all(groups[g].name in names for g, _ in one[0])]
+        if found:
+            return tuple(found)
+        state = tuple(one for one in self.best if groups[one[0]].name in names)
+        least = min(s.free_share for s in self.scales)
+        plain = [s for s in self.scales if s.rough == 0 and s.free_share == least]
+        logs = self._log_z(plain, *self._out(plain, state))
+        return ((state, plain[int(np.argmax(logs))]),)
 
     @cached_property
     def rare(self) -> float:

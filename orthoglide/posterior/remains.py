@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from orthoglide.diagnosis.significance import Left
 from orthoglide.fit.scores import tail
 from orthoglide.geometry import Array
+from orthoglide.posterior.causes import Outstanding
 from orthoglide.posterior.everything import FullPosterior
+from orthoglide.posterior.linear import Scale
+from orthoglide.posterior.search import State
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
 _ENOUGH = 0.05  # probability from which an explanation leaves nothing
 
 
-def remains(posterior: FullPosterior) -> Left:
+def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     """Test what explanations by name or place leave against the noise: the likeliest, and where it
-    leaves something those that are nearly as likely, of which one may be the truth.
+    leaves something those that are nearly as likely, of which one may be the truth. What stands out
+    in none that was told explains nothing.
 
     With ``S = 1 + A D A^T`` the rest ``S^-1 r`` has the covariance ``S^-1`` where the explanation
     is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
@@ -26,18 +32,29 @@ def remains(posterior: FullPosterior) -> Left:
 
     Args:
         posterior: of everything.
+        found: what is told of it.
     """
-    mixture, p = posterior.mixture, 0.0
+    mixture = posterior.mixture
     if not posterior.settled:
-        return Left(p, mixture.rare)
-    for state, scale in mixture.named:
-        p = max(p, _chance(posterior, mixture.precision(state, scale)))
+        return Left(0.0, mixture.rare)
+    told = mixture.told(found.names)
+    p = untold = _best(posterior, told)
+    if p < _ENOUGH:
+        untold = max(p, _best(posterior, mixture.named))
+    shaped = 0.0
+    if mixture.linear.unnamed.any():
+        shaped = _chance(posterior, mixture.precision(*told[0], unnamed=True))
+    return Left(p, mixture.rare, shaped, untold)
+
+
+def _best(posterior: FullPosterior, explanations: Sequence[tuple[State, Scale]]) -> float:
+    """Probability of as much being left by noise alone, by the first that leaves nothing."""
+    p = 0.0
+    for state, scale in explanations:
+        p = max(p, _chance(posterior, posterior.mixture.precision(state, scale)))
         if p > _ENOUGH:
             break
-    if not mixture.linear.unnamed.any():
-        return Left(p, mixture.rare)
-    shaped = mixture.precision(*mixture.named[0], unnamed=True)
-    return Left(p, mixture.rare, _chance(posterior, shaped))
+    return p
 
 
 def _chance(posterior: FullPosterior, inverse: Array) -> float:

@@ -207,6 +207,11 @@ def _nothing_explains(result: Result) -> str:
             "errors of everything beyond its tolerance, or by errors that have no structure. They "
             "are too few to tell more, or the tolerances are not this machine's."
         )
+    if result.left.untold > _CHANCE:
+        return (
+            "Something is wrong, and what it is does not stand out: several effects of the "
+            "catalogue or free functions of its parts would explain it, none of them clearly."
+        )
     return (
         "Something is wrong that no effect of the catalogue and no free function of its parts "
         "explains."
