@@ -286,6 +286,24 @@ def dial_curve(value: float, period: float = 1.0e-3) -> Callable[[Array], Array]
     return lambda reading: value * np.sin(2 * np.pi * reading / period)
 
 
+def dial_reversal(value: float) -> Callable[[Array], Array]:
+    """For ``extra_dial``: the hand lags behind its plunger, by value between the two ways.
+
+    Readings come in the order in which they were taken; before it first moved the plunger came
+    from below.
+    """
+
+    def lag(reading: Array) -> Array:
+        side, shown = 1.0, np.zeros(len(reading))
+        for k in range(len(reading)):
+            if k and abs(reading[k] - reading[k - 1]) > 1e-7:
+                side = np.sign(reading[k] - reading[k - 1])
+            shown[k] = -side * value / 2
+        return shown
+
+    return lag
+
+
 def stick_slip(leg: int, value: float, step: float = 0.013) -> Extra:
     """The carriage sticks and jumps: it lags by a sawtooth of its travel, up to value.
 

@@ -269,6 +269,6 @@ def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path
 def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:
     """The sheets' own mountings have names such as ``xy-0.5``."""
     for setup in ("xy-0.5", "leg x, left"):
-        for place in dial_places(setup, 0, (0.0, 60.0), (0.0, 1e-3)):
+        for place in dial_places(setup, 0, (0.0, 60.0), (0.0, 1e-3), True):
             assert place.effect.name.isidentifier()
             assert setup in place.words

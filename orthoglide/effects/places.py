@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.kernels import BuildUp, Kernel
+from orthoglide.effects.kernels import BuildUp, Kernel, Level
 from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
@@ -25,7 +25,7 @@ Against = Literal["travel", "approach", "reversal", "command", "time", "reading"
 Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
 Joints = tuple[tuple[str, float], ...]
 Range = tuple[float, float]
-Functions = Kernel | BuildUp
+Functions = Kernel | BuildUp | Level
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Place:
 
     Attributes:
         part: of the leg.
-        leg: 0, 1 or 2.
+        leg: 0, 1 or 2; -1 of all dials together.
         joints: virtual joints that move, each with its share.
         direction: that it moves in or turns about, as a letter of the base; empty for none.
         against: what it depends on.
@@ -43,7 +43,7 @@ class Place:
         kernel: how smooth it is.
         unit: standard deviation to expect of a place that is wrong, SI.
         span: first and last of its variable, seconds or metres; ``None``: the stroke.
-        setup: the dial's mounting; else empty.
+        setup: the dial's mounting; empty where it is all of them, or no dial.
         names: of legs and directions.
     """
 
@@ -63,8 +63,8 @@ class Place:
     @property
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
-        if self.setup:
-            return f"dial.{self.setup}/{self.against}"
+        if self.of_dial:
+            return f"dial{self.setup and '.'}{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
         by = f".{self.names.legs[self.by]}" if self.against == "command" else ""
         return f"{self.part}.{self.names.legs[self.leg]}{way}/{self.against}{by}"
@@ -73,6 +73,11 @@ class Place:
     def turns(self) -> bool:
         """Whether it turns a part; else it moves or stretches one."""
         return self.part == "carriage"
+
+    @property
+    def of_dial(self) -> bool:
+        """Whether it is a dial's, or that of all dials, and nothing of the machine."""
+        return self.part == "dial"
 
     @property
     def of_machine(self) -> bool:
@@ -84,7 +89,7 @@ class Place:
         """Whether the machine's own model can have it: it knows commands and conditions, not the
         way that led there, and no joints at the platform that move.
         """
-        return self.against != "reversal" and not (self.setup or self.moves_lines)
+        return self.against != "reversal" and not (self.of_dial or self.moves_lines)
 
     @property
     def moves_lines(self) -> bool:
@@ -96,9 +101,14 @@ class Place:
         return self.part == "platform"
 
     @property
+    def two_sided(self) -> bool:
+        """Whether the way that led there decides: its level counts, none of it is of a zero."""
+        return self.against in ("approach", "reversal")
+
+    @property
     def loses(self) -> bool:
         """Whether it is lost motion: the same command ends elsewhere by the way that led there."""
-        return self.against in ("approach", "reversal")
+        return self.two_sided and not self.of_dial
 
     def interval(self, stroke: Range) -> Range:
         """First and last of its variable.
@@ -129,8 +139,14 @@ class Place:
     @property
     def words(self) -> str:
         """Where and how, as a clause."""
-        if self.setup:
-            what = "creeps with time" if self.against == "time" else "is not true over its range"
+        if self.of_dial and not self.setup:
+            return "all dials read more or less by the way that their plungers came"
+        if self.of_dial:
+            what = {
+                "time": "creeps with time",
+                "reading": "is not true over its range",
+                "approach": "reads more or less by the way that its plunger came",
+            }[self.against]
             return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {
@@ -156,7 +172,7 @@ class Place:
     @property
     def look_at(self) -> str:
         """What to look at on the machine."""
-        if self.setup:
+        if self.of_dial:
             return "the dial against gauge blocks, and its stand"
         leg = self.names.legs[self.leg]
         return {
@@ -286,8 +302,10 @@ def places(
     return tuple(replace(place, names=names) for place in found)
 
 
-def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tuple[Place, ...]:
-    """Places of one mounting of a dial: its creep, and its curve.
+def dial_places(
+    setup: str, leg: int, time: Range | None, reading: Range, turns: bool
+) -> tuple[Place, ...]:
+    """Places of one mounting of a dial: its creep, its curve, and its reversal error.
 
     Args:
         setup: the mounting.
@@ -295,14 +313,27 @@ def dial_places(setup: str, leg: int, time: Range | None, reading: Range) -> tup
         time: first and last second; ``None`` where it was not recorded.
         reading: smallest and largest predicted reading, metres: a curve by what was measured
             would fit its own noise.
+        turns: whether its plunger came both ways.
     """
-    found = []
-    if time is not None:
-        found.append(Place("dial", leg, (), "", "time", 0, _none, _CREEP, 20 * _UM, time, setup))
-    return (
-        *found,
-        Place("dial", leg, (), "", "reading", 0, _none, _DIAL, 20 * _UM, reading, setup),
+    every: tuple[tuple[Against, Functions, float, Range | None], ...] = (
+        ("time", _CREEP, 20 * _UM, time),
+        ("reading", _DIAL, 20 * _UM, reading),
+        ("approach", Level(), 10 * _UM, reading if turns else None),
     )
+    return tuple(
+        Place("dial", leg, (), "", against, 0, _none, kernel, unit, span, setup)
+        for against, kernel, unit, span in every
+        if span is not None
+    )
+
+
+def all_dials(reading: Range) -> Place:
+    """Dials of one make, which read by the way that their plungers came, all by as much.
+
+    Args:
+        reading: smallest and largest predicted reading, metres.
+    """
+    return Place("dial", -1, (), "", "approach", 0, _none, Level(), 10 * _UM, reading)
 
 
 def _none(c: LegConditions) -> Any:

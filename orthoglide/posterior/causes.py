@@ -161,7 +161,7 @@ class Curve:
     @property
     def size_words(self) -> str:
         """Its size with its unit, and whether that is a root mean square."""
-        return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if self.place.loses else ' rms'}"
+        return f"{compact(self.size * 1e3, 2)} {self.unit}{'' if self.place.two_sided else ' rms'}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -97,10 +97,19 @@ class Everything:
 
     def distance(self, mean: Array, before: Estimate) -> float:
         """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
-        linearisation.
+        linearisation; what dials do goes by the readings that are predicted, and by their order.
         """
         predicted = predict(self.problem, (mean * self.scale)[: self.known])
         linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
+        columns, dials = curves_of_dials(self.problem, predicted)
+        own = {p.name: self.coefficients(p) for p in self.places if p.of_dial}
+        start = 0
+        for place in dials:
+            part = columns[:, start : start + place.kernel.count]
+            start += place.kernel.count
+            if place.name in own:
+                at = own[place.name]
+                predicted = predicted + (part - self.rows[:, at]) @ mean[at]
         off = before.nuisance.project(predicted - linear)
         return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from orthoglide.effects.places import BUILD_UP, Place, Session, dial_places, places
+from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.surface import own_shapes
@@ -14,6 +15,8 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
+
+_STILL = 1e-6  # metres: less moves no dial
 
 
 def one_surface(problem: Problem) -> bool:
@@ -123,6 +126,7 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
         value: predicted readings ``(n,)``, metres.
     """
     columns, found = [np.zeros((len(value), 0))], list[Place]()
+    ways, turning = np.zeros(len(value)), 0
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
         for k, setup in enumerate(campaign.setups):
             rows = part.start + np.flatnonzero(campaign.setup == k)
@@ -132,13 +136,42 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
             name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
             timed = np.isfinite(time).all() and np.ptp(time) > 0
             span = (float(time.min()), float(time.max())) if timed else None
-            dial = dial_places(name, setup.leg, span, (float(shown.min()), float(shown.max())))
-            for place in dial:
+            side = _side(campaign, rows - part.start, shown)
+            range_ = (float(shown.min()), float(shown.max()))
+            turns = bool((side > 0).any() and (side < 0).any())
+            for place in dial_places(name, setup.leg, span, range_, turns):
                 low, high = place.span or (0.0, 1.0)
                 by = time if place.against == "time" else shown
                 functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
                 block = np.zeros((len(value), len(functions)))
                 block[rows] = np.stack(functions, axis=1) * place.unit
+                if place.against == "approach":
+                    block[rows] *= side[:, None] / 2
+                    ways[rows], turning = side / 2, turning + 1
                 columns.append(block)
                 found.append(place)
+    if turning > 1:
+        read = value[ways != 0]
+        found.append(all_dials((float(read.min()), float(read.max()))))
+        columns.append((ways * found[-1].unit)[:, None])
     return np.hstack(columns), tuple(found)
+
+
+def _side(campaign: Campaign, rows: NDArray[np.int64], shown: Array) -> Array:
+    """Which way a dial's plunger came to some readings ``(k,)``: 1 as the reading grew, -1 as it
+    fell, as before where it did not move; 0 where that is not known.
+
+    Args:
+        campaign: of the readings.
+        rows: of one setup within it ``(k,)``.
+        shown: predicted there, metres ``(k,)``.
+    """
+    order = np.argsort(campaign.order[rows], kind="stable")
+    moved = np.diff(shown[order], prepend=shown[order][:1])
+    way = np.where(np.abs(moved) > _STILL, np.sign(moved), 0.0)
+    last = np.maximum.accumulate(np.where(way != 0, np.arange(len(way)), 0))
+    side = np.empty(len(way))
+    side[order] = way[last]
+    # Moves that were not recorded came between.
+    known = (campaign.approach == campaign.derived_approach).all(axis=1)[rows]
+    return side * known

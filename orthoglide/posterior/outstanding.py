@@ -234,7 +234,7 @@ class _Reader:
         mean, spread = self.instead.moments(member, k, group.places)
         u = np.linspace(-1, 1, 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
-        if not place.loses:  # else its level may belong to the zeros
+        if not place.two_sided:  # else its level may belong to the zeros
             functions -= functions.mean(axis=0)
         low, high = place.interval(self.posterior.before.problem.machine.geometry.stroke)
         return Curve(

@@ -191,7 +191,7 @@ def _located(found: Located) -> dict[str, Any]:
 def _place(curve: Curve) -> dict[str, Any]:
     place, unit = curve.place, curve.unit
     return {
-        "leg": LEGS[place.leg],
+        "leg": LEGS[place.leg] if place.leg >= 0 else None,
         "part": place.part,
         "direction": place.direction or None,
         "against": place.against,

@@ -262,8 +262,10 @@ def curve_words(curve: Curve) -> str:
         "approach": "between the two ways of coming to a place",
         "reversal": "from the turn on",
     }
-    size = curve.size_words.removesuffix(" rms")
-    return f"{size} ({counted.get(curve.place.against, 'root mean square')})"
+    size, place = curve.size_words.removesuffix(" rms"), curve.place
+    if place.of_dial and place.two_sided:
+        return f"{size} (between the two ways)"
+    return f"{size} ({counted.get(place.against, 'root mean square')})"
 
 
 def alternatives(cause: Cause) -> str:

@@ -20,6 +20,10 @@ Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
 _LOST = "lost motion, which the errors of the tool above leave out"
+_DIAL_TURNS = (
+    "come to one gauge block from a shorter and from a longer one: expect {} between the two "
+    "readings"
+)
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
@@ -165,6 +169,8 @@ def _changed(change: Change, k: int) -> Suspect:
 def confirm_place(curve: Curve) -> str:
     """The test that shows lost motion without a name, with what to expect; else empty."""
     place, size = curve.place, curve.size_words
+    if place.of_dial:
+        return _DIAL_TURNS.format(size) if place.two_sided else ""
     leg = place.names.legs[place.leg]
     where = {
         "drive": f"carriage {leg} along its travel",

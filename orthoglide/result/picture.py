@@ -80,7 +80,7 @@ def _moved(machine: Machine, change: Change) -> list[Option]:
 def _placed(machine: Machine, curve: Curve) -> Option:
     """A place without a name: the joint that moves, by the curve that was found."""
     place, size = curve.place, curve.size_words
-    if place.setup:
+    if place.of_dial:
         return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
     if place.moves_lines:
         way = np.eye(3)[LEGS.index(place.direction)]

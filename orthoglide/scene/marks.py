@@ -22,7 +22,7 @@ def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str
         "platform": _end, "plate": _plate,
     }  # fmt: skip
     if mark.part == "dial":
-        return "".join(_dialled(mark, d, paper) for d in dials if d.name == mark.setup)
+        return "".join(_dialled(mark, d, paper) for d in dials if mark.setup in ("", d.name))
     return draw[mark.part](mark, posed, paper)
 
 
