@@ -124,6 +124,97 @@ def test_a_probe_beside_the_tool_touches_where_the_platform_holds_it(tmp_path: P
     assert left[1] > 1e-5
 
 
+def turned_meshes(rig: DeltaRig, turns: tuple[float, ...], noise: float = 0.0) -> dict:
+    """Columns of one plate touched at the same places, turned on its seat, a setup for each turn.
+
+    From the independent machine: the plate's height is that of the place on it which lies there.
+    """
+    rng, frame = np.random.default_rng(5), {}
+    radius, k = 0.12, 0
+    ring = [(r, t) for r in (0.0, 0.06, 0.12) for t in np.arange(0, 2 * np.pi, np.pi / 9)]
+    for turn in turns:
+        for r, t in ring:
+            p = np.array([r * np.cos(t), r * np.sin(t), 0.0])
+            travel = rig.inverse(p)
+            x, y, z = rig.pose(travel, p)[0]
+            own = np.hypot(x, y), np.arctan2(y, x) - np.deg2rad(turn)
+            high = rig.plate(own[0] * np.cos(own[1]), own[0] * np.sin(own[1]), radius)
+            row = {"kind": "plate", "setup": f"at-{turn:g}", "turned_deg": turn, "order": k,
+                   "reading_mm": (z - high + noise * rng.standard_normal()) * 1e3}  # fmt: skip
+            k += 1
+            row |= {f"travel_{n}_mm": travel[j] * 1e3 for j, n in enumerate("abc")}
+            for name, value in row.items():
+                frame.setdefault(name, []).append(value)
+    return frame
+
+
+def test_a_plate_that_was_turned_takes_its_shape_along(tmp_path: Path) -> None:
+    rig = DeltaRig(errors={"plate_trefoil.bed.cos": 2e-4, "plate_bow.bed": -1e-4})
+    campaign = ToolCampaign.from_frame(turned_meshes(rig, (0.0, 20.0, -45.0)), machine_file=SPEC)
+    (again,) = read(tmp_path, csv_text(tool_rows(campaign, SPEC)))
+    assert isinstance(again, ToolCampaign)
+    assert again.turned_by == pytest.approx(campaign.turned_by)
+    factor = ToolReadings.of(again, MACHINE)
+    shapes = {f"plate_trefoil.{s}.cos": 2e-4 for s in factor.setup_names}
+    shapes |= {f"plate_bow.{s}": -1e-4 for s in factor.setup_names}
+    linear = factor.linearise(MACHINE.model, MACHINE.values | shapes, ["joint_offset.b"])
+    columns = factor.nuisances(linear.slopes).columns
+    rest = factor.measured - linear.value
+    left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-12)[0]
+    assert np.abs(left).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("errors", "name"),
+    [
+        ({"plate_trefoil.bed.cos": 2.5e-4}, "plate_trefoil.cos.common"),
+        ({f"rail_tilt.{leg}.tangential": 8e-3 for leg in "abc"}, "rail_tilt.tangential.common"),
+    ],
+    ids=["plate", "towers"],
+)
+def test_a_turned_plate_tells_its_own_lobes_from_the_machines(errors, name) -> None:
+    """At one seat both are named, and these readings cannot tell."""
+    rig = DeltaRig(errors=errors)
+    for turns, alone in (((0.0,), False), ((0.0, 60.0), True)):
+        frame = turned_meshes(rig, turns, noise=1e-5)
+        verdict = og.close_loop(ToolCampaign.from_frame(frame, machine_file=SPEC), MACHINE)
+        told = [one.name for cause in verdict.effects for one in cause.explanations]
+        plates = [n for n in told if n.startswith("plate_trefoil")]
+        if alone:
+            assert bool(plates) == name.startswith("plate"), told
+            assert len(plates) == len(told) or not plates
+        else:
+            assert plates or not told
+
+
+def test_lobes_of_both_are_told_apart_with_their_sizes() -> None:
+    """At one seat the plate had it all, 0.25 mm high."""
+    leaning = {f"axis_tilt.{leg}.tangential": 5e-3 for leg in "abc"}
+    rig = DeltaRig(errors={"plate_trefoil.bed.cos": 2e-4, "plate_bow.bed": 1e-4} | leaning)
+    frame = turned_meshes(rig, (0.0, 60.0), noise=1e-5)
+    verdict = og.close_loop(ToolCampaign.from_frame(frame, machine_file=SPEC), MACHINE)
+    by_name = {e.name: e for cause in verdict.effects for e in cause.explanations}
+    for name, size in (
+        ("plate_trefoil.cos.common", 2e-4),
+        ("axis_tilt.tangential.common", 5e-3),
+    ):
+        for parameter, value in by_name[name].values.items():
+            assert value == pytest.approx(
+                size, abs=3 * by_name[name].sigmas[parameter] + 0.1 * size
+            )
+    assert "the plate has three lobes 0.2 mm high" in str(verdict).lower().replace("\n", " ")
+
+
+def test_only_a_plate_is_turned_and_by_one_angle() -> None:
+    frame = turned_meshes(DeltaRig(), (0.0, 60.0))
+    both = frame | {"setup": ["p"] * len(frame["kind"])}
+    with pytest.raises(InputError, match="was turned from turned_deg 0 to 60: give it a setup"):
+        ToolCampaign.from_frame(both, machine_file=SPEC)
+    level = frame | {"kind": ["tcp"] * len(frame["kind"]), "direction": ["z"] * len(frame["kind"])}
+    with pytest.raises(InputError, match="only a plate is turned on its seat"):
+        ToolCampaign.from_frame(level, machine_file=SPEC)
+
+
 def test_each_setup_has_one_probe() -> None:
     frame = {"kind": ["plate"] * 2, "setup": ["p"] * 2, "reading_mm": [0.0, 0.0],
              "beside_x_mm": [0.0, 4.0]}  # fmt: skip

@@ -44,8 +44,8 @@ class ToolReadings(OfFile):
     Attributes:
         sigma: standard deviation of each ``(n,)``, metres or radians.
         usual: the same as declared, or as is usual of such instruments ``(n,)``.
-        place: on the plates over their largest measured radius ``(n, 2)``, of the nominal machine,
-            which is near enough.
+        place: on the plates over their largest measured radius ``(n, 2)``, along their own axes,
+            which turn with them; of the nominal machine, which is near enough.
         ball: centre of each setup's ball ``(setups, 3)``, metres, about which it is fitted.
     """
 
@@ -71,6 +71,9 @@ class ToolReadings(OfFile):
         for k, setup in enumerate(campaign.setups):
             rows = campaign.setup == k
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
+            place[rows] = place[rows] @ _turn(
+                np.deg2rad(setup.turned)
+            )  # as the plate's own marks have it
             found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
         height = p[:, 2] - campaign.reading
@@ -267,6 +270,11 @@ class ToolReadings(OfFile):
                 x, y = self.place[rows].T
                 found[rows] -= value * effect.shape(parameter)(x, y)
         return found
+
+
+def _turn(angle: float) -> Array:
+    """By which rows of places ``(n, 2)`` are seen from axes turned counter-clockwise ``(2, 2)``."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def _sigma(

@@ -74,11 +74,15 @@ TOOL_COLUMNS: dict[str, Column] = {
     "firmware": Column(label, ""),
     "beside_x_mm": Column(number(MM), 0.0),
     "beside_y_mm": Column(number(MM), 0.0),
+    "turned_deg": Column(number(low=-360, high=360), 0.0),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
 
 BESIDE = ("beside_x_mm", "beside_y_mm")
 """Where a probe touches a plate, from the tool on the platform."""
+
+TURNED = "turned_deg"
+"""How far a plate was turned on its seat, counter-clockwise from above."""
 
 TURNS = 0.1
 """The largest standard deviation of a turn, radians: a level in a telephone shows hundredths."""

@@ -34,11 +34,14 @@ class ToolSetup:
         kind: of its readings.
         beside: of a plate's, where it is touched: from the point of the tool that is commanded,
             along x and y of the platform, metres.
+        turned: of a plate, how far it was turned on its seat, counter-clockwise from above,
+            degrees: its shape turns with it.
     """
 
     name: str
     kind: Kind
     beside: tuple[float, float] = (0.0, 0.0)
+    turned: float = 0.0
 
     def __post_init__(self) -> None:
         check_word("kind of reading", self.kind, KINDS)
@@ -91,6 +94,11 @@ class ToolCampaign(Recorded):
     def beside(self) -> Array:
         """Where each reading is taken, from the tool's point on the platform ``(n, 3)``, metres."""
         return np.array([(*s.beside, 0.0) for s in self.setups]).reshape(-1, 3)[self.setup]
+
+    @property
+    def turned_by(self) -> Array:
+        """How far the plate of each reading was turned on its seat ``(n,)``, degrees."""
+        return np.array([s.turned for s in self.setups])[self.setup]
 
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
         """Which readings are of a kind ``(n,)``, booleans."""

@@ -24,6 +24,7 @@ from orthoglide.observations.columns import (
     SIGMA_MRAD,
     TOOL_COLUMNS,
     TRAVELLED,
+    TURNED,
     approaches,
     by_leg,
     command_names,
@@ -162,9 +163,11 @@ def _check_firmware(table: Table, machine: MachineFile) -> None:
 def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:
     found: dict[str, ToolSetup] = {}
     labels = table.values("setup", TOOL_COLUMNS["setup"])
-    x, y = (table.values(n, TOOL_COLUMNS[n]) for n in BESIDE)
-    for row, (name, kind, *beside) in enumerate(zip(labels, kinds, x, y, strict=True)):
-        own = ToolSetup(name, kind, (beside[0], beside[1]))
+    x, y, turned = (table.values(n, TOOL_COLUMNS[n]) for n in (*BESIDE, TURNED))
+    for row, (name, kind, *beside, turn) in enumerate(
+        zip(labels, kinds, x, y, turned, strict=True)
+    ):
+        own = ToolSetup(name, kind, (beside[0], beside[1]), turn)
         first = found.setdefault(name, own)
         if first.kind != kind:
             table.fail(
@@ -174,6 +177,14 @@ def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]
             )
         if any(beside) and kind != "plate":
             table.fail(f"only a plate is touched beside the tool, not a {kind}", row)
+        if turn and kind != "plate":
+            table.fail(f"only a plate is turned on its seat ({TURNED}), nothing of a {kind}", row)
+        if turn != first.turned:
+            table.fail(
+                f"the plate of setup {name!r} was turned from {TURNED} {first.turned:.6g} to "
+                f"{turn:.6g}: give it a setup of its own as it lay then",
+                row,
+            )
         if own != first:
             table.fail(
                 f"setup {name!r} is touched at two places beside the tool: give each probe a setup "

@@ -9,7 +9,15 @@ import numpy as np
 
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations.columns import APPROACHED, BESIDE, MM, SECOND, TRAVELLED, by_leg
+from orthoglide.observations.columns import (
+    APPROACHED,
+    BESIDE,
+    MM,
+    SECOND,
+    TRAVELLED,
+    TURNED,
+    by_leg,
+)
 from orthoglide.observations.tool import DIRECTED, ToolCampaign
 from orthoglide.observations.writing import Row, numbers, rows_of, shown_commands, signs
 
@@ -33,6 +41,7 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "direction": directed.any(),
         "firmware": machine.firmware != "",
         **dict.fromkeys(BESIDE, campaign.beside.any()),
+        TURNED: campaign.turned_by.any(),
         "time_s": np.isfinite(campaign.time).any(),
         "temperature_C": np.isfinite(campaign.temperature).any(),
         "load_N": campaign.load.any(),
@@ -61,5 +70,6 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         "sigma_mrad": numbers(np.where(angles, campaign.sigma, np.nan), MM),
         "firmware": [machine.firmware] * len(campaign),
         **{name: numbers(campaign.beside[:, k], MM) for k, name in enumerate(BESIDE)},
+        TURNED: numbers(campaign.turned_by),
     }
     return rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})

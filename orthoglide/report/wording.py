@@ -154,7 +154,8 @@ def where_left(result: Result) -> str:
     if result.left.shaped > _CHANCE > result.left.p_value:
         return (
             " The plate's own shape would explain it, finer than a bowl or three lobes: touch the "
-            "plate again, turned by 60 degrees on its seat; what turns with it is its own."
+            "plate again, turned by 60 degrees on its seat, as a setup of its own with 60 under "
+            "turned_deg; what turns with it is its own."
         )
     shares = [*(one.share for one in result.rest), *(one.share for one in result.rest_of_tool)]
     if shares and (points := 1 - sum(shares)) > max(shares):
