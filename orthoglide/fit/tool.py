@@ -71,9 +71,7 @@ class ToolReadings(OfFile):
         for k, setup in enumerate(campaign.setups):
             rows = campaign.setup == k
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
-            place[rows] = place[rows] @ _turn(
-                np.deg2rad(setup.turned)
-            )  # as the plate's own marks have it
+            place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
             found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
         height = p[:, 2] - campaign.reading

@@ -88,13 +88,18 @@ class Mixture(Search):
         named, free, rough = (by_scale @ each).tolist()
         return named, free, rough
 
+    @property
+    def _plain(self) -> NDArray[np.bool_]:
+        """Scales without small errors that have no name ``(scales,)``."""
+        least = min(s.free_share for s in self.scales)
+        return np.array([s.rough == 0 and s.free_share == least for s in self.scales])
+
     @cached_property
     def named(self) -> tuple[tuple[State, Scale], ...]:
         """The likely explanations without small errors that have no name, the likeliest first:
         without those of single stations, and without free functions but those that stand out.
         """
-        least = min(s.free_share for s in self.scales)
-        plain = np.array([s.rough == 0 and s.free_share == least for s in self.scales])
+        plain = self._plain
         weight = {state: float(found[plain].sum()) for state, found in self.weights.items()}
         order = sorted(weight, key=lambda state: -weight[state])[:_ASKED]
         likely = [state for state in order if weight[state] >= _LIKELY * weight[order[0]]]
@@ -103,7 +108,7 @@ class Mixture(Search):
 
     def told(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
         """Of these explanations those in which nothing else stands out than what has been told; of
-        the best state what has, where none of them is among these.
+        the best state what has, over the likeliest background, where none of them is among these.
 
         Args:
             names: of groups.
@@ -113,10 +118,8 @@ class Mixture(Search):
         if found:
             return tuple(found)
         state = tuple(one for one in self.best if groups[one[0]].name in names)
-        least = min(s.free_share for s in self.scales)
-        plain = [s for s in self.scales if s.rough == 0 and s.free_share == least]
-        logs = self._log_z(plain, *self._out(plain, state))
-        return ((state, plain[int(np.argmax(logs))]),)
+        by_scale = np.sum(list(self.weights.values()), axis=0)
+        return ((state, self.scales[int(np.argmax(np.where(self._plain, by_scale, -1.0)))]),)
 
     @cached_property
     def rare(self) -> float:

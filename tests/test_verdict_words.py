@@ -1,0 +1,61 @@
+"""Verdicts hold for what they tell: no word of them contradicts the table below it."""
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.closing import SIGNIFICANT
+from orthoglide.fit import solve
+from orthoglide.fit.identifying import assemble
+from orthoglide.posterior import full_posterior, outstanding, remains
+from orthoglide.posterior.causes import Outstanding
+from tests import rig_campaigns as rc
+from tests.rig import LEGS, Rig
+
+NOTHING = Outstanding((), (), ())
+
+
+def campaign_of(rig: Rig, seed: int = 3) -> og.Campaign:
+    rng = np.random.default_rng(seed)
+    base = {f"joint_offset.{leg}": float(rng.normal(0, 5e-4)) for leg in LEGS}
+    base |= {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
+    rows = rc.simulate(rig.with_errors(base), "sweep", rng, background=0.015)
+    return og.Campaign.from_frame({key: [row[key] for row in rows] for key in rows[0]}, name="c")
+
+
+@pytest.mark.parametrize("size", [3e-4, 6e-4])
+def test_a_verdict_and_its_table_agree(size: float) -> None:
+    """Two places far apart fit, the base of each elsewhere: their mean had fitted as neither does.
+
+    Drive x goes wrong by the square of what drive y is told, which a dial's curve imitates.
+    """
+
+    def bent(travel: np.ndarray, approach: np.ndarray, time: np.ndarray) -> np.ndarray:
+        moved = np.zeros((len(travel), 3, 3))
+        moved[:, 0, 0] = size * (travel[:, 1] / 0.1) ** 2
+        return moved
+
+    verdict = og.close_loop(campaign_of(Rig(extra=(bent,))))
+    assert verdict.word == "located"
+    assert len(verdict.located[0].members) > 1
+    assert verdict.after.scores.lack_of_fit_p > SIGNIFICANT
+
+
+def test_what_is_not_told_explains_nothing() -> None:
+    """A machine with one clear cause leaves nothing once it is told, and much if it were not."""
+    campaign = campaign_of(Rig(errors={"axis_tilt.y.z": 2e-3}))
+    machine = og.Machine.nominal()
+    known = full_posterior(solve(assemble([campaign], machine, machine.catalogue.base)))
+    found = outstanding(known)
+    assert "axis_tilt.y.z" in found.names
+    told, untold = remains(known, found), remains(known, NOTHING)
+    assert told.p_value > 0.01
+    assert untold.p_value < 1e-6
+    assert untold.untold == pytest.approx(told.p_value, rel=0.5)
+
+
+def test_a_sound_machine_leaves_nothing_although_nothing_is_told() -> None:
+    campaign, machine = campaign_of(Rig()), og.Machine.nominal()
+    known = full_posterior(solve(assemble([campaign], machine, machine.catalogue.base)))
+    assert outstanding(known).names == frozenset()
+    assert remains(known, NOTHING).p_value > SIGNIFICANT
