@@ -37,8 +37,14 @@ def test_a_verdict_and_its_table_agree(size: float) -> None:
 
     verdict = og.close_loop(campaign_of(Rig(extra=(bent,))))
     assert verdict.word == "located"
-    assert len(verdict.located[0].members) > 1
+    members = verdict.located[0].members  # the mean is over all of them
+    assert len(members) > 1
     assert verdict.after.scores.lack_of_fit_p > SIGNIFICANT
+    about, curves = verdict.posterior.about, verdict.after.problem.curves
+    for member in (one for one in members if one.probability > 0.1):
+        own = about.rows[:, about.coefficients(member.place)]
+        off = own - curves.columns @ np.linalg.lstsq(curves.columns, own, rcond=1e-12)[0]
+        assert np.abs(off).max() < 1e-12
 
 
 def test_what_is_not_told_explains_nothing() -> None:
