@@ -156,6 +156,30 @@ def test_a_dial_set_to_zero_anew_at_each_repeat(setups, machine, nominal):
     assert kept.word == "adequate"
 
 
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+def test_two_repeats_and_all_dials_set_to_zero_between(protocol, machine, nominal):
+    """A drift shows the same of two repeats: none is as large. The tilt was lost, 0.04 mm at the
+    tool, under "nothing is wrong", or told as stands that creep.
+    """
+    rng = np.random.default_rng(1)
+    rig = Rig(errors=BASE | {"axis_tilt.y.z": 3e-3})
+    rows = rc.simulate(rig, rc.protocol_rows(protocol, repeats=2), rng, background=0.02)
+    names = list(dict.fromkeys(row["setup"] for row in rows))
+    for k, name in enumerate(names):
+        for row in rows:
+            if (row["setup"], row["repeat"]) == (name, 2):
+                row["reading_mm"] = round(row["reading_mm"] + 0.4 - 0.15 * k, 2)
+    for judge in (machine, nominal):
+        verdict = close_loop(campaign_of(rows, judge), judge)
+        assert [b.setups for b in verdict.blunders] == [
+            (name,) for k, name in enumerate(names) if abs(0.4 - 0.15 * k) > 0.06
+        ]
+        assert all("set to zero anew" in b.message for b in verdict.blunders)
+        assert {n for c in verdict.effects for n in (c.name, *c.indistinguishable_from)} >= {
+            "axis_tilt.y.z"
+        }
+
+
 def test_sign(machine):
     (blunder,) = found_in(rc.swapped_sign(rows_of(), "yz-0.5").rows, machine)
     assert (blunder.kind, blunder.setups) == ("sign", ("yz-0.5",))

@@ -1,5 +1,7 @@
 """Verdicts hold for what they tell: no word of them contradicts the table below it."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,29 @@ def test_a_verdict_and_its_table_agree(size: float) -> None:
         own = about.rows[:, about.coefficients(member.place)]
         off = own - curves.columns @ np.linalg.lstsq(curves.columns, own, rcond=1e-12)[0]
         assert np.abs(off).max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_warmth_between_repeats_takes_nothing_of_the_means(seed: int) -> None:
+    """Its effects move the readings of one station apart: they had been taken off the degrees of
+    freedom of the stations' means, and 1e-15 stood beside a chi2 below its degrees.
+    """
+    rng = np.random.default_rng([seed, 5])
+    rows = rc.protocol_rows("standard", repeats=3)
+    block = np.cumsum([0, *(np.diff([row["repeat"] for row in rows]) != 0)])
+    for row, k in zip(rows, block, strict=True):
+        row["time_s"] += 3600.0 * int(k)  # a rest between repeats
+    level = 20 + rng.normal(0, 4, block[-1] + 1)
+    growth = {f"thermal_growth.{leg}": float(rng.uniform(0.5, 1.5) * 1e-5) for leg in LEGS}
+    base = {f"joint_offset.{leg}": float(rng.normal(0, 5e-4)) for leg in LEGS}
+    warm = rc.simulate(
+        Rig(errors=base | growth), rows, rng, background=0.02,
+        temperature=lambda t: level[np.asarray(t // 3600, dtype=int)],
+    )  # fmt: skip
+    frame = {key: [row[key] for row in warm] for key in warm[0]}
+    machine = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
+    after = og.close_loop(og.Campaign.from_frame(frame, name="c"), machine).after.scores
+    assert after.chi2 > 1.3 * after.dof or after.lack_of_fit_p > 0.05
 
 
 def test_what_is_not_told_explains_nothing() -> None:

@@ -50,7 +50,8 @@ def test_means_and_scatter_share_out_the_square() -> None:
     found = weighing()
     white, means = found.whiten(rows), found.means(rows)
     between = float(np.sum((means / found.mean_sigma) ** 2))
-    assert white @ white == pytest.approx(between + found.within(rows))
+    within = float(np.sum(((rows - means[STATION]) / SIGMA) ** 2))
+    assert white @ white == pytest.approx(between + within)
     own = rows[STATION == 1]
     assert found.first.tolist() == [0, 1, 3, 6]
     assert means[1] == pytest.approx(np.average(own, weights=SIGMA[STATION == 1] ** -2))

@@ -22,6 +22,7 @@ _FEWEST_REPEATS = 4  # degrees of freedom from which a setup may be said to scat
 _STEPS: dict[Kind, float] = {"outlier": 3.0, "knocked_stand": 2.0}  # of the instrument: least size
 _MOST = 6
 _NOISY = 4.0  # times the noise of all setups, that one may scatter about what was found in it
+_NO_DRIFT = 8e-5  # metres from one repeat to the next: more than warmth or a creeping stand does
 _TREND_MARGIN = 12.0  # fall of chi2, over the noise, by which a step must beat a smooth drift
 
 
@@ -32,8 +33,11 @@ def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
     least = 1.0
     if problem.noise.source == "repeats":
         least = (problem.noise.resolution / problem.noise.typical) ** 2 / 12
+    # Where dials were set to zero anew, only the visits of one repeat show what they scatter by.
     within = [scatter.without(scatter.anew) for scatter in setups]
-    return min(median_scatter(one, least) for one in (setups, within))
+    each = [one.chi2 / one.dof for one in within if one.dof >= 2]
+    inside = float(np.median(each)) if each else np.inf
+    return min(median_scatter(setups, least), max(inside, least))
 
 
 def repeat_faults(
@@ -127,8 +131,11 @@ class Slips:
         anew: _Place = ("anew", len(scatter.starts))
         beside = self._pruned([anew, *self._search(scatter.without(scatter.anew))])
         # Warmth comes and goes in steps and trends besides.
-        alone = all(kind in ("anew", "outlier") for kind, _ in beside)
-        return max(slips, beside, key=self._score) if alone else slips
+        if not all(kind in ("anew", "outlier") for kind, _ in beside):
+            return slips
+        # Of two repeats a drift shows what a step does; one as large as this is none.
+        margin = EVIDENCE if np.abs(scatter.datums).max() > _NO_DRIFT else 0.0
+        return beside if self._score(beside) + margin > self._score(slips) else slips
 
     def _pruned(self, found: list[_Place]) -> list[_Place]:
         """Without what later finds explain as well: two steps look like a trend at first."""

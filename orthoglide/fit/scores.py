@@ -86,7 +86,8 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
     dof = round(dof, 6)  # what is left behind is rounding
     turned, largest = problem.turned, np.abs(residual)
     left = rms_by_unit(residual, turned)
-    left_out = rms_by_unit(_left_out(problem, nuisance, at, residual), turned)
+    fitted = fitted_basis(problem, nuisance, at)[: len(rest)]
+    left_out = rms_by_unit(_left_out(problem, nuisance, fitted, residual), turned)
     return Scores(
         rms=left.length,
         deviation_rms=deviation_rms(problem, residual),
@@ -94,7 +95,7 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
         chi2=here.chi2,
         prior_chi2=here.prior_chi2(at.x),
         dof=dof,
-        lack_of_fit_p=_lack_of_fit(problem, nuisance, here, nuisance.weighing.within(rest)),
+        lack_of_fit_p=_lack_of_fit(problem, nuisance, here, fitted, residual),
         cv_rms=left_out.length,
         turn_rms=left.turn,
         turn_max=float(largest[turned].max()) if turned.any() else float("nan"),
@@ -114,7 +115,9 @@ def rms_by_unit(rows: Array, turned: NDArray[np.bool_]) -> ByUnit:
     return ByUnit(*(float(np.sqrt(np.mean(p**2))) if len(p) else float("nan") for p in parts))
 
 
-def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: float) -> float:
+def _lack_of_fit(
+    problem: Problem, nuisance: Nuisances, here: Normal, fitted: Array, residual: Array
+) -> float:
     """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
 
     The smaller of two tests, doubled: of all readings, and of the station means, which see better
@@ -123,7 +126,11 @@ def _lack_of_fit(problem: Problem, nuisance: Nuisances, here: Normal, within: fl
     law.
     """
     noise, rows, stations = problem.noise, len(problem.measured), len(problem.weighing.first)
-    means = tail(max(here.chi2 - within, 0.0), stations - nuisance.free, here.shares, noise.dof)
+    weighing = nuisance.weighing
+    rest, own = weighing.along(weighing.whiten(residual)), weighing.along(fitted)
+    # What was fitted may move readings of one station apart: its share in the means is what counts.
+    shares = np.asarray(np.linalg.eigvalsh(own.T @ own), dtype=np.float64)
+    means = tail(float(rest @ rest), stations, shares, noise.dof)
     if rows == stations or noise.source == "repeats" or problem.common.any():
         return means
     whole = tail(here.chi2, rows - nuisance.free, here.shares)
@@ -166,14 +173,19 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt(np.mean(apart**2))) if len(apart) else float("nan")
 
 
-def _left_out(problem: Problem, nuisance: Nuisances, at: Linearised, residual: Array) -> Array:
+def _left_out(problem: Problem, nuisance: Nuisances, fitted: Array, residual: Array) -> Array:
     """Residuals ``(n,)`` of readings predicted with every visit to their station left out; nan
     where nothing predicts them.
 
     With leverage ``H`` of the linear problem (unknowns, nuisances, priors), the residual of a
     block g left out is ``(1 - H_gg)^-1 r_g``.
+
+    Args:
+        problem: gives the stations.
+        nuisance: of the fit.
+        fitted: orthonormal columns of everything fitted, the rows of the readings ``(n, r)``.
+        residual: ``(n,)``, metres.
     """
-    basis = fitted_basis(problem, nuisance, at)[: len(residual)]
     station = problem.place
     whitened = nuisance.weighing.whiten(residual)
     left_out = np.full(len(residual), np.nan)
@@ -181,7 +193,7 @@ def _left_out(problem: Problem, nuisance: Nuisances, at: Linearised, residual: A
     first = np.cumsum(size) - size
     for visits in np.unique(size):  # stations alike in size are solved together
         rows = order[first[size == visits][:, None] + np.arange(visits)]
-        near = basis[rows]
+        near = fitted[rows]
         block = np.eye(visits) - near @ near.swapaxes(1, 2)
         # A setup's datum is gone with its last other station: nothing predicts such a block.
         kept = np.linalg.eigvalsh(block)[:, 0] > 1e-6

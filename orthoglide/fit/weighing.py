@@ -84,11 +84,6 @@ class Weighing:
         share = self.weight**2 / np.bincount(self.station, self.weight**2)[self.station]
         return np.add.reduceat((rows.T * share).T[order], starts, axis=0)
 
-    def within(self, rows: Array) -> float:
-        """Squared scatter of rows ``(n,)`` in metres about their stations' means, in noise."""
-        whitened = rows * self.weight
-        return float(whitened @ whitened - np.sum(self.along(whitened) ** 2))
-
     def _scaled(self, rows: Array, factor: Array) -> Array:
         """Rows with their part along each station's direction multiplied by ``factor (n,)``."""
         if not self.common.any():
