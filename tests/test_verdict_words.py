@@ -73,12 +73,16 @@ def test_warmth_between_repeats_takes_nothing_of_the_means(seed: int) -> None:
 
 
 def test_what_is_not_told_explains_nothing() -> None:
-    """A machine with one clear cause leaves nothing once it is told, and much if it were not."""
+    """A machine with one clear cause leaves nothing once it is told, and much if it were not,
+    unless the machine that is handed out has it all the same.
+    """
     campaign = campaign_of(Rig(errors={"axis_tilt.y.z": 2e-3}))
     machine = og.Machine.nominal()
     known = full_posterior(solve(assemble([campaign], machine, machine.catalogue.base)))
     found = outstanding(known)
     assert "axis_tilt.y.z" in found.names
+    assert remains(known, NOTHING).p_value > 0.01
+    known.__dict__["after"] = known.before  # as if the mean did not fit
     told, untold = remains(known, found), remains(known, NOTHING)
     assert told.p_value > 0.01
     assert untold.p_value < 1e-6

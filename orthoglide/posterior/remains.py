@@ -15,13 +15,14 @@ from orthoglide.posterior.linear import Scale
 from orthoglide.posterior.search import State
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
+_FEW = 2.0  # degrees of freedom: less is no test of the mean
 _ENOUGH = 0.05  # probability from which an explanation leaves nothing
 
 
 def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     """Test what explanations by name or place leave against the noise: the likeliest, and where it
-    leaves something those that are nearly as likely, of which one may be the truth. What stands out
-    in none that was told explains nothing.
+    leaves something those that are nearly as likely, of which one may be the truth. What is not
+    told explains something where the mean of all, which is the machine, fits with it.
 
     With ``S = 1 + A D A^T`` the rest ``S^-1 r`` has the covariance ``S^-1`` where the explanation
     is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
@@ -41,6 +42,8 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     p = untold = _best(posterior, told)
     if p < _ENOUGH:
         untold = max(p, _best(posterior, mixture.named))
+        mean = posterior.after.scores
+        p = max(p, min(untold, mean.lack_of_fit_p) if mean.dof >= _FEW else untold)
     shaped = 0.0
     if mixture.linear.unnamed.any():
         shaped = _chance(posterior, mixture.precision(*told[0], unnamed=True))
