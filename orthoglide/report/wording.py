@@ -153,9 +153,8 @@ def where_left(result: Result) -> str:
     """Where what nothing explains lives: which leg, which direction, at which station most."""
     if result.left.shaped > _CHANCE > result.left.p_value:
         return (
-            " The plate's own shape would explain it, finer than a bowl or three lobes: touch the "
-            "plate again, turned by 60 degrees on its seat, as a setup of its own with 60 under "
-            "turned_deg; what turns with it is its own."
+            " The plate's own shape would explain it, finer than a bowl or three lobes: touch it "
+            "again, turned by 60 degrees (turned_deg of its setup); what turns with it is its own."
         )
     shares = [*(one.share for one in result.rest), *(one.share for one in result.rest_of_tool)]
     if shares and (points := 1 - sum(shares)) > max(shares):
@@ -259,14 +258,10 @@ def located_words(found: Located) -> str:
 
 def curve_words(curve: Curve) -> str:
     """Size of a curve, and how it is counted."""
-    counted = {
-        "approach": "between the two ways of coming to a place",
-        "reversal": "from the turn on",
-    }
-    size, place = curve.size_words.removesuffix(" rms"), curve.place
-    if place.of_dial and place.two_sided:
-        return f"{size} (between the two ways)"
-    return f"{size} ({counted.get(place.against, 'root mean square')})"
+    of_a_place = " of coming to a place" * (not curve.place.of_dial)
+    counted = {"approach": f"between the two ways{of_a_place}", "reversal": "from the turn on"}
+    size = curve.size_words.removesuffix(" rms")
+    return f"{size} ({counted.get(curve.place.against, 'root mean square')})"
 
 
 def alternatives(cause: Cause) -> str:
