@@ -19,7 +19,7 @@ from orthoglide.diagnosis.commands import all_put_right, put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults
+from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults, searches
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
@@ -109,7 +109,8 @@ def examine(estimate: Estimate) -> Findings:
     means = StationMeans.of(base)
     setups = [Scatter.of(estimate, s) for s in range(estimate.problem.setup_count)]
     found = stuck_faults(base, means, setups)
-    found += repeat_faults(estimate.problem, setups, found)
+    slips = searches(estimate.problem, setups)
+    found += repeat_faults(estimate.problem, slips, found)
     changes: list[Change] = []
     stale = 0 < _slips(found) < _MOST or any(f.anew for f in found)
     several = len(visits(estimate.problem)) > 1
@@ -133,7 +134,7 @@ def examine(estimate: Estimate) -> Findings:
     if _slips(found) < _MOST and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
         found += [beside] if beside is not None else []
-    found = _limited(found) + scatter_faults(estimate.problem, setups, found)
+    found = _limited(found) + scatter_faults(estimate.problem, slips, found)
     last = means.signatures.estimate
     return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
 

@@ -34,31 +34,33 @@ def noise_scale(problem: Problem, setups: Sequence[Scatter]) -> float:
     if problem.noise.source == "repeats":
         least = (problem.noise.resolution / problem.noise.typical) ** 2 / 12
     # Where dials were set to zero anew, only the visits of one repeat show what they scatter by.
-    within = [scatter.without(scatter.anew) for scatter in setups]
-    each = [one.chi2 / one.dof for one in within if one.dof >= 2]
+    each = [square / dof for square, dof in (s.within for s in setups) if dof >= 2]
     inside = float(np.median(each)) if each else np.inf
     return min(median_scatter(setups, least), max(inside, least))
 
 
-def repeat_faults(
-    problem: Problem, setups: Sequence[Scatter], known: Sequence[Fault]
-) -> list[Fault]:
+def searches(problem: Problem, setups: Sequence[Scatter]) -> list[Slips]:
+    """A search for slips in every setup, whose dial has a step of its own."""
+    scale, count = noise_scale(problem, setups), len(problem.measured)
+    steps = [float(problem.step[s.rows].max(initial=0.0)) for s in setups]
+    return [Slips(s, scale, step, count) for s, step in zip(setups, steps, strict=True)]
+
+
+def repeat_faults(problem: Problem, setups: Sequence[Slips], known: Sequence[Fault]) -> list[Fault]:
     """Outliers and knocked stands that repeats show.
 
     Args:
         problem: of the readings.
-        setups: scatter of all of them.
+        setups: searches in all of them.
         known: faults found before; their setups are left alone.
     """
-    scale = noise_scale(problem, setups)
     free = untouched(problem, known)
-    count = len(problem.measured)
-    able = [s for s in setups if s.dof >= 2 and s.setup in free]
-    return [fault for s in able for fault in _slips(problem, s, scale, count).confirmed()]
+    able = [s for s in setups if s.scatter.dof >= 2 and s.scatter.setup in free]
+    return [fault for slips in able for fault in slips.confirmed()]
 
 
 def scatter_faults(
-    problem: Problem, setups: Sequence[Scatter], known: Sequence[Fault]
+    problem: Problem, setups: Sequence[Slips], known: Sequence[Fault]
 ) -> list[Fault]:
     """Setups whose repeats do not repeat: by more than any dial scatters, slips set aside.
 
@@ -67,7 +69,7 @@ def scatter_faults(
 
     Args:
         problem: of the readings.
-        setups: scatter of all of them.
+        setups: searches in all of them.
         known: faults found before; their setups are left alone.
 
     Raises:
@@ -76,21 +78,15 @@ def scatter_faults(
     if problem.noise.source == "declared":
         return []
     dial = max(PUBLISHED_REPEATABILITY, problem.machine.spec.dial.repeatability or 0.0)
-    scale, found, count = noise_scale(problem, setups), [], len(problem.measured)
-    for scatter in setups:
-        slips = _slips(problem, scatter, scale, count)
-        size = slips.spread()
+    found = []
+    for slips in setups:
+        size, own = slips.spread(), slips.scatter
         if size > _BEYOND * max(dial, slips.step):
-            found.append(Fault("scatter", scatter.rows, (scatter.setup,), size))
+            found.append(Fault("scatter", own.rows, (own.setup,), size))
     if 2 * len(found) > len(setups):
         raise InputError(message(problem, found[0]) + "; most other setups are no better")
     free = untouched(problem, known)
     return [fault for fault in found if fault.setups[0] in free]
-
-
-def _slips(problem: Problem, scatter: Scatter, scale: float, count: int) -> Slips:
-    """A search in a setup, whose dial has a step of its own."""
-    return Slips(scatter, scale, float(problem.step[scatter.rows].max(initial=0.0)), count)
 
 
 _Place = tuple[Kind | Literal["trend", "anew"], int]
@@ -126,7 +122,8 @@ class Slips:
     def found(self) -> list[_Place]:
         """What is likeliest: slips and trends, or a datum anew at each repeat and these beside."""
         scatter, slips = self.scatter, self._pruned(self._search(self.scatter))
-        if np.abs(scatter.datums).max(initial=0.0) <= (_STEPS["knocked_stand"] - 0.5) * self.step:
+        largest = np.abs(scatter.datums).max(initial=0.0)
+        if largest <= (_STEPS["knocked_stand"] - 0.5) * self.step:
             return slips
         anew: _Place = ("anew", len(scatter.starts))
         beside = self._pruned([anew, *self._search(scatter.without(scatter.anew))])
@@ -134,7 +131,7 @@ class Slips:
         if not all(kind in ("anew", "outlier") for kind, _ in beside):
             return slips
         # Of two repeats a drift shows what a step does; one as large as this is none.
-        margin = EVIDENCE if np.abs(scatter.datums).max() > _NO_DRIFT else 0.0
+        margin = EVIDENCE if largest > _NO_DRIFT else 0.0
         return beside if self._score(beside) + margin > self._score(slips) else slips
 
     def _pruned(self, found: list[_Place]) -> list[_Place]:

@@ -141,10 +141,17 @@ class Scatter:
         steps = [self.column("knocked_stand", int(place)) for place in self.starts]
         return np.hstack([np.zeros((len(self.rows), 0)), *steps])
 
-    @property
+    @cached_property
     def datums(self) -> Array:
         """By how much the datum of each repeat would be off that before ``(r - 1,)``, metres."""
-        return np.asarray(np.linalg.lstsq(self.anew, self.rest, rcond=None)[0])
+        square = self.anew.T @ self.anew  # of few columns, however many readings there are
+        return np.asarray(np.linalg.lstsq(square, self.anew.T @ self.rest, rcond=1e-9)[0])
+
+    @property
+    def within(self) -> tuple[float, int]:
+        """Square of ``rest`` past a datum for each repeat, and its degrees of freedom."""
+        fall = float(self.datums @ (self.anew.T @ self.rest))
+        return self.chi2 - fall, self.dof - len(self.datums)
 
     def without(self, columns: Array) -> Scatter:
         """With whitened columns ``(k, c)`` set free besides."""
