@@ -55,7 +55,7 @@ def solve(
     ``widen=False``, where readings are still in doubt themselves.
     """
     first = _fitted(problem, method, start)
-    wide = _widened(first, method) if widen and problem.priors else first
+    wide = widened(first, method) if widen else first
     return wide if wide.sigma_scale == 1.0 else first
 
 
@@ -89,13 +89,14 @@ def about_machine(problem: Problem, at: Linearised) -> Problem:
     return replace(problem, points=points)
 
 
-def _widened(found: Estimate, method: Method) -> Estimate:
-    """A fit again with the priors of values beyond their tolerances as wide as these are far.
+def widened(found: Estimate, method: Method = "auto") -> Estimate:
+    """A fit again with the priors of values beyond their tolerances as wide as these are far; the
+    same where none is, or where there are no priors.
 
     From a fit so near a few Gauss-Newton steps take less than a programme takes to be built.
     """
     method = "nested" if method == "auto" else method
-    for _ in range(_WIDENINGS):
+    for _ in range(_WIDENINGS if found.problem.priors else 0):
         problem = found.problem
         width = np.array([u.width for u in problem.unknowns])
         size = np.abs(found.x) / problem.tolerance

@@ -16,7 +16,7 @@ from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.solving import about_machine, assessed, solve
+from orthoglide.fit.solving import about_machine, assessed, solve, widened
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
@@ -262,26 +262,29 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     Raises:
         SolverError: where the mean does not settle.
     """
-    at_tolerance = before.problem.at_tolerance()
     # What changed since a calibration, or between campaigns, is known to be no such base.
     unknowns = before.problem.unknowns
-    changed = before.problem.earlier is not None or any(u.name.campaign for u in unknowns)
-    if changed or at_tolerance is before.problem:
+    if before.problem.earlier is not None or any(u.name.campaign for u in unknowns):
         return _settled(before, given)
+    at_tolerance = before.problem.at_tolerance()
     try:
-        other = _settled(solve(at_tolerance, widen=False), given)
+        narrow = before if at_tolerance is before.problem else solve(at_tolerance, widen=False)
+        other = _settled(narrow, given)
     except NumericsError:
         return _settled(before, given)
+    wide = widened(before) if narrow is before else before
+    if wide is narrow:
+        return other
     if other.about.apart >= _SETTLED:
-        return _settled(before, given)
+        return _settled(wide, given)
     try:
-        found = _settled(before, given)
+        found = _settled(wide, given)
     except SolverError:
         return other
     less = found.evidence - other.evidence
     if less > _DOUBT:
         return found
-    return replace(other, instead=before if less > -_DOUBT else None)
+    return replace(other, instead=wide if less > -_DOUBT else None)
 
 
 def _settled(before: Estimate, given: Sequence[str]) -> FullPosterior:
