@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.changes import Change, Changes, separated, visits
 from orthoglide.diagnosis.commands import all_put_right, put_right
-from orthoglide.diagnosis.faults import Fault, Kind, Rows, message, places, setup_names
+from orthoglide.diagnosis.faults import (
+    DATUMS,
+    Fault,
+    Kind,
+    Rows,
+    datums,
+    message,
+    parts,
+    places,
+    setup_names,
+)
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
 from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults, searches
@@ -50,9 +60,10 @@ class Blunder:
     """A fault of the data.
 
     Attributes:
-        kind: outlier, knocked_stand, command, sign, label, exchanged_labels, unit, stuck or
-            scatter.
-        rows: campaign and row within it; of a knocked stand the rows after the knock.
+        kind: outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, unit, stuck
+            or scatter.
+        rows: campaign and row within it; of a knocked stand the rows after the knock, of dials set
+            to zero anew at each repeat those after the first.
         setups: names of the setups concerned.
         message: which file, which lines, what it looks like, what to do.
         improvement: fall of chi2 once it is known, the faults found before it set aside.
@@ -112,7 +123,7 @@ def examine(estimate: Estimate) -> Findings:
     slips = searches(estimate.problem, setups)
     found += repeat_faults(estimate.problem, slips, found)
     changes: list[Change] = []
-    stale = 0 < _slips(found) < _MOST or any(f.anew for f in found)
+    stale = 0 < _slips(found) < _MOST or any(f.kind == "zeroed" for f in found)
     several = len(visits(estimate.problem)) > 1
     for _ in range(_REFITS + (_CHANGED if several else 0)):
         if stale:
@@ -141,22 +152,21 @@ def examine(estimate: Estimate) -> Findings:
 
 def _slips(faults: Sequence[Fault]) -> int:
     """How many are slips: a dial that is set to zero anew is no mistake."""
-    return sum(not f.anew for f in faults)
+    return sum(f.kind != "zeroed" for f in faults)
 
 
 def _limited(faults: Sequence[Fault]) -> list[Fault]:
-    return [f for k, f in enumerate(faults) if f.anew or _slips(faults[:k]) < _MOST]
+    return [f for k, f in enumerate(faults) if f.kind == "zeroed" or _slips(faults[:k]) < _MOST]
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
-    """The same rows, those of faults without any weight, knocks and commands put right."""
+    """The same rows, those of faults without any weight, datums and commands put right."""
     silent = np.zeros(len(problem.measured), dtype=bool)
     readings = problem.measured.copy()
     for fault in faults:
-        if fault.kind == "knocked_stand":
-            readings[fault.rows] -= fault.size
-        else:
-            silent[fault.rows] = True
+        for rows, size in zip(datums(problem, fault), fault.offsets, strict=False):
+            readings[rows] -= size
+        silent[fault.rows] |= fault.kind not in DATUMS
     problem = all_put_right(problem, faults)  # the side that its neighbours were reached from, too
     sigma = np.where(silent, SILENT * problem.sigma, problem.sigma)
     noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
@@ -173,9 +183,9 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     for fault in faults:
         before, with_it = chi2, rms
         rows = np.isin(np.arange(n), fault.rows)
-        if fault.kind == "knocked_stand":
-            steps = np.column_stack([steps, rows])
-        else:
+        each = [np.isin(np.arange(n), part) for part in datums(problem, fault)]
+        steps = np.column_stack([steps, *each])
+        if fault.kind not in DATUMS:
             kept = kept & ~rows
         chi2, rms = _left(base.estimate, kept, steps)
         blunders.append(
@@ -239,10 +249,11 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
             if blunder.commands and len(rows):
                 # The side that its neighbours were reached from depends on it.
                 split = put_right(split, rows, *blunder.commands[0])
-            if blunder.kind != "knocked_stand":
+            if blunder.kind not in DATUMS:
                 kept[rows] = False
-            elif len(rows):
-                split = _split(split, rows)
+                continue
+            for part in parts(blunder.kind, rows, campaign.setup, campaign.repeat):
+                split = _split(split, part)
         if not kept.any():
             fault = next(b for b in blunders if any(c == k for c, _ in b.rows))
             raise InputError(

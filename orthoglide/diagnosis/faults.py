@@ -13,14 +13,18 @@ from orthoglide.fit import Problem
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine_file import Controller
 from orthoglide.observations import source
+from orthoglide.observations.arrays import numbered
 from orthoglide.units import MISTAKEN
 
 Kind = Literal[
-    "outlier", "knocked_stand", "command", "sign", "label", "exchanged_labels", "unit", "stuck",
-    "scatter",
+    "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "unit",
+    "stuck", "scatter",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
 Same = Callable[["Fault", "Fault"], bool]
+
+DATUMS: tuple[Kind, ...] = ("knocked_stand", "zeroed")
+"""Faults whose rows count, each with a datum of its own."""
 
 EVIDENCE = 7.0
 """Log Bayes factor that a fault must reach, the number of its like discounted: about 1 in 1000."""
@@ -36,24 +40,30 @@ class Fault:
     Attributes:
         kind: of the fault.
         rows: stacked readings that are spoilt, in the order they were taken; for a knocked stand
-            those after the knock.
+            those after the knock, of dials set to zero anew those after the first repeat.
         setups: numbered over all campaigns.
         size: of an outlier or a knock, metres; a unit's factor.
+        sizes: of dials set to zero anew, each of :func:`datums` less that of the first repeat,
+            metres.
         evidence: log Bayes factor in its favour, the number of its like discounted.
         label: of a wrong label the leg and axis that fit.
         commands: of a wrong command the drives that it may be of, the likeliest first, and how
             much more each was told than is written, metres.
-        anew: whether a knock is where a repeat begins, as where a dial is set to zero anew.
     """
 
     kind: Kind
     rows: Rows
     setups: tuple[int, ...]
-    size: float
+    size: float = 0.0
     evidence: float = 0.0
     label: tuple[int, int] = (0, 0)
     commands: tuple[tuple[int, float], ...] = ()
-    anew: bool = False
+    sizes: tuple[float, ...] = ()
+
+    @property
+    def offsets(self) -> tuple[float, ...]:
+        """Of each of its :func:`datums`, metres."""
+        return self.sizes or (self.size,)
 
 
 def in_order(problem: Problem, setup: int) -> Rows:
@@ -72,6 +82,20 @@ def clock(time: Array, order: Rows) -> Array:
 def setup_names(problem: Problem) -> tuple[str, ...]:
     """Names of all setups, numbered over all campaigns."""
     return tuple(s.name for c in problem.campaigns for s in c.setups)
+
+
+def datums(problem: Problem, fault: Fault) -> list[Rows]:
+    """Rows that have a datum of their own: by setup and repeat, or all behind a knock."""
+    if fault.kind not in DATUMS:
+        return []
+    repeat = np.concatenate([c.repeat for c in problem.campaigns])
+    return parts(fault.kind, fault.rows, problem.setup_of_row, repeat)
+
+
+def parts(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
+    """Rows of each datum, by setup and repeat of all rows of which these are some."""
+    datum = numbered(np.column_stack([setup, repeat * (kind == "zeroed")])[rows])
+    return [rows[datum == k] for k in range(datum.max(initial=-1) + 1)]
 
 
 def untouched(problem: Problem, faults: Sequence[Fault]) -> list[int]:
@@ -146,12 +170,8 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"the reading {first} is {size} off {rest}: look {looked} up in the notes and "
                 f"correct it, or measure this posture again"
             )
-        case "knocked_stand" if fault.anew:
-            return (
-                f"from here on, where a repeat begins, all readings of the setup are {up} than "
-                f"before, as if the dial had been set to zero anew: give each repeat a setup name "
-                f"of its own, as is done here"
-            )
+        case "zeroed":
+            return _zeroed(problem, fault)
         case "knocked_stand":
             return (
                 f"from here on all readings of the setup are {up} than before, as if the "
@@ -198,6 +218,22 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure "
                 f"these rows again"
             )
+
+
+def _zeroed(problem: Problem, fault: Fault) -> str:
+    """By how much the datum of each repeat is off that of the first."""
+    names, repeat = setup_names(problem), np.concatenate([c.repeat for c in problem.campaigns])
+    said: dict[str, list[str]] = {}
+    for rows, size in zip(datums(problem, fault), fault.sizes, strict=True):
+        by = said.setdefault(names[problem.setup_of_row[rows[0]]], [])
+        by.append(f"{size * 1e3:+.3f} mm at repeat {repeat[rows[0]]}")
+    several = len(said) > 1
+    each = "; ".join(f"{name}: " * several + ", ".join(by) for name, by in said.items())
+    return (
+        f"from repeat to repeat all readings of {'a' if several else 'the'} setup are shifted "
+        f"(against the first, {each}), as if the dial{'s' * several} had been set to zero anew at "
+        f"each: give each repeat a setup name of its own, as is done here"
+    )
 
 
 def _commanded(problem: Problem, fault: Fault) -> str:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, message, untouched
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, Kind, campaign_of, message, untouched
 from orthoglide.diagnosis.scatter import Scatter, median_scatter
 from orthoglide.errors import InputError
 from orthoglide.fit import Problem
@@ -23,6 +23,10 @@ _STEPS: dict[Kind, float] = {"outlier": 3.0, "knocked_stand": 2.0}  # of the ins
 _MOST = 6
 _NOISY = 4.0  # times the noise of all setups, that one may scatter about what was found in it
 _NO_DRIFT = 8e-5  # metres from one repeat to the next: more than warmth or a creeping stand does
+_EACH, _ONCE = 2.0, 3.0
+"""Log of odds against each power of a drift and each new datum of a dial that is set to zero at
+every repeat; and against one that was so once: more likely than that twice, of three repeats."""
+
 _TREND_MARGIN = 12.0  # fall of chi2, over the noise, by which a step must beat a smooth drift
 
 
@@ -43,7 +47,18 @@ def searches(problem: Problem, setups: Sequence[Scatter]) -> list[Slips]:
     """A search for slips in every setup, whose dial has a step of its own."""
     scale, count = noise_scale(problem, setups), len(problem.measured)
     steps = [float(problem.step[s.rows].max(initial=0.0)) for s in setups]
-    return [Slips(s, scale, step, count) for s, step in zip(setups, steps, strict=True)]
+    each = [Slips(s, scale, step, count) for s, step in zip(setups, steps, strict=True)]
+    home = [campaign_of(problem, s.rows) for s in setups]
+    # Who sets most dials to zero anew at each repeat does so with all.
+    able = [k for k, s in enumerate(setups) if len(s.starts)]
+    habit = {
+        h for h in home
+        if 2 * sum(each[k].zeroed for k in able if home[k] == h) > home.count(h) > 1
+    }  # fmt: skip
+    for k in able:
+        if home[k] in habit and not each[k].zeroed:
+            each[k] = replace(each[k], habit=True)
+    return each
 
 
 def repeat_faults(problem: Problem, setups: Sequence[Slips], known: Sequence[Fault]) -> list[Fault]:
@@ -56,7 +71,24 @@ def repeat_faults(problem: Problem, setups: Sequence[Slips], known: Sequence[Fau
     """
     free = untouched(problem, known)
     able = [s for s in setups if s.scatter.dof >= 2 and s.scatter.setup in free]
-    return [fault for slips in able for fault in slips.confirmed()]
+    found = [fault for slips in able for fault in slips.confirmed()]
+    return [*_zeroed(problem, found), *(f for f in found if f.kind != "zeroed")]
+
+
+def _zeroed(problem: Problem, faults: Sequence[Fault]) -> Iterator[Fault]:
+    """Dials of a campaign that were set to zero anew, as one fault, in the order of setups."""
+    by_home: dict[int, list[Fault]] = {}
+    for fault in faults:
+        if fault.kind == "zeroed":
+            by_home.setdefault(campaign_of(problem, fault.rows), []).append(fault)
+    for each in by_home.values():
+        yield Fault(
+            "zeroed",
+            np.concatenate([f.rows for f in each]),
+            tuple(f.setups[0] for f in each),
+            evidence=sum(f.evidence for f in each),
+            sizes=tuple(size for f in each for size in f.sizes),
+        )
 
 
 def scatter_faults(
@@ -102,12 +134,14 @@ class Slips:
         scale: squared scatter of all readings, whitened.
         step: of the instrument, metres or radians.
         count: of readings, any of which may have slipped.
+        habit: whether most dials of the campaign were set to zero anew at each repeat.
     """
 
     scatter: Scatter
     scale: float
     step: float
     count: int
+    habit: bool = False
 
     def columns(self, item: _Place) -> Array:
         """What it would show of the setup's readings ``(k, c)``."""
@@ -121,31 +155,57 @@ class Slips:
     @cached_property
     def found(self) -> list[_Place]:
         """What is likeliest: slips and trends, or a datum anew at each repeat and these beside."""
-        scatter, slips = self.scatter, self._pruned(self._search(self.scatter))
-        largest = np.abs(scatter.datums).max(initial=0.0)
-        if largest <= (_STEPS["knocked_stand"] - 0.5) * self.step:
-            return slips
-        anew: _Place = ("anew", len(scatter.starts))
-        beside = self._pruned([anew, *self._search(scatter.without(scatter.anew))])
-        # Warmth comes and goes in steps and trends besides.
-        if not all(kind in ("anew", "outlier") for kind, _ in beside):
-            return slips
-        # Of two repeats a drift shows what a step does; one as large as this is none.
-        margin = EVIDENCE if largest > _NO_DRIFT else 0.0
-        return beside if self._score(beside) + margin > self._score(slips) else slips
+        return self._anew if self.zeroed else self._slips
 
-    def _pruned(self, found: list[_Place]) -> list[_Place]:
+    @cached_property
+    def zeroed(self) -> bool:
+        """Whether the dial was set to zero anew at each repeat."""
+        largest = np.abs(self.scatter.datums).max(initial=0.0)
+        if self.habit or largest <= (_STEPS["knocked_stand"] - 0.5) * self.step:
+            return self.habit
+        # Warmth comes and goes in steps and trends besides.
+        if not all(kind in ("anew", "outlier") for kind, _ in self._anew):
+            return False
+        # Of two repeats a drift shows what a step does; one as large as this is none.
+        margin = EVIDENCE if largest > _NO_DRIFT and len(self.scatter.starts) == 1 else 0.0
+        beaten = self._score(self._anew) + margin > self._score(self._slips)
+        return beaten and self._anew_evidence >= EVIDENCE
+
+    @cached_property
+    def _anew_evidence(self) -> float:
+        """Log evidence for a datum anew at each repeat, beside what was found with it."""
+        return self._score(self._anew) - self._score(self._anew[1:])
+
+    @cached_property
+    def _slips(self) -> list[_Place]:
+        return self._pruned(self._search(self.scatter))
+
+    @cached_property
+    def _anew(self) -> list[_Place]:
+        scatter = self.scatter
+        anew: _Place = ("anew", len(scatter.starts))
+        return self._pruned([anew, *self._search(scatter.without(scatter.anew))], keep=1)
+
+    def _pruned(self, found: list[_Place], keep: int = 0) -> list[_Place]:
         """Without what later finds explain as well: two steps look like a trend at first."""
-        fewer = [found[:k] + found[k + 1 :] for k in range(len(found))]
+        fewer = [found[:k] + found[k + 1 :] for k in range(keep, len(found))]
         best = max(fewer, key=self._score, default=found)
-        return self._pruned(best) if self._score(best) > self._score(found) else found
+        return self._pruned(best, keep) if self._score(best) > self._score(found) else found
 
     def _score(self, found: list[_Place]) -> float:
         """Log evidence for all of some faults and trends together."""
         past = self._past(found)
-        each = [np.log(self.count) if kind in _STEPS else 2.0 * size for kind, size in found]
         gain, size = self.scatter.chi2 - past.chi2, self.scatter.dof - past.dof
-        return float(self.scatter.evidence(gain, size, self.scale)) - sum(each)
+        evidence = float(self.scatter.evidence(gain, size, self.scale))
+        return evidence - sum(self._unlikely(*item) for item in found)
+
+    def _unlikely(self, kind: Kind | Literal["trend", "anew"], place: int) -> float:
+        """Log of how many alike there are, or of how long a drift's powers are."""
+        if kind not in _STEPS:
+            return _EACH * place
+        if kind == "knocked_stand" and place in self.scatter.starts:
+            return _ONCE
+        return float(np.log(self.count))
 
     def _search(self, now: Scatter) -> list[_Place]:
         """The best of outliers, steps and trends, one after the other, until none is left."""
@@ -200,32 +260,35 @@ class Slips:
 
     def confirmed(self) -> list[Fault]:
         """Faults that stand beside all others found, and no smooth trend in their place."""
-        scatter = self.scatter
-        begun = scatter.starts.tolist() if any(kind == "anew" for kind, _ in self.found) else []
-        found: list[_Place] = [("knocked_stand", place) for place in begun]
-        found += [item for item in self.found if item[0] != "anew" and item not in found]
+        scatter, found = self.scatter, self.found
         columns = [self.columns(item) for item in found]
         last = self._past(found)
         noisy = last.chi2 > _NOISY * self.scale * max(last.dof, 1) or 2 * last.dof < scatter.dof
         outliers = sum(kind == "outlier" for kind, _ in found)
         if noisy or outliers > max(2, len(scatter.rows) // 6):
             return []  # a setup that scatters as a whole is no handful of slips
-        faults = []
+        faults = [self._set_anew(columns[1:])] if self.zeroed else []
         for k, (kind, place) in enumerate(found):
             if kind == "trend" or kind == "anew":
                 continue
             others = columns[:k] + columns[k + 1 :]
             rest = scatter.without(np.hstack(others)) if others else scatter
             gain, size = (values[place] for values in rest.gains(kind))
-            step, anew = kind == "knocked_stand", kind == "knocked_stand" and place in begun
-            # Of data that are all set anew, any single one may be a drift beside the others.
-            smooth = step and not anew and self._smooth(rest, float(gain))
+            step = kind == "knocked_stand"
+            smooth = step and self._smooth(rest, float(gain))
             evidence = float(self._evidence(rest, gain))
             if evidence >= EVIDENCE and not smooth:
                 rows = scatter.rows[place:] if step else scatter.rows[[place]]
-                fault = Fault(kind, rows, (scatter.setup,), float(size), evidence, anew=anew)
-                faults.append(fault)
+                faults.append(Fault(kind, rows, (scatter.setup,), float(size), evidence))
         return faults
+
+    def _set_anew(self, others: Sequence[Array]) -> Fault:
+        """The dial set to zero anew at each repeat, beside others that were found."""
+        scatter = self.scatter
+        rest = scatter.without(np.hstack(others)) if others else scatter
+        sizes = tuple(np.cumsum(rest.datums).tolist())
+        rows = scatter.rows[scatter.starts[0] :]
+        return Fault("zeroed", rows, (scatter.setup,), evidence=self._anew_evidence, sizes=sizes)
 
     def _smooth(self, rest: Scatter, gain: float) -> bool:
         """Whether a drift over time explains a step of some gain nearly as well."""

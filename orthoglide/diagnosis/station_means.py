@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.evidence import Scoring, best_pairs
-from orthoglide.diagnosis.faults import Fault
+from orthoglide.diagnosis.faults import DATUMS, Fault, datums
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Problem, solve
@@ -76,10 +76,9 @@ class StationMeans:
         counts = np.ones(n, dtype=bool)
         steps = [np.zeros((n, 0))]
         for fault in known:
-            if fault.kind == "knocked_stand":
-                steps.append(np.isin(np.arange(n), fault.rows)[:, None].astype(float))
-            else:
-                counts[fault.rows] = False
+            each = [np.isin(np.arange(n), part) for part in datums(problem, fault)]
+            steps += [own[:, None].astype(float) for own in each]
+            counts[fault.rows] &= fault.kind in DATUMS
         seen = np.bincount(weighing.station, counts) > 0
 
         def means(rows: Array) -> Array:

@@ -275,12 +275,16 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     wide = widened(before) if narrow is before else before
     if wide is narrow:
         return other
-    if other.about.apart >= _SETTLED:
-        return _settled(wide, given)
+    unsettled = other.about.apart >= _SETTLED
     try:
         found = _settled(wide, given)
     except SolverError:
+        if unsettled and wide is before:
+            raise
         return other
+    if unsettled:
+        # What a wide base needs causes beside it for may be what bent it.
+        return other if narrow is before and found.mixture.best else found
     less = found.evidence - other.evidence
     if less > _DOUBT:
         return found

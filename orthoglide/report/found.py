@@ -36,6 +36,7 @@ _MOST_ITEMS = 12
 _FAULTS = {
     "outlier": "a reading out of line",
     "knocked_stand": "a stand that was knocked",
+    "zeroed": "a dial set to zero anew at each repeat",
     "command": "a posture that is not where its command says",
     "sign": "a dial that counted the other way",
     "label": "a setup of another leg or direction",
