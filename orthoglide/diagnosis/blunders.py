@@ -82,6 +82,11 @@ class Blunder:
     rms_without: float
     commands: tuple[tuple[int, float], ...] = ()
 
+    @property
+    def sets_aside(self) -> bool:
+        """Whether its rows do not count; else they have a datum of their own."""
+        return self.kind not in DATUMS
+
     def lines(self, campaigns: Sequence[Campaign]) -> dict[str, tuple[int, ...]]:
         """Lines of the rows by file, or by campaign where there is none."""
         found: dict[str, tuple[int, ...]] = {}
@@ -249,7 +254,7 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
             if blunder.commands and len(rows):
                 # The side that its neighbours were reached from depends on it.
                 split = put_right(split, rows, *blunder.commands[0])
-            if blunder.kind not in DATUMS:
+            if blunder.sets_aside:
                 kept[rows] = False
                 continue
             for part in parts(blunder.kind, rows, campaign.setup, campaign.repeat):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide import __version__
-from orthoglide.diagnosis.faults import DATUMS
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations import Campaign, TcpPoints, ToolCampaign
@@ -107,9 +106,7 @@ def residual_table(result: Result) -> str:
 def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:
     campaigns = result.first.problem.campaigns
     for blunder in result.blunders:
-        if blunder.kind in DATUMS:  # its rows count, with a datum of their own
-            continue
-        for place, row in blunder.rows:
+        for place, row in blunder.rows if blunder.sets_aside else ():
             yield campaigns[place], row, blunder.kind
 
 
