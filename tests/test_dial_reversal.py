@@ -67,6 +67,25 @@ def test_dials_of_one_make_lag_together(size: float) -> None:
     assert "lost motion" not in action.words
 
 
+@pytest.mark.parametrize("seed", [2, 5, 6])
+def test_moves_too_small_to_go_by_their_sign(seed: int) -> None:
+    """Twelve dials, some postures between which one of them moves by a micrometre: the way it came
+    changed with each fit, and *unexplained* it was.
+    """
+    rng = np.random.default_rng([seed, 9])
+    rows = rc.protocol_rows("two-gauges")
+    setups = {str(row["setup"]) for row in rows}
+    base = {f"joint_offset.{leg}": float(rng.normal(0, 5e-4)) for leg in LEGS}
+    base |= {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
+    rig = Rig(errors=base, extra_dial=dict.fromkeys(setups, rc.dial_reversal(3e-5)))
+    rows = rc.simulate(rig, rows, rng, background=0.02, noise=4e-6)
+    verdict = og.close_loop(campaign_of(rows))
+    assert verdict.word == "located"
+    (found,) = verdict.located
+    assert found.members[0].place.name == "dial/approach"
+    assert found.members[0].value == pytest.approx(-3e-5, abs=2e-6)
+
+
 def test_which_way_a_plunger_came() -> None:
     """As the predicted reading moved; not known where moves came between that nobody wrote down."""
     rows = rows_of({})

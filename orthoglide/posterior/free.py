@@ -17,6 +17,8 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 
 _STILL = 1e-6  # metres: less moves no dial
+_CLEAR = 5e-6  # metres: of a move from which it is clear which way it went
+_APART = 3.0  # times their scatter, by which readings of both ways have to differ
 
 
 def one_surface(problem: Problem) -> bool:
@@ -136,7 +138,7 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
             name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
             timed = np.isfinite(time).all() and np.ptp(time) > 0
             span = (float(time.min()), float(time.max())) if timed else None
-            side = _side(campaign, rows - part.start, shown)
+            side = _side(campaign, rows - part.start, shown, problem.measured[rows] - shown)
             range_ = (float(shown.min()), float(shown.max()))
             turns = bool((side > 0).any() and (side < 0).any())
             for place in dial_places(name, setup.leg, span, range_, turns):
@@ -157,21 +159,34 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
     return np.hstack(columns), tuple(found)
 
 
-def _side(campaign: Campaign, rows: NDArray[np.int64], shown: Array) -> Array:
+def _side(campaign: Campaign, rows: NDArray[np.int64], shown: Array, off: Array) -> Array:
     """Which way a dial's plunger came to some readings ``(k,)``: 1 as the reading grew, -1 as it
     fell, as before where it did not move; 0 where that is not known.
+
+    After moves too small to be sure of, and before the first, it is the way whose other readings
+    are as far off, where those of both ways stand apart.
 
     Args:
         campaign: of the readings.
         rows: of one setup within it ``(k,)``.
         shown: predicted there, metres ``(k,)``.
+        off: measured less that, metres ``(k,)``.
     """
     order = np.argsort(campaign.order[rows], kind="stable")
     moved = np.diff(shown[order], prepend=shown[order][:1])
     way = np.where(np.abs(moved) > _STILL, np.sign(moved), 0.0)
     last = np.maximum.accumulate(np.where(way != 0, np.arange(len(way)), 0))
-    side = np.empty(len(way))
-    side[order] = way[last]
+    side, size = np.empty(len(way)), np.empty(len(way))
+    side[order], size[order] = way[last], np.abs(moved)[last]
     # Moves that were not recorded came between.
-    known = (campaign.approach == campaign.derived_approach).all(axis=1)[rows]
-    return side * known
+    side *= (campaign.approach == campaign.derived_approach).all(axis=1)[rows]
+    clear = (side != 0) & (size > _CLEAR)
+    groups = [off[clear & (side == way)] for way in (1, -1)]
+    if min(map(len, groups)) < 2:
+        return side
+    grown, fallen = map(np.mean, groups)
+    scatter = np.sqrt(np.mean(np.concatenate([g - g.mean() for g in groups]) ** 2))
+    if abs(grown - fallen) <= _APART * scatter:
+        return side
+    nearer = np.where(np.abs(off - grown) < np.abs(off - fallen), 1.0, -1.0)
+    return np.where(clear, side, nearer)
