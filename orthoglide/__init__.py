@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
+    from orthoglide.checking import Check as Check, check as check
     from orthoglide.closing import Verdict as Verdict, close_loop as close_loop
     from orthoglide.comparison import (
         compare_effects as compare_effects,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
     )
     from orthoglide.fit import Estimate as Estimate, identify as identify
     from orthoglide.geometry import Geometry as Geometry
+    from orthoglide.klipper import Imported as Imported, import_printer as import_printer
     from orthoglide.layout import (
         FreeLeg as FreeLeg,
         FreeLegs as FreeLegs,
@@ -87,6 +89,7 @@ __version__ = "0.1.0"
 
 # Pinocchio and CasADi take a third of a second to load: names are fetched when they are used.
 _WHERE = {
+    "checking": "Check check",
     "closing": "Verdict close_loop",
     "comparison": "compare_effects compare_machine",
     "control": (
@@ -100,6 +103,7 @@ _WHERE = {
     ),
     "fit": "Estimate identify",
     "geometry": "Geometry",
+    "klipper": "Imported import_printer",
     "layout": "FreeLeg FreeLegs LinearDelta",
     "machine": "Machine Pose",
     "machine_file": "Dial Instrument MachineFile",

@@ -16,6 +16,7 @@ from orthoglide.fit import (
     Change,
     Estimate,
     Problem,
+    Source,
     account_for_changes,
     assemble,
     readings_of,
@@ -23,7 +24,7 @@ from orthoglide.fit import (
 )
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.parameters import Parameter
@@ -168,9 +169,9 @@ class Check:
 
 
 def check(
-    old: Sequence[Readings],
-    new: Sequence[Readings],
-    machine: Machine | None = None,
+    old: Source | Sequence[Source],
+    new: Source | Sequence[Source],
+    machine: MachineSource | None = None,
     *,
     noise: float | None = None,
     seed: int = 0,
@@ -184,9 +185,10 @@ def check(
     left is told from the new readings.
 
     Args:
-        old: readings of the old state, in the order they were taken.
+        old: readings of the old state, in the order they were taken; paths are read as by
+            ``read_readings``.
         new: readings of the new one.
-        machine: dimensions, tolerances, dial; nominal where absent.
+        machine: dimensions, tolerances, dial, or the path of its file; nominal where absent.
         noise: standard deviation of one reading, metres.
         seed: of every random draw.
         progress: called with each step.
@@ -197,7 +199,7 @@ def check(
     """
     if not old or not new:
         raise InputError("there is nothing to compare: give readings of both states")
-    machine, progress = machine or Machine.nominal(), progress or silent
+    machine, progress = Machine.of(machine), progress or silent
     before, after = _told_apart(readings_of(old, machine), readings_of(new, machine))
     dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
     tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]

@@ -30,7 +30,7 @@ from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.meant import check_meant
 from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.notes import Note
 from orthoglide.observations import TcpPoints, check_given
 from orthoglide.posterior import (
@@ -110,7 +110,7 @@ class Verdict(Result):
 
 def close_loop(
     campaigns: Source | Sequence[Source],
-    machine: Machine | None = None,
+    machine: MachineSource | None = None,
     *,
     own: Sequence[str] = (),
     noise: float | None = None,
@@ -126,7 +126,7 @@ def close_loop(
     Args:
         campaigns: one or several, of dial readings (paths are read as by ``read_readings``) or TCP
             points that are readings like the others.
-        machine: dimensions, tolerances, dial; nominal where absent.
+        machine: dimensions, tolerances, dial, or the path of its file; nominal where absent.
         own: effects or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
         holdout: readings that only judge the finished result.
@@ -140,7 +140,7 @@ def close_loop(
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    machine = (machine or Machine.nominal()).with_effects(effects)
+    machine = Machine.of(machine, effects)
     several, points = sorted_out(campaigns, machine)
     if tcp is not None:
         check_given(tcp, machine.spec)

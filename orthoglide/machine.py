@@ -73,6 +73,32 @@ class Machine:
         return cls()
 
     @classmethod
+    def of(
+        cls,
+        given: MachineSource | None,
+        effects: Iterable[Effect] = (),
+    ) -> Machine:
+        """A machine as it is, or of its file; the nominal one where none is given.
+
+        Args:
+            given: the machine, its file as read, or the path of that.
+            effects: of one's own, known besides.
+
+        Raises:
+            FileError: naming file, line and remedy.
+            InputError: for what is neither.
+        """
+        if isinstance(given, str | os.PathLike):
+            return cls.load(given, effects)
+        if isinstance(given, MachineFile):
+            given = cls(given)
+        if given is not None and not isinstance(given, Machine):
+            raise InputError(
+                f"a {type(given).__name__} is no machine: give a Machine, or the path of its file"
+            )
+        return (given or cls.nominal()).with_effects(effects)
+
+    @classmethod
     def load(cls, path: str | os.PathLike[str], effects: Iterable[Effect] = ()) -> Machine:
         """A machine from its file (``machine.toml``).
 
@@ -333,3 +359,7 @@ def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> N
             raise InputError(f"a standard deviation is given of {name}, which is not set: set both")
         if not (np.isfinite(sigma) and sigma >= 0):
             raise InputError(f"the standard deviation of {name} must be 0 or more, not {sigma}")
+
+
+MachineSource = Machine | MachineFile | str | os.PathLike[str]
+"""A machine, its file as read, or the path of that."""

@@ -262,6 +262,36 @@ def test_the_sign_of_a_lean_comes_through_the_firmware_s_file(lean: float, tmp_p
     assert side in every["rail_tilt.tangential.common"].words
 
 
+def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
+    """Lobes of the plate go with it, and a machine's stay where they are."""
+    file, meshes = tmp_path / "printer.cfg", {"default": 0.0, "at = 60": 60.0}
+    runner = CliRunner()
+    errors = {f"rail_tilt.{leg}.tangential": 5e-3 for leg in "abc"}
+    for what, rig, lobes in (("plate", DeltaRig(), 1e-4), ("rails", DeltaRig(errors=errors), 0.0)):
+        file.write_text(simulated_cfg(rig, lobes=lobes, turned=meshes))
+        out = tmp_path / what
+        done = runner.invoke(
+            cli, ["import", "klipper", str(file), "--out", str(out), "--turned", "at = 60=60"]
+        )
+        assert done.exit_code == 0
+        assert "must not go together" not in done.output
+        files = sorted(map(str, out.glob("*.csv")))
+        verdict = close_loop(files, out / "machine.toml")
+        every = {name for c in verdict.effects for one in c.explanations for name in one.parameters}
+        assert ("plate_trefoil" in str(every)) == (what == "plate")
+        assert ("rail_tilt.tangential.common" in every) == (what == "rails")
+    for wrong, why in (
+        ("at = 60", "no mesh 'at'"), ("x=60", "no mesh 'x'"), ("60", "takes NAME=DEGREES"),
+        ("default=400", "takes NAME=DEGREES"), ("default=nan", "takes NAME=DEGREES"),
+    ):  # fmt: skip
+        out = tmp_path / "wrong"
+        done = runner.invoke(
+            cli, ["import", "klipper", str(file), "--out", str(out), "--turned", wrong]
+        )
+        assert (done.exit_code, out.exists()) == (2, False)
+        assert why in done.output
+
+
 def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path: Path) -> None:
     """The plate is the firmware's z = 0: what an endstop tilts is an error of height."""
     file, out = tmp_path / "printer.cfg", tmp_path / "out"

@@ -299,6 +299,19 @@ def test_campaigns_are_read_where_paths_are_given(
     assert og.close_loop(path, machine).values == verdict.values
 
 
+def test_a_machine_is_read_where_a_path_is_given(estimate: og.Estimate) -> None:
+    file = RIG / "machine.toml"
+    for given in (file, str(file), og.Machine.load(file).spec):
+        assert og.identify(RIG / "rig-3.csv", given).values == estimate.values
+    found = og.check(RIG / "rig-3.csv", RIG / "rig-3.csv", str(file))
+    assert not any(d.changed for d in found.differences)
+    assert og.Machine.of(None) == og.Machine.nominal()
+    with pytest.raises(og.FileError, match=r"none\.toml"):
+        og.close_loop(RIG / "rig-3.csv", "none.toml")
+    with pytest.raises(og.InputError, match="a dict is no machine"):
+        og.identify(RIG / "rig-3.csv", {})  # type: ignore[arg-type]
+
+
 def test_no_campaign_is_refused(tmp_path: Path) -> None:
     for ask in (og.identify, og.close_loop):
         with pytest.raises(og.InputError, match="no campaign"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +13,13 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
+from orthoglide.errors import InputError
 
 if TYPE_CHECKING:
     from orthoglide.klipper import Imported
+
+
+_TURN = 360.0  # degrees
 
 
 @click.group("import", cls=Listed)
@@ -25,7 +30,12 @@ def import_() -> None:
 @import_.command()
 @click.argument("config", type=opt.PATH)
 @opt.out(help="Folder for machine.toml and the campaigns; must be new or empty.")
-def klipper(config: Path, out: Path) -> None:
+@click.option(
+    "--turned", multiple=True, metavar="NAME=DEGREES",
+    help="A mesh by its name, and how far the plate lay turned on its seat when it was probed, "
+    "counter-clockwise from above; several may be given.",
+)  # fmt: skip
+def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
     """Read a linear delta's printer.cfg: its numbers, heights, distances and meshes."""
     from orthoglide.klipper import import_printer
     from orthoglide.machine_file import machine_files
@@ -33,7 +43,7 @@ def klipper(config: Path, out: Path) -> None:
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
-    found = import_printer(config)
+    found = import_printer(config, _degrees(turned))
     files: dict[str, str | bytes] = dict(machine_files(found.machine, "machine.toml"))
     for campaign in found.campaigns:
         files[f"{campaign.name}.csv"] = csv_text(tool_rows(campaign, found.machine))
@@ -46,6 +56,24 @@ def klipper(config: Path, out: Path) -> None:
         say(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
     for line in _next(found, out):
         say(line)
+
+
+def _degrees(items: tuple[str, ...]) -> dict[str, float]:
+    """By name of a mesh how far its plate was turned.
+
+    Raises:
+        InputError: where one is not of that form.
+    """
+    found = {}
+    for item in items:
+        name, _, number = (part.strip() for part in item.rpartition("="))
+        try:
+            found[name] = float(number)
+        except ValueError:
+            found[name] = math.inf
+        if not name or not abs(found[name]) <= _TURN:
+            raise InputError(f"--turned takes NAME=DEGREES such as default=60, not {item!r}")
+    return found
 
 
 def _next(found: Imported, out: Path) -> Iterator[str]:

@@ -11,7 +11,7 @@ from orthoglide import reduction
 from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import Kind, protocol
 from orthoglide.prediction import Conditions
@@ -79,12 +79,14 @@ class Comparison:
     """A machine's workspace and campaign, set up once to compare many effects."""
 
     def __init__(
-        self, machine: Machine | None = None, circumstances: Circumstances | None = None
+        self,
+        machine: MachineSource | None = None,
+        circumstances: Circumstances | None = None,
     ) -> None:
         self.circumstances = circumstances or Circumstances()
         if self.circumstances.points < 2:
             raise InputError("the workspace needs at least two points along each axis")
-        plain = (machine or Machine.nominal()).with_only({})
+        plain = Machine.of(machine).with_only({})
         pitch = plain.spec.screw_pitch or self.circumstances.pitch
         self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
         if not plain.geometry.dialled:
@@ -190,14 +192,15 @@ class Comparison:
 
 
 def compare_effects(
-    machine: Machine | None = None,
+    machine: MachineSource | None = None,
     names: Iterable[str] | None = None,
     circumstances: Circumstances | None = None,
 ) -> tuple[Row, ...]:
     """Compare for effects one at a time, each at its tolerance on an else perfect machine.
 
     Args:
-        machine: dimensions and tolerances; its identified parameters are left out.
+        machine: dimensions and tolerances, or the path of its file; its identified parameters are
+            left out.
         names: effects, parameters or structured members; all but those of plates where absent.
             Dials by the campaign's first setup.
         circumstances: see there.

@@ -21,7 +21,7 @@ from orthoglide.fit.problem import Beside, Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.unknowns import build_problem
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import (
     Campaign,
     Given,
@@ -45,7 +45,7 @@ Read = Readings | TcpPoints
 
 def identify(
     campaigns: Source | Sequence[Source],
-    machine: Machine | None = None,
+    machine: MachineSource | None = None,
     free: Sequence[str] | None = None,
     *,
     own: Sequence[str] = (),
@@ -60,7 +60,8 @@ def identify(
 
     Args:
         campaigns: one or several; paths are read as by ``read_readings``.
-        machine: dimensions, tolerances and what is known already; nominal where absent.
+        machine: dimensions, tolerances and what is known already, or the path of its file; nominal
+            where absent.
         free: effects, parameters or structured members to identify; joint offsets and leg lengths
             where absent.
         own: which of them each campaign has for itself; the rest is shared.
@@ -86,7 +87,7 @@ def identify(
     """
     check_word("weighting", weighting, get_args(Weighting))
     check_word("method", method, get_args(Method))
-    machine = machine or Machine.nominal()
+    machine = Machine.of(machine)
     chosen = machine.catalogue.base if free is None else free
     problem = assemble(
         _read(campaigns, machine), machine, chosen,

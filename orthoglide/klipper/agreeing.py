@@ -34,6 +34,7 @@ class _Surface:
         spread: their covariance over the variance of a touch ``(3, 3)``.
         sigma: of a touch, metres.
         rim: most that a radius one metre larger bends the surface, metres.
+        turned: how far the plate was turned on its seat, degrees.
     """
 
     name: str
@@ -43,6 +44,7 @@ class _Surface:
     spread: Array
     sigma: float
     rim: float
+    turned: float
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iter
     """Every mesh by which the plate, or the firmware's radius and angles, would be others.
 
     A cause in the machine lifts and bends all surfaces alike; between two of them the plate or the
-    endstops were moved, the plate was bent, or the firmware's numbers were changed.
+    endstops were moved, the plate was bent, or the firmware's numbers were changed. A plate that is
+    known to be turned takes its shape along: its surface is not compared.
 
     Args:
         firmware: its present numbers.
@@ -74,7 +77,8 @@ def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iter
     for campaign in sorted(campaigns, key=lambda c: c.name != CALIBRATION):
         if (own := _surface(firmware, campaign)) is None:
             continue
-        told = ((one, said) for one in alike if (said := _apart(one, own)))
+        same = (one for one in alike if one.turned == own.turned)
+        told = ((one, said) for one in same if (said := _apart(one, own)))
         other, said = next(told, (None, ""))
         if other is None:
             alike.append(own)
@@ -96,7 +100,7 @@ def _apart(one: _Surface, own: _Surface) -> str:
             f"by {own.name}.csv delta_radius would differ by {signed(difference[0] * 1e3, 2)} mm, "
             f"{abs(difference[0]) * own.rim * 1e3:.2f} mm at the rim. The plate was bent or turned "
             f"between them, or the numbers were changed: leave the older of the two out, or probe "
-            f"it again"
+            f"it again; of a plate that was turned say by how much (--turned NAME=DEGREES)"
         )
     higher, *slopes = (own.plane - one.plane).tolist()
     leans = float(np.hypot(*slopes)) * min(one.reach, own.reach)
@@ -143,4 +147,5 @@ def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
         spread,
         max(PROBE, float(scatter)),
         float(np.abs(bends[:, 0]).max()),
+        float(campaign.turned_by[rows].max(initial=0.0)),
     )

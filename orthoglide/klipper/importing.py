@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,14 +64,19 @@ class Imported:
         return tuple(c.name for c in self.campaigns if c.name not in out)
 
 
-def import_printer(path: str | os.PathLike[str]) -> Imported:
+def import_printer(
+    path: str | os.PathLike[str], turned: Mapping[str, float] | None = None
+) -> Imported:
     """Read what a printer stores.
 
     Args:
         path: its ``printer.cfg``.
+        turned: by profile of a mesh, how far the plate was turned on its seat, counter-clockwise
+            from above, degrees.
 
     Raises:
         FileError: naming the line and what would be right.
+        InputError: where a mesh that is said to be of a turned plate is not stored.
     """
     config = read_config(path)
     kinematics = config.section("printer").entries.get("kinematics")
@@ -81,7 +86,7 @@ def import_printer(path: str | os.PathLike[str]) -> Imported:
             f"is {kinematics.text[:40]!r}, not 'delta': only printers of three towers are imported",
         )
     firmware = _firmware(config)
-    read = Stored(config, firmware)
+    read = Stored(config, firmware, turned)
     stored = list(read.campaigns())
     if not stored:
         raise FileError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -39,12 +39,18 @@ _MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbo
 class Stored:
     """Stored readings, as travel of the carriages from mechanical zero.
 
+    Args:
+        turned: by profile of a mesh, how far the plate was turned on its seat, degrees.
+
     Attributes:
         notes: what was noticed while reading, in sentences.
     """
 
-    def __init__(self, config: Config, firmware: Firmware) -> None:
+    def __init__(
+        self, config: Config, firmware: Firmware, turned: Mapping[str, float] | None = None
+    ) -> None:
         self.config, self.firmware, self.zero = config, firmware, firmware.zero
+        self.turned = dict(turned or {})
         self.notes: list[Note] = []
 
     @cached_property
@@ -58,7 +64,7 @@ class Stored:
             rows = [*self._heights(), *self._distances()]
             if rows:
                 yield _campaign(CALIBRATION, rows)
-        taken = set[str]()
+        taken, unknown = set[str](), set(self.turned)
         for section in self.config.named("bed_mesh"):
             profile = section.name.partition(" ")[2]
             if not (profile and "points" in section):
@@ -68,7 +74,15 @@ class Stored:
                 number += 1
             taken.add(name.lower())
             if rows := list(self._mesh(section, name)):
-                yield _campaign(f"mesh-{name}", rows)
+                yield _campaign(f"mesh-{name}", rows, self.turned.get(profile, 0.0))
+                unknown.discard(profile)
+        if unknown:
+            meshes = (s.name.partition(" ")[2] for s in self.config.named("bed_mesh"))
+            have = ", ".join(repr(name) for name in meshes if name)
+            raise InputError(
+                f"there is no mesh {min(unknown)!r} whose plate was turned: take one of "
+                f"{have or 'none'}"
+            )
 
     def _travel(self, section: Section, key: str) -> Array:
         steps = np.array(section.numbers(key, 3))
@@ -258,11 +272,12 @@ def _row(
     }  # fmt: skip
 
 
-def _campaign(name: str, rows: list[dict[str, Any]]) -> ToolCampaign:
+def _campaign(name: str, rows: list[dict[str, Any]], turned: float = 0.0) -> ToolCampaign:
     setups: dict[str, ToolSetup] = {}
     for row in rows:
         x, y = row.get("beside", (0.0, 0.0))
-        setups.setdefault(row["setup"], ToolSetup(row["setup"], row["kind"], (float(x), float(y))))
+        own = ToolSetup(row["setup"], row["kind"], (float(x), float(y)), turned)
+        setups.setdefault(own.name, own)
     place, n = {name: k for k, name in enumerate(setups)}, len(rows)
     plates = np.array([row["kind"] == "plate" for row in rows])
     return ToolCampaign(

@@ -63,7 +63,8 @@ def deciding(
          "its own width and the part's shrinkage", "mm", _distances),
         ("incline", "a level on the platform, read about x and y around the rim", "mrad", _turns),
         ("plate", "a mesh with the plate turned by 60 degrees on its seat, as a setup of its own "
-         "with 60 under turned_deg",
+         "with 60 under turned_deg (of a printer: a profile of its own, imported with "
+         "--turned NAME=60)",
          "mm", _turned),
     ):  # fmt: skip
         best = max(pairs, key=lambda pair: _apart(of(*pair)), default=None)

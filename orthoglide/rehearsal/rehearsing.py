@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign, Readings, ToolCampaign, protocol, read_readings
 from orthoglide.observations.protocols import Kind
 from orthoglide.planning import sheets_of
@@ -26,7 +26,7 @@ CAMPAIGNS = 90
 
 
 def rehearse(
-    machine: Machine | None = None,
+    machine: MachineSource | None = None,
     sheet: Readings | str | os.PathLike[str] | None = None,
     campaigns: int = CAMPAIGNS,
     *,
@@ -66,7 +66,7 @@ def rehearse(
             raise InputError(f"{name} must be {least} or more, not {value}")
     if jobs == 0:
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
-    machine = (machine or Machine.nominal()).with_only({})
+    machine = Machine.of(machine).with_only({})
     progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, *_sheets(machine, sheet, owns))
     kept = None if out is None else Journal(Path(out), request_digests(scope, seed))
