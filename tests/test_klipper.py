@@ -292,6 +292,32 @@ def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
         assert why in done.output
 
 
+@pytest.mark.parametrize("off", [0.4, -0.15])
+def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
+    """It had counted as the plate's roughness, and the endstop's error went unseen in that."""
+    file, verdicts = tmp_path / "printer.cfg", []
+    lines = simulated_cfg(DeltaRig(errors={"joint_offset.b": 3e-4})).split("\n")
+    (first,) = (k for k, line in enumerate(lines) if line.startswith("#*# points"))
+    for spoilt in (0.0, off):
+        row = [float(z) for z in lines[first + 6].removeprefix("#*# \t").split(",")]
+        row[2] += spoilt  # x -60, y 30
+        text = [*lines[: first + 6], "#*# \t" + ", ".join(map(str, row)), *lines[first + 7 :]]
+        file.write_text("\n".join(text))
+        found = import_printer(file)
+        verdicts.append(close_loop(list(found.campaigns), found.machine))
+    sound, spoilt_one = verdicts
+    assert (sound.word, spoilt_one.word) == ("adequate", "adequate")
+    told = [w for w in spoilt_one.after.warnings if w.kind == "stray"]
+    assert not [w for w in sound.after.warnings if w.kind == "stray"]
+    assert len(told) == 1
+    size = re.search(r"x -60, y 30 mm is (\S+) mm (above|below) the surface", told[0])
+    assert size is not None
+    assert float(size[1]) * {"above": 1, "below": -1}[size[2]] == pytest.approx(off, abs=0.04)
+    for name, value in sound.values.items():
+        sigma = sound.after.sigmas[name]
+        assert spoilt_one.values[name] == pytest.approx(value, abs=0.3 * sigma)
+
+
 def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path: Path) -> None:
     """The plate is the firmware's z = 0: what an endstop tilts is an error of height."""
     file, out = tmp_path / "printer.cfg", tmp_path / "out"

@@ -292,7 +292,7 @@ def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
     assert ToolReadings.of(campaign, MACHINE, 1e-3).sigma[0] == pytest.approx(1e-3)
     declared = replace(campaign, sigma=np.full(len(campaign), 3e-6))
     assert ToolReadings.of(declared, MACHINE).sigma[0] == pytest.approx(3e-6)
-    assert roughness(np.zeros((5, 2)), np.zeros(5), np.zeros((5, 3))) == 0.0
+    assert roughness(np.zeros((5, 2)), np.zeros(5), np.zeros((5, 3)))[0] == 0.0
 
 
 BROKEN = {

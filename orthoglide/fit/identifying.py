@@ -195,7 +195,8 @@ def _beside(
     if isinstance(points, ToolCampaign):
         check_meant(points, p, machine)
         value = points.sign * p[np.arange(len(points)), points.axis]
-        return ToolReadings.of(turned_back(points, value), machine, sigma)
+        read = ToolReadings.of(turned_back(points, value), machine, sigma)
+        return read.without_strays(machine)
     if len(points) < 3:
         raise InputError(
             f"{points.name}: these are too few TCP points to identify anything: measure three or "

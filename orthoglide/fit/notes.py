@@ -44,6 +44,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
                 f"digit: a copy tells nothing that the other does not, so leave it out"
             )
             found.append(Note(text, "copies", lines))
+    told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
+    found += [Note(text, "stray") for text in told]
     if estimate.sigma_scale > 1:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "

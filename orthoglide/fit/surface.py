@@ -14,6 +14,9 @@ _FLAT = 1e-4
 
 _OF_A_SIDE = 1  # degree of what approach from the other side adds
 _FEWEST_ROUGH = 12
+_STRAY = 6.0  # times what the other heights scatter, of one that is none of them
+_STRAYS = 0.05  # share of a mesh: more are no single touches
+_FINEST = 1e-6  # metres: no plate is smoother
 
 
 def own_shapes(place: Array) -> list[tuple[Array, float]]:
@@ -52,12 +55,14 @@ def _polynomials(place: Array, degree: int) -> Array:
     return np.stack([x**i * y**j for i, j in powers], axis=1)
 
 
-def roughness(place: Array, height: Array, approach: Array) -> float:
-    """Standard deviation of heights about the smoothest surface, metres; 0 where there are too few.
+def roughness(place: Array, height: Array, approach: Array) -> tuple[float, Array]:
+    """Standard deviation of heights about the smoothest surface, and by how much single ones are
+    off it ``(n,)``, metres; 0 where there are too few, or a height is as rough as the others.
 
     A bed is rough besides being bent: what no polynomial of the fourth degree follows, which is
     more than any rigid cause makes, counts as noise of its touches. From the other side a machine
-    with lost motion shows another surface: smoother, as the drives' shares in the height are.
+    with lost motion shows another surface: smoother, as the drives' shares in the height are. A
+    touch that is far off the surface of all others is a speck, or a bad touch.
 
     Args:
         place: on the plate over its radius ``(n, 2)``.
@@ -68,8 +73,28 @@ def roughness(place: Array, height: Array, approach: Array) -> float:
     columns = np.hstack(
         [_polynomials(place, DEGREE), *(side[:, None] * smoother for side in approach.T)]
     )
-    found, _, rank, _ = np.linalg.lstsq(columns, height, rcond=1e-9)
-    dof = len(height) - int(rank)
+    kept, stray, rough = np.ones(len(height), dtype=bool), np.zeros(len(height)), 0.0
+    while (fit := _surface(columns[kept], height[kept])) is not None:
+        basis, rest, dof = fit
+        rough = float(np.sqrt(rest @ rest / dof))
+        # As all others have the surface, and by what they scatter about it.
+        free = np.maximum(1 - np.sum(basis**2, axis=1), 1e-9)
+        others = np.sqrt(np.maximum(rest @ rest - rest**2 / free, 0.0) / (dof - 1))
+        off = rest / free
+        far = np.abs(off) * np.sqrt(free) / np.maximum(others, _FINEST)
+        worst = int(np.argmax(far))
+        if far[worst] < _STRAY or np.sum(~kept) >= _STRAYS * len(kept):
+            break
+        at = np.flatnonzero(kept)[worst]
+        kept[at], stray[at] = False, off[worst]
+    return rough, stray
+
+
+def _surface(columns: Array, height: Array) -> tuple[Array, Array, int] | None:
+    """Orthonormal columns, what they leave, and its degrees of freedom, where these are enough."""
+    basis, size, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, size > 1e-9 * size.max(initial=0.0)]
+    dof = len(height) - basis.shape[1]
     if dof < _FEWEST_ROUGH:
-        return 0.0
-    return float(np.sqrt(np.sum((height - columns @ found) ** 2) / dof))
+        return None
+    return basis, height - basis @ (basis.T @ height), dof

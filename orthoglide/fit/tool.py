@@ -20,7 +20,7 @@ from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
-from orthoglide.observations import ToolCampaign
+from orthoglide.observations import ToolCampaign, source
 from orthoglide.prediction import Conditions, LinearRows, Model
 
 Ints = NDArray[np.int64]
@@ -47,6 +47,9 @@ class ToolReadings(OfFile):
         place: on the plates over their largest measured radius ``(n, 2)``, along their own axes,
             which turn with them; of the nominal machine, which is near enough.
         ball: centre of each setup's ball ``(setups, 3)``, metres, about which it is fitted.
+        stray: by how much single touches of a plate are above the surface of all others ``(n,)``,
+            metres; 0 of those that are not.
+        left_out: strays that are none of these readings, each in a sentence.
     """
 
     points: ToolCampaign
@@ -54,6 +57,8 @@ class ToolReadings(OfFile):
     usual: Array
     place: Array
     ball: Array
+    stray: Array
+    left_out: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -74,10 +79,30 @@ class ToolReadings(OfFile):
             place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
             found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
-        height = p[:, 2] - campaign.reading
         usual = _usual(campaign, machine.spec.instruments, noise)
-        sigma = usual if noise else _sigma(campaign, machine.spec.instruments, place, height)
-        return cls(campaign, sigma, usual, place, np.array(ball))
+        sigma, stray = usual, np.zeros(len(campaign))
+        if not noise:
+            height = p[:, 2] - campaign.reading
+            sigma, stray = _sigma(campaign, machine.spec.instruments, place, height)
+        return cls(campaign, sigma, usual, place, np.array(ball), stray)
+
+    def without_strays(self, machine: Machine) -> ToolReadings:
+        """The same without touches that are none of their surface, which it tells."""
+        if not self.stray.any():
+            return self
+        kept, c = self.stray == 0, self.points
+        p = machine.forward(c.command) + c.beside
+        told = (
+            f"{source(c)}, line {c.line[k]}, setup {c.setups[c.setup[k]].name!r}: the touch at x "
+            f"{p[k, 0] * 1e3:.0f}, y {p[k, 1] * 1e3:.0f} mm is {abs(self.stray[k]) * 1e3:.2f} mm "
+            f"{'above' if self.stray[k] > 0 else 'below'} the surface of all others, as a speck on "
+            f"the plate or a bad touch is: it does not count; clean the plate and probe again"
+            for k in np.flatnonzero(~kept)
+        )
+        return replace(
+            self, points=c.subset(kept), sigma=self.sigma[kept], usual=self.usual[kept],
+            place=self.place[kept], stray=self.stray[kept], left_out=tuple(told),
+        )  # fmt: skip
 
     def loudness(self, setup: int) -> tuple[float, float]:
         """Noise of a setup's readings, and what is usual of them: root mean squares."""
@@ -277,9 +302,11 @@ def _turn(angle: float) -> Array:
 
 def _sigma(
     campaign: ToolCampaign, instruments: Mapping[str, Instrument], place: Array, height: Array
-) -> Array:
-    """Noise of each reading ``(n,)``: declared, or as repeats and rough plates show it."""
-    found = np.empty(len(campaign))
+) -> tuple[Array, Array]:
+    """Noise of each reading ``(n,)``: declared, or as repeats and rough plates show it; and by how
+    much touches stray that no repeat speaks of.
+    """
+    found, stray = np.empty(len(campaign)), np.zeros(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
         rows = campaign.of_kind(kind)
         part, own = campaign.subset(rows), instruments.get(kind, Instrument())
@@ -287,9 +314,12 @@ def _sigma(
     for k, setup in enumerate(campaign.setups):
         if setup.kind == "plate":
             rows = campaign.setup == k
-            rough = roughness(place[rows], height[rows], campaign.approach[rows])
+            rough, off = roughness(place[rows], height[rows], campaign.approach[rows])
             found[rows] = np.maximum(found[rows], rough)
-    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
+            stations = campaign.stations[rows]
+            if len(np.unique(stations, axis=0)) == len(stations):
+                stray[rows] = off
+    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found), stray
 
 
 def _usual(
