@@ -49,15 +49,15 @@ def searches(problem: Problem, setups: Sequence[Scatter]) -> list[Slips]:
     steps = [float(problem.step[s.rows].max(initial=0.0)) for s in setups]
     each = [Slips(s, scale, step, count) for s, step in zip(setups, steps, strict=True)]
     home = [campaign_of(problem, s.rows) for s in setups]
-    # Who sets most dials to zero anew at each repeat does so with all.
-    able = [k for k, s in enumerate(setups) if len(s.starts)]
-    habit = {
-        h for h in home
-        if 2 * sum(each[k].zeroed for k in able if home[k] == h) > home.count(h) > 1
-    }  # fmt: skip
-    for k in able:
-        if home[k] in habit and not each[k].zeroed:
-            each[k] = replace(each[k], habit=True)
+    for part in set(home):
+        own = [k for k, campaign in enumerate(home) if campaign == part]
+        seen = [k for k in own if each[k].zeroed]
+        if 2 * len(seen) <= len(own) or len(own) == 1:
+            continue
+        # Who sets most dials to zero anew at each repeat does so with all.
+        for k in own:
+            if k not in seen and len(setups[k].starts):
+                each[k] = replace(each[k], habit=True)
     return each
 
 
@@ -168,8 +168,8 @@ class Slips:
             return False
         # Of two repeats a drift shows what a step does; one as large as this is none.
         margin = EVIDENCE if largest > _NO_DRIFT and len(self.scatter.starts) == 1 else 0.0
-        beaten = self._score(self._anew) + margin > self._score(self._slips)
-        return beaten and self._anew_evidence >= EVIDENCE
+        likelier = self._score(self._anew) + margin > self._score(self._slips)
+        return likelier and self._anew_evidence >= EVIDENCE
 
     @cached_property
     def _anew_evidence(self) -> float:
@@ -237,7 +237,7 @@ class Slips:
             yield float(evidence[place]), (kind, place)
         for power in (1, 3):
             fall = now.gain(now.past(now.trend[:, :power]))
-            yield float(now.evidence(fall, power, self.scale)) - 2 * power, ("trend", power)
+            yield float(now.evidence(fall, power, self.scale)) - _EACH * power, ("trend", power)
 
     def _evidence(self, now: Scatter, gain: ArrayLike) -> Array:
         return now.evidence(gain, 1, self.scale) - np.log(self.count)
