@@ -65,11 +65,12 @@ not to be entered.
 A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches, and a
 single touch that is six times as far off is left out, and told. Many causes draw the same surface,
-the bed's own shape among them: they are told as a class, each with its size. A level on the platform, distances around the rim with both widths, or a mesh with the
-plate turned by 60 degrees (a profile of its own, imported with `--turned NAME=60`) decide between
-them; every result says which, and by how much. Seven points cannot see a twist that is common to
-the towers. [The truth table of the linear delta](linear-delta-truth.md) has which instrument sees
-which cause, and how often the verdict is right.
+the bed's own shape among them: they are told as a class, each with its size. A level on the
+platform, distances around the rim with both widths, or a mesh with the plate turned by 60 degrees
+(a profile of its own, imported with `--turned NAME=60`) decide between them; every result says
+which, and by how much. Seven points cannot see a twist that is common to the towers. [The truth
+table of the linear delta](linear-delta-truth.md) has which instrument sees which cause, and how
+often the verdict is right.
 
 Up to the fourth degree a plate has more shapes than the bowl and three lobes that are named:
 standard deviations of {sizes} mm are expected of those of the second, third and fourth

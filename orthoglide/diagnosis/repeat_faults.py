@@ -23,7 +23,7 @@ _STEPS: dict[Kind, float] = {"outlier": 3.0, "knocked_stand": 2.0}  # of the ins
 _MOST = 6
 _NOISY = 4.0  # times the noise of all setups, that one may scatter about what was found in it
 _NO_DRIFT = 8e-5  # metres from one repeat to the next: more than warmth or a creeping stand does
-_EACH, _ONCE = 2.0, 3.0
+_EACH, _ONCE = 2.0, 3.5
 """Log of odds against each power of a drift and each new datum of a dial that is set to zero at
 every repeat; and against one that was so once: more likely than that twice, of three repeats."""
 
@@ -51,12 +51,11 @@ def searches(problem: Problem, setups: Sequence[Scatter]) -> list[Slips]:
     home = [campaign_of(problem, s.rows) for s in setups]
     for part in set(home):
         own = [k for k, campaign in enumerate(home) if campaign == part]
-        seen = [k for k in own if each[k].zeroed]
-        if 2 * len(seen) <= len(own) or len(own) == 1:
+        # Who sets most dials to zero anew between repeats does so with all, at each.
+        if 2 * sum(each[k].between for k in own) <= len(own) or len(own) == 1:
             continue
-        # Who sets most dials to zero anew at each repeat does so with all.
         for k in own:
-            if k not in seen and len(setups[k].starts):
+            if len(setups[k].starts) and not each[k].zeroed:
                 each[k] = replace(each[k], habit=True)
     return each
 
@@ -170,6 +169,12 @@ class Slips:
         margin = EVIDENCE if largest > _NO_DRIFT and len(self.scatter.starts) == 1 else 0.0
         likelier = self._score(self._anew) + margin > self._score(self._slips)
         return likelier and self._anew_evidence >= EVIDENCE
+
+    @property
+    def between(self) -> bool:
+        """Whether it was so at some repeats at least, and was not knocked elsewhere."""
+        steps = {place for kind, place in self._slips if kind == "knocked_stand"}
+        return self.zeroed or (bool(steps) and steps <= set(self.scatter.starts.tolist()))
 
     @cached_property
     def _anew_evidence(self) -> float:
