@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.diagnosis.candidates import Candidate, candidates
-from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened
@@ -65,19 +64,15 @@ class Signatures:
 
 
 def signatures(estimate: Estimate) -> Signatures:
-    """Linearise all effects of the catalogue at a fit.
+    """Linearise all effects of the catalogue at a fit; none where all of them are free already, as
+    those of the machine are since a calibration.
 
     Args:
         estimate: the fit, whose unknowns and nuisances are projected out.
-
-    Raises:
-        InputError: where everything that the readings could show is free already.
     """
     problem, nuisance = estimate.problem, estimate.nuisance
     effects = excited_effects(problem)
     wide, own = with_others(problem, [e.name for e in effects]), len(problem.unknowns)
-    if len(wide.unknowns) == own:
-        raise InputError("nothing is left in the catalogue to be tried")
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
     at = linearise(wide, x)
     fitted = fitted_basis(problem, nuisance, estimate.at)

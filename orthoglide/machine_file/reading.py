@@ -194,21 +194,24 @@ def read_machine_file(
             f"{machine.file}: there is no {beside} beside it with the covariance of its "
             f"parameters: their sigmas are taken as independent",
         )
-    return replace(machine, sha256=digest, posterior=posterior, warnings=warnings)
+    # An explanation that the file does not take may have a place in the covariance all the same.
+    catalogue = with_places(machine.catalogue, posterior.names if posterior else ())
+    return replace(
+        machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
+    )
 
 
 def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOGUE) -> MachineFile:
     """A machine file from its text; ``file`` is its name for errors, as in `read_machine_file`."""
     document = Document(text, file)
     document.check_keys((*_TOP, *_KEYS, *_FREE))
-    catalogue = with_places(catalogue, document.table("parameters"))
     top = document.section(_TOP, ("schema",))
     sections = {name: _section(document, name) for name in _KEYS}
     controller, stiffness = sections["controller"], sections["stiffness"]
     geometry = _geometry(document, sections["geometry_mm"])
     provenance = _plain(document.table("provenance"))
     check_travel(document, geometry, provenance)
-    catalogue = catalogue.of_layout(geometry.layout)
+    catalogue = with_places(catalogue.of_layout(geometry.layout), document.table("parameters"))
     return MachineFile(
         name=top.get("name", ""),
         geometry=geometry,

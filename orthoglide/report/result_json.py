@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from base64 import b64encode
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +66,9 @@ def _mapping(result: Result) -> dict[str, Any]:
         },
         "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
         "effects": [_cause(cause) for cause in result.effects],
-        "located": [_located(found) for found in result.located],
+        "located": [
+            _located(found, result.machine.catalogue.legs.legs) for found in result.located
+        ],
         "single_causes": [_explanation(one) for one in result.alone],
         "budget": [_budget(item, result) for item in result.budget],
         "parameters": _parameters(result),
@@ -170,12 +172,12 @@ def _cause(cause: Cause) -> dict[str, Any]:
     }
 
 
-def _located(found: Located) -> dict[str, Any]:
+def _located(found: Located, legs: Sequence[str]) -> dict[str, Any]:
     """A place without a name; its class holds every member with its own size."""
     first = found.members[0]
     return {
-        **_place(first),
-        "class": [_place(curve) for curve in found.members],
+        **_place(first, legs),
+        "class": [_place(curve, legs) for curve in found.members],
         "class_probability": number(found.probability, _SHORT),
         "resembling": list(found.resembling),
         "curve": [
@@ -188,14 +190,14 @@ def _located(found: Located) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _place(curve: Curve) -> dict[str, Any]:
+def _place(curve: Curve, legs: Sequence[str]) -> dict[str, Any]:
     place, unit = curve.place, curve.unit
     return {
-        "leg": LEGS[place.leg] if place.leg >= 0 else None,
+        "leg": legs[place.leg] if place.leg >= 0 else None,
         "part": place.part,
         "direction": place.direction or None,
         "against": place.against,
-        "by_leg": LEGS[place.by] if place.against == "command" else None,
+        "by_leg": legs[place.by] if place.against == "command" else None,
         "setup": place.setup or None,
         "probability": number(curve.probability, _SHORT),
         f"rms_{unit}": _mm(float(curve.value.std()), _SHORT),
