@@ -1,6 +1,7 @@
 """The linear delta against three spheres and against an independent machine of six bars."""
 
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -268,6 +269,35 @@ def test_free_legs_may_be_turned_and_relabelled() -> None:
         for g in (plain, turned)
     )
     assert np.abs(other.forward(travel) - one.forward(travel) @ turn.T).max() < 1e-12
+
+
+@pytest.mark.parametrize("longer", [-0.02, 0.0, 1e-3, 0.02])  # mm
+@pytest.mark.parametrize("digits", [2, 6])
+def test_free_legs_that_touch_need_no_micrometres(
+    longer: float, digits: int, tmp_path: Path
+) -> None:
+    """A bar along its slide: 0.02 mm of it moved the joint by a millimetre, and digits left out
+    were refused.
+    """
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+    geometry, file = freely(Geometry(), turn=turn), tmp_path / "machine.toml"
+    text = machine_text(MachineFile(name="free", geometry=geometry))
+    text = text.replace("L = 310.25", f"L = {310.25 + longer}")
+    origins = re.compile(r"(?<=origin_mm = \[)[^\]]*")
+    rounded = origins.sub(
+        lambda m: ", ".join(f"{float(v):.{digits}f}" for v in m[0].split(",") if v.strip()), text
+    )
+    assert rounded != text
+    file.write_text(rounded)
+    machine, exact = Machine.load(file), Machine(MachineFile(geometry=geometry))
+    assert bool(machine.spec.warnings) == (longer != 0 or digits == 2)
+    travel = np.random.default_rng(1).uniform(-0.04, 0.04, (30, 3))
+    off = machine.forward(travel) - exact.forward(travel)
+    assert np.abs(off - off.mean(axis=0)).max() < 2e-6
+    slack = file.read_text().replace(f"L = {310.25 + longer}", "L = 310.1")
+    file.write_text(slack)
+    with pytest.raises(FileError, match="do not reach"):
+        Machine.load(file)
 
 
 def test_machine_files_keep_free_legs() -> None:

@@ -15,7 +15,12 @@ from orthoglide.text import brief
 
 Triple = tuple[float, float, float]
 
-_TOUCHING = 1e-12  # of L^2: circles nearer to touching than a third of a micrometre touch
+_TOUCHING = 5e-5
+"""Metres by which lengths of a machine may be off: where the circles of bars and platform touch to
+within that, they touch. Of what is missing, or too much, the place beside the line of their
+centres would be the root: a millimetre of 0.02 mm."""
+
+_EXACT = 1e-7  # metres: nearer than that they were meant to touch
 _SQUARE = 1e-6
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]{0,19}")  # parts of joints' and parameters' names
 _ALONG = 1e-9
@@ -117,13 +122,13 @@ class FreeLegs:
         a, b, c = (carriage - middle) @ given.axes
         apart, radius = np.hypot(a, b), np.sqrt(max(r**2 - c**2, 0.0))
         along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
-        square = radius**2 - along**2
-        if abs(c) > r or square < -_TOUCHING * L**2:
+        if abs(c) > r or not -radius <= along <= radius + _TOUCHING:
             raise InputError(
                 f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
                 f"{r * 1e3:g} mm from the platform's middle across its link: correct one of them"
             )
-        across = np.sqrt(square) if square > _TOUCHING * L**2 else 0.0
+        touches = along > radius - _TOUCHING
+        along, across = (apart - L, 0.0) if touches else (along, np.sqrt(radius**2 - along**2))
         # In the leg's plane (a, b): toward the carriage, and to either side of that.
         places = [
             np.array([along * a - side * across * b, along * b + side * across * a]) / apart
@@ -136,6 +141,20 @@ class FreeLegs:
             )
         platform = middle + given.axes @ np.array([joint[0], joint[1], c])
         return Leg(given.name, carriage, platform, given.axes)
+
+    def touching(self, L: float, r: float) -> tuple[str, ...]:
+        """Names of legs whose bars and platform, by these lengths in metres, almost touch where
+        they are taken to do so.
+        """
+        found = []
+        for leg, given in zip(self.legs(L, r), self.free, strict=True):
+            middle = -np.array(self.tool)
+            apart = np.linalg.norm((leg.carriage - middle) @ given.axes[:, :2])
+            joint = (leg.platform - middle) @ given.axes
+            off = np.hypot(*joint[:2]) - np.sqrt(max(r**2 - joint[2] ** 2, 0.0))
+            if abs(np.hypot(*joint[:2]) + L - apart) < _EXACT < abs(off):
+                found.append(given.name)
+        return tuple(found)
 
     def zero(self, L: float) -> float:
         """Travel counts from mechanical zero."""

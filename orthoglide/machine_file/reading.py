@@ -187,10 +187,17 @@ def read_machine_file(
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
-    warnings: tuple[str, ...] = ()
+    layout, geometry = machine.geometry.layout, machine.geometry
+    near = layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ()
+    warnings = tuple(
+        f"{machine.file}: by L, r and origin_mm the joint of leg {name} on the platform lies on "
+        f"the line from origin_mm to the platform's middle to within 0.05 mm of these lengths: it "
+        f"is taken to lie on that line"
+        for name in near
+    )
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
         beside = shown(posterior_path(path).name)
-        warnings = (
+        warnings += (
             f"{machine.file}: there is no {beside} beside it with the covariance of its "
             f"parameters: their sigmas are taken as independent",
         )
