@@ -36,6 +36,7 @@ from orthoglide.observations import TcpPoints, check_given
 from orthoglide.posterior import (
     Cause,
     Outstanding,
+    check_levels,
     full_posterior,
     outstanding,
     remains,
@@ -191,6 +192,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
     word = _word(found, left)
+    if word != "adequate":
+        check_levels(known)
     if word == "unexplained":
         before = tempered(before)
     verdict = Verdict(

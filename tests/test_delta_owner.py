@@ -17,6 +17,7 @@ from orthoglide.cli import cli
 from orthoglide.closing import close_loop
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import cause_words, confirm_words
+from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import read_readings
@@ -459,6 +460,41 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     (change,) = close_loop(rows, kept).changed
     assert change.parameter in ("axis_tilt.a.tangential", "rail_tilt.a.tangential")
     assert change.after - change.before == pytest.approx(-2e-3, abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "said"),
+    [
+        ("none", ""), ("both", "with the opposite sign: look"), ("x", "sign about x"),
+        ("exchanged", "with x and y exchanged"), ("degrees", "as degrees"),
+    ],
+)  # fmt: skip
+def test_a_level_that_means_something_else(mistake: str, said: str) -> None:
+    """Rails twisted by 9 mrad and carriages that turn were found for it, and nothing left."""
+    rig = DeltaRig(errors={"joint_offset.a": 6e-4, "mount_tilt.b.b": 1.2e-2})
+    rng = np.random.default_rng(6)
+    tool = measured(rig, rng, machine=nominal(), instrument="tool coordinates")
+    read = measured(rig, rng, machine=nominal(), instrument="probe and level")
+    level = read.of_kind("incline")
+    reading, axis = read.reading.copy(), read.axis.copy()
+    match mistake:
+        case "both":
+            reading[level] *= -1
+        case "x":
+            reading[level & (axis == 0)] *= -1
+        case "exchanged":
+            axis[level] = 1 - axis[level]
+        case "degrees":
+            reading[level] = np.round(np.rad2deg(reading[level]), 3) * 1e-3
+    spoilt = [replace(tool, name="tool"), replace(read, reading=reading, axis=axis)]
+    if not said:
+        verdict = close_loop(spoilt, nominal())
+        assert verdict.word in ("explained", "ambiguous")
+        assert "mount_tilt.b.b" in {n for c in verdict.effects for e in c.explanations
+                                    for n in e.parameters}  # fmt: skip
+        return
+    with pytest.raises(InputError, match=f"far likelier machine, and fit it, .*{said}"):
+        close_loop(spoilt, nominal())
 
 
 def test_frames_of_instruments_stand_about_the_machine_that_is_told() -> None:

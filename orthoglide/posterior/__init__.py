@@ -18,5 +18,6 @@ from orthoglide.posterior.everything import (
     full_posterior as full_posterior,
 )
 from orthoglide.posterior.free import places_of as places_of
+from orthoglide.posterior.levels import check_levels as check_levels
 from orthoglide.posterior.outstanding import outstanding as outstanding
 from orthoglide.posterior.remains import remains as remains

@@ -1,0 +1,115 @@
+"""A level that counts the other way, is read about the other axis, or shows degrees.
+
+Zeros and lengths turn no platform: the base fits such readings as well as any, and causes that turn
+it are found for them. Only the weighing of everything tells that those of others would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orthoglide.diagnosis.faults import EVIDENCE
+from orthoglide.diagnosis.signatures import signatures
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.fit import Estimate
+from orthoglide.fit.solving import solve
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.observations import ToolCampaign, source
+from orthoglide.posterior.everything import FullPosterior, full_posterior
+
+_WIDE = 5.0  # tolerances
+_DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for milliradians
+
+
+@dataclass(frozen=True)
+class _Sense:
+    """What readings of a level may mean instead.
+
+    Attributes:
+        signs: by which those about x and about y are multiplied.
+        exchanged: whether those about x are about y.
+        factor: of all of them.
+        said: how they fit, and what to do.
+    """
+
+    signs: tuple[float, float] = (1.0, 1.0)
+    exchanged: bool = False
+    factor: float = 1.0
+    said: str = ""
+
+    def of(self, points: ToolCampaign) -> ToolCampaign:
+        """The same readings with that meaning."""
+        level = points.of_kind("incline")
+        sign = np.where(level, np.take(self.signs, points.axis % 2), 1.0) * points.sign
+        axis = np.where(level & self.exchanged, 1 - points.axis, points.axis)
+        reading = np.where(level, self.factor, 1.0) * points.reading
+        return replace(points, sign=sign, axis=axis, reading=reading)
+
+
+_SENSES = (
+    _Sense((-1, -1), said="with the opposite sign: look which way it counts, right-handed about "
+                          "x and y, and put -x and -y as directions"),
+    _Sense((-1, 1), said="with the opposite sign about x: look which way it counts there, and put "
+                         "-x as direction"),
+    _Sense((1, -1), said="with the opposite sign about y: look which way it counts there, and put "
+                         "-y as direction"),
+    _Sense(exchanged=True, said="with x and y exchanged: correct the directions"),
+    _Sense(factor=_DEGREE, said="as degrees: put them into milliradians, 17.45 a degree"),
+)  # fmt: skip
+
+
+def check_levels(known: FullPosterior) -> None:
+    """Refuse readings of levels that have a far likelier machine if they mean something else.
+
+    Args:
+        known: the posterior of the readings as they stand.
+
+    Raises:
+        InputError: naming file and setups, what they would mean and what to do.
+    """
+    problem = known.before.problem
+    levels = [
+        f"{source(f.points)}, setup {s.name!r}"
+        for f in problem.points if isinstance(f, ToolReadings)
+        for s in f.points.setups if s.kind == "incline"
+    ]  # fmt: skip
+    if not levels:
+        return
+    least = known.evidence + EVIDENCE + np.log(len(_SENSES))
+    likelier = [(e, s) for s, e in _weighed(known.before) if e > least]
+    if likelier:
+        _, sense = max(likelier, key=lambda one: one[0])
+        raise InputError(
+            f"{'; '.join(levels)}: the readings of the level have a far likelier machine, and fit "
+            f"it, {sense.said}"
+        )
+
+
+def _weighed(before: Estimate) -> Iterator[tuple[_Sense, float]]:
+    """Log of what the readings weigh with each other meaning that could be likelier."""
+    problem, least = before.problem, _roughly(before) + EVIDENCE
+    for sense in _SENSES:
+        points = tuple(
+            replace(f, points=sense.of(f.points)) if isinstance(f, ToolReadings) else f
+            for f in problem.points
+        )
+        try:
+            fit = solve(replace(problem, points=points), method="nested", start=before.x)
+            found = full_posterior(fit) if _roughly(fit) > least else None
+        except NumericsError:
+            continue
+        if found is not None and found.settled:
+            yield sense, found.evidence
+
+
+def _roughly(fit: Estimate) -> float:
+    """The same where every effect may be off by some tolerances, up to what all meanings share."""
+    known = signatures(fit)
+    columns = known.columns * known.tolerance * _WIDE
+    inside = np.eye(columns.shape[1]) + columns.T @ columns
+    seen = columns.T @ known.residual
+    square = known.residual @ known.residual - seen @ np.linalg.solve(inside, seen)
+    return float(-square / 2)
