@@ -148,8 +148,10 @@ def _of_owned(
             if not sheets:
                 raise InputError("dials alone have sheets of their own: orthoglide protocol")
             write_texts({out: readings_text(sheets, machine.spec)})
+            moves = sum(len(sheet.moves) for sheet in sheets)
+            between = f"; {moves} rows are moves: go there, read nothing" if moves else ""
             lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "
-                          f"tool, to be filled in"]  # fmt: skip
+                          f"tool, to be filled in{between}"]  # fmt: skip
     hidden = len(found.tells.invisible)
     line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)

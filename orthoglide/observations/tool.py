@@ -7,7 +7,7 @@ instrument each, as those of dials are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from orthoglide.errors import check_word
 from orthoglide.frames import html_table
 from orthoglide.geometry import Array
-from orthoglide.observations.approach import Ints
+from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
 from orthoglide.observations.arrays import MAYBE_VECTOR, NUMBER, OF_READINGS, WHOLE, Recorded
 
 Kind = Literal["tcp", "plate", "distance", "ballbar", "incline"]
@@ -55,6 +55,7 @@ class ToolCampaign(Recorded):
         axis: base axis that is read ``(n,)``; 0 where the kind has none.
         sign: +1, or -1 where the instrument counts against it ``(n,)``.
         second: the other command of a distance ``(n, 3)``, metres; nan for other kinds.
+        moves: commands gone through between the readings.
         from_frame: readings from a data frame with the columns of their file.
     """
 
@@ -65,6 +66,7 @@ class ToolCampaign(Recorded):
     axis: Ints
     sign: Array
     second: Array
+    moves: Moves = field(default_factory=Moves)
 
     def __repr__(self) -> str:
         kinds = ", ".join(dict.fromkeys(s.kind for s in self.setups))
@@ -103,3 +105,29 @@ class ToolCampaign(Recorded):
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
         """Which readings are of a kind ``(n,)``, booleans."""
         return np.array([k == kind for k in self.kind], dtype=bool)
+
+    def in_order(self) -> ToolCampaign:
+        """The same rows gone through one after the other: their order from 1, the sides that they
+        are come to from, and the moves that this takes.
+
+        Places are come to as the row before leads to them: the first of each setup from below on
+        every axis, one that was visited before from the same side again, as only such visits show
+        what the instrument scatters by. A plate is touched from above, whatever came before. Which
+        end of a distance the machine goes to first is not known, and no more is its side.
+        """
+        count, begins = len(self), np.zeros(len(self), dtype=bool)
+        begins[np.unique(self.setup, return_index=True)[1]] = True
+        approach = derive_approach(self.command, np.arange(count))
+        approach[begins] = 1.0
+        _, first, visit = np.unique(
+            np.column_stack([self.setup, self.command]),
+            axis=0, return_index=True, return_inverse=True,
+        )  # fmt: skip
+        told = ~(self.of_kind("plate") | self.of_kind("distance"))
+        approach = approach[first[visit.reshape(-1)]] * told[:, None]
+        moves, order = planned_moves(self.command, approach, begins & told)
+        approach[self.of_kind("plate")] = -1.0
+        return replace(
+            self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),
+            line=order + 2,
+        )  # fmt: skip

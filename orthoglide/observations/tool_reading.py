@@ -12,6 +12,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.observations.approach import Moves
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import Fail, check_sequence
 from orthoglide.observations.columns import (
@@ -108,11 +109,15 @@ def readings_of_table(
         found.append(campaign_of_table(table.part(others), name, machine, require_readings))
     if of_tool:
         own = f"{name}-tool" if legs else name
-        found.append(_tool(table.part(of_tool), own, machine, require_readings))
+        rows = table.part(of_tool if legs else range(len(kinds)))  # moves among dials' are theirs
+        found.append(_tool(rows, own, machine, require_readings))
     return tuple(found)
 
 
-def _tool(table: Table, name: str, machine: MachineFile, require_readings: bool) -> ToolCampaign:
+def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool) -> ToolCampaign:
+    """Readings of the tool from rows of these and of moves."""
+    moved = np.array([kind == "move" for kind in every.values("kind", _KIND)])
+    table = every.part(np.flatnonzero(~moved).tolist())
     legs = machine.geometry.leg_names
     names, approach = command_names(table, machine), by_leg(APPROACHED, legs)
     second = by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)
@@ -124,8 +129,10 @@ def _tool(table: Table, name: str, machine: MachineFile, require_readings: bool)
     reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
     warnings = table.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
     _check_firmware(table, machine)
-    command, order = commands(table, names, machine), order_of(table)
-    check_sequence(command, order, table.lines, table.fail)
+    command, order = commands(every, names, machine), order_of(every)
+    check_sequence(command, order, every.lines, every.fail)
+    moves = Moves(command[moved], order[moved], np.array(every.lines)[moved])
+    command, order = command[~moved], order[~moved]
     setups, setup = _setups(table, kinds)
     direction = _directions(table, kinds)
     fields = fields_of(table)
@@ -139,9 +146,10 @@ def _tool(table: Table, name: str, machine: MachineFile, require_readings: bool)
         sign=np.array([float(sign) for _, sign in direction]),
         command=command,
         second=_second(table, second, kinds, machine),
-        approach=approaches(table, approach, command, order),
+        approach=approaches(table, approach, command, order, moves),
+        moves=moves,
         warnings=warnings,
-        **fields,
+        **(fields | {"order": order}),
     )
     if require_readings or np.isfinite(made.reading).all():
         check_tool(made, table.fail)

@@ -19,11 +19,19 @@ from orthoglide.observations.columns import (
     by_leg,
 )
 from orthoglide.observations.tool import DIRECTED, ToolCampaign
-from orthoglide.observations.writing import Row, numbers, rows_of, shown_commands, signs
+from orthoglide.observations.writing import (
+    Row,
+    numbers,
+    rows_of,
+    shown_commands,
+    signs,
+    with_moves,
+)
 
 
 def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -> list[Row]:
-    """The rows of a file of tool readings; optional columns only where they say something.
+    """The rows of a file of tool readings, moves included; optional columns only where they say
+    something.
 
     Args:
         campaign: the readings.
@@ -72,4 +80,6 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
         **{name: numbers(campaign.beside[:, k], MM) for k, name in enumerate(BESIDE)},
         TURNED: numbers(campaign.turned_by),
     }
-    return rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
+    rows = rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
+    moved = shown_commands(campaign.moves.command, machine, by_leg(TRAVELLED, legs))
+    return with_moves(rows, campaign, moved, ("setup",))

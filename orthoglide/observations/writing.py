@@ -23,6 +23,7 @@ from orthoglide.observations.columns import (
     by_leg,
 )
 from orthoglide.observations.tcp import TcpPoints
+from orthoglide.observations.tool import ToolCampaign
 
 Row = dict[str, str]
 """From column to text."""
@@ -85,7 +86,8 @@ def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -
         "sigma_mm": numbers(campaign.sigma, MM),
     }
     rows = rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
-    return _with_moves(rows, campaign, machine_file) if len(campaign.moves) else rows
+    told = ("setup", "leg", "direction", "gauge_mm", "bar")
+    return with_moves(rows, campaign, _commands(campaign.moves.command, machine_file), told)
 
 
 def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
@@ -116,10 +118,24 @@ def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
     return [dict(zip(columns, map(str, row), strict=True)) for row in cells]
 
 
-def _with_moves(rows: list[Row], campaign: Campaign, machine_file: MachineFile | None) -> list[Row]:
-    """Moves among the readings by line, each with the mounting that it leads to, for people."""
-    moves, told = campaign.moves, ("setup", "leg", "direction", "gauge_mm", "bar")
-    commands = rows_of(_commands(moves.command, machine_file))
+def with_moves(
+    rows: list[Row],
+    campaign: Campaign | ToolCampaign,
+    shown: Mapping[str, Sequence[str]],
+    told: Sequence[str],
+) -> list[Row]:
+    """Moves among the readings by line, each with the mounting that it leads to, for people.
+
+    Args:
+        rows: of the readings, in their order.
+        campaign: the readings.
+        shown: cells of the commands of the moves.
+        told: columns of the mounting.
+    """
+    moves = campaign.moves
+    if not len(moves):
+        return rows
+    commands = rows_of(shown)
     sequence = np.argsort(campaign.order, kind="stable")
     following = np.searchsorted(campaign.order[sequence], moves.order)
     found = list(zip(campaign.line.tolist(), rows, strict=True))

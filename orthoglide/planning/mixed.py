@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -60,11 +59,7 @@ def mixed_sheet(
     owner = np.repeat(np.arange(len(sheets)), [len(s) for s in sheets])
     first = np.cumsum([0, *(len(s) for s in sheets)])
     chosen = [kept[owner[kept] == k] - first[k] for k in range(len(sheets))]
-    return tuple(
-        replace(s.subset(at), order=np.arange(1, len(at) + 1))
-        for s, at in zip(sheets, chosen, strict=True)
-        if len(at)
-    )
+    return tuple(s.subset(at).in_order() for s, at in zip(sheets, chosen, strict=True) if len(at))
 
 
 def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, int, Array]:

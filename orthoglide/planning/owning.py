@@ -11,6 +11,7 @@ from orthoglide.errors import UnreachableError, check_word
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, protocol
+from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.tool import KINDS, Kind
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
@@ -79,8 +80,9 @@ class Owned:
         for sheet in self.sheets.values():
             if isinstance(sheet, ToolCampaign):
                 blank = np.full(len(sheet), np.nan)
-                found.append(replace(sheet, reading=blank, order=sheet.order + first))
-                first += len(sheet)
+                moves = replace(sheet.moves, order=sheet.moves.order + first)
+                found.append(replace(sheet, reading=blank, order=sheet.order + first, moves=moves))
+                first += len(sheet) + len(moves)
         return found
 
 
@@ -167,7 +169,9 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     points, others, ball = _places(machine, own)
     axes = np.array(_DIRECTIONS.get(own, (0,)))
     n = len(points) * len(axes)
-    command = np.repeat(machine.with_only({}).inverse(points), len(axes), axis=0)
+    # Of places that circles share, to what files hold: else a second visit would be no repeat.
+    at = np.round(machine.with_only({}).inverse(points), DECIMALS)
+    command = np.repeat(at, len(axes), axis=0)
     second = np.full((n, 3), np.nan)
     if others is not None:
         second = machine.with_only({}).inverse(others)
@@ -181,7 +185,7 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
         sign=np.ones(n),
         command=command,
         second=second,
-        approach=np.full((n, 3), -1.0 if own == "plate" else 0.0),
+        approach=np.zeros((n, 3)),
         time=nothing,
         temperature=nothing,
         load=np.zeros(n),
@@ -192,7 +196,7 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
         reading=reading,
         sigma=nothing,
         line=count + 1,
-    )  # fmt: skip
+    ).in_order()  # fmt: skip
 
 
 def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:

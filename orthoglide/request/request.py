@@ -164,7 +164,7 @@ def _input(given: Readings | TcpPoints, role: str, rows: list[dict[str, str]]) -
     if role != "campaign":
         found["role"] = role
     lines = [int(line) for line in given.line]
-    if isinstance(given, Campaign):
+    if not isinstance(given, TcpPoints):
         lines = sorted([*lines, *(int(line) for line in given.moves.line)])
     if lines != list(range(2, len(rows) + 2)):
         found["lines"] = lines

@@ -1,0 +1,143 @@
+"""The side that the tool's instruments' places are come to from: in sheets, files and verdicts."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.fit.noise import repeat_steps
+from orthoglide.machine import Machine
+from orthoglide.machine_file import MachineFile
+from orthoglide.observations import ToolCampaign, read_readings, readings_text
+from orthoglide.planning import owned_instruments
+from tests.rig import Rig
+from tests.rig_delta import DeltaRig
+from tests.test_tool_readings import SPEC
+
+Row = dict[str, str]
+LOST, NOISE = 1.5e-4, 1e-5
+COMMANDS = {"abc": "travel_{}_mm", "xyz": "rho_{}_mm"}
+SPECS = {"abc": SPEC, "xyz": Machine.nominal().spec}
+
+
+def sheet_text(legs: str, kinds: tuple[str, ...] = ("tcp",), count: int | None = None) -> str:
+    """The sheet that ``design --owns`` writes."""
+    machine = Machine(SPECS[legs])
+    return readings_text(owned_instruments(machine, kinds, count=count).to_fill_in(), machine.spec)
+
+
+def rows_of(text: str) -> list[Row]:
+    return list(csv.DictReader(text.splitlines()))
+
+
+def travel_of(rows: list[Row], legs: str) -> np.ndarray:
+    """Travel from mechanical zero ``(n, 3)``, metres."""
+    own = "travel_{}_mm" if "travel_x_mm" in rows[0] else COMMANDS[legs]
+    shown = np.array([[float(row[own.format(leg)]) for leg in legs] for row in rows]) * 1e-3
+    return shown - (Rig().L if own.startswith("rho") else 0.0)
+
+
+def last_moves(travel: np.ndarray) -> np.ndarray:
+    """Directions ``(n, 3)`` that each drive moved in last, row by row; 0 before it moved."""
+    found, last = np.zeros_like(travel), np.zeros(3)
+    for k in range(1, len(travel)):
+        step = travel[k] - travel[k - 1]
+        last = np.where(np.abs(step) > 1e-6, np.sign(step), last)
+        found[k] = last
+    return found
+
+
+def filled(rows: list[Row], legs: str, lost: float, seed: int) -> list[Row]:
+    """Rows read by a tracker on the independent machine, whose last leg loses motion."""
+    travel, noise = travel_of(rows, legs), np.random.default_rng(seed)
+    sides, zero, at = last_moves(travel), 6e-4, np.zeros((len(rows), 3))
+    if legs == "abc":
+        rig = DeltaRig(errors={"joint_offset.a": zero})
+        for k, (own, side) in enumerate(zip(travel, sides, strict=True)):
+            at[k] = rig.pose(own - [0.0, 0.0, lost / 2 * side[2]], at[k - 1])[0]
+    else:
+        loose = Rig(errors={"joint_offset.x": zero, "backlash.z": lost})
+        at = loose.pose(travel + loose.L, sides).p
+    return [
+        row | {"reading_mm": f"{(p['xyz'.index(row['direction'])] + NOISE * e) * 1e3:.7f}"}
+        if row["kind"] == "tcp"
+        else row
+        for row, p, e in zip(rows, at, noise.standard_normal(len(rows)), strict=True)
+    ]
+
+
+def without(rows: list[Row], start: str, *, blank: bool = False) -> list[Row]:
+    """Rows without columns of a name that begins so, or with these empty."""
+    if blank:
+        return [{n: "" if n.startswith(start) else c for n, c in row.items()} for row in rows]
+    return [{n: c for n, c in row.items() if not n.startswith(start)} for row in rows]
+
+
+def written(path: Path, rows: list[Row]) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def read(path: Path, spec: MachineFile) -> ToolCampaign:
+    (found,) = read_readings(path, spec)
+    assert isinstance(found, ToolCampaign)
+    return found
+
+
+@pytest.mark.parametrize("legs", ["abc", "xyz"])
+@pytest.mark.parametrize("count", [None, 40])
+def test_a_sheet_of_the_tool_says_the_side_that_its_rows_lead_to(
+    legs: str, count: int | None, tmp_path: Path
+) -> None:
+    """Gone through row by row, moves included; without the columns the file says the same."""
+    rows = rows_of(sheet_text(legs, ("tcp", "ballbar", "incline"), count))
+    sides = last_moves(travel_of(rows, legs))
+    kinds = [row["kind"] for row in rows]
+    begins = [row["kind"] for k, row in enumerate(rows) if row["setup"] not in
+              {earlier["setup"] for earlier in rows[:k]}]  # fmt: skip
+    assert set(begins) == {"move"}
+    assert [int(row["order"]) for row in rows] == list(range(1, len(rows) + 1))
+    told = [[float(row[f"approach_{leg}"] or 0) for leg in legs] for row in rows]
+    of_readings = [k for k, kind in enumerate(kinds) if kind != "move"]
+    np.testing.assert_array_equal(np.array(told)[of_readings], sides[of_readings])
+    bare = [row | {"reading_mm": "0", "reading_mrad": "0"} for row in without(rows, "approach_")]
+    found = read(written(tmp_path / "bare.csv", bare), SPECS[legs])
+    np.testing.assert_array_equal(found.approach, sides[of_readings])
+    assert len(found.moves) == kinds.count("move")
+
+
+@pytest.mark.parametrize("legs", ["abc", "xyz"])
+def test_places_of_a_sheet_are_visited_again_from_the_same_side(legs: str) -> None:
+    """Repeats enough to say what the instrument scatters by, as circles cross at six places."""
+    tracker, bar = owned_instruments(Machine(SPECS[legs]), ["tcp", "ballbar"]).to_fill_in()
+    assert len(repeat_steps(tracker)) == 18
+    assert len(repeat_steps(bar)) == 6
+    assert min((tracker.approach > 0).mean(), (tracker.approach < 0).mean()) > 0.3
+
+
+def test_plates_are_touched_from_above_and_distances_have_no_side() -> None:
+    plate, distance = owned_instruments(Machine(SPEC), ["plate", "distance"]).to_fill_in()
+    assert (plate.approach == -1).all()
+    assert not distance.approach.any()
+    assert not len(plate.moves)
+    assert not len(distance.moves)
+
+
+@pytest.mark.parametrize("seed", [81, 82])
+@pytest.mark.parametrize("legs", ["abc", "xyz"])
+def test_lost_motion_is_found_with_a_sheet_of_the_tool(
+    legs: str, seed: int, tmp_path: Path
+) -> None:
+    """It was *adequate* on a linear delta, and sound readings were refused on an Orthoglide."""
+    rows = filled(rows_of(sheet_text(legs)), legs, LOST, seed)
+    verdict = og.close_loop([written(tmp_path / "april.csv", rows)], Machine(SPECS[legs]))
+    (found,) = verdict.effects
+    assert found.name == f"backlash.{legs[2]}"
+    assert found.chosen.values[found.name] == pytest.approx(LOST, rel=0.1)
