@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.noise import repeat_steps
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
@@ -141,3 +144,49 @@ def test_lost_motion_is_found_with_a_sheet_of_the_tool(
     (found,) = verdict.effects
     assert found.name == f"backlash.{legs[2]}"
     assert found.chosen.values[found.name] == pytest.approx(LOST, rel=0.1)
+
+
+def circled(legs: str, lost: float, seed: int) -> list[Row]:
+    """Two circles that cross, gone through without moves, their sides not told."""
+    rows = [row for row in rows_of(sheet_text(legs)) if row["kind"] != "move"]
+    return without(filled(rows, legs, lost, seed), "approach_", blank=True)
+
+
+def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> None:
+    """It was *adequate*, the noise of the readings, and lost motion was nowhere named."""
+    file = written(tmp_path / "april.csv", circled("abc", LOST, 81))
+    verdict = og.close_loop([file], Machine(SPEC))
+    assert verdict.word == "adequate"
+    told = " ".join(str(verdict).split())
+    assert "which is the noise of" not in told
+    assert "noise of the readings, or lost motion of the machine" in told
+    assert "that the drives have lost motion, as the side that places are come to from is" in told
+    assert "approach_* is empty" in told
+    assert "so lost motion passes for the noise of its repeats" in told
+    verdict.report(tmp_path / "out")
+    kept = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {f"backlash.{leg}" for leg in "abc"} <= set(kept["invisible"])
+    assert "that the drives have lost motion" in (tmp_path / "out" / "report.html").read_text()
+    told_sides = filled(rows_of(sheet_text("abc")), "abc", 0.0, 81)
+    sound = og.close_loop([written(tmp_path / "sound.csv", told_sides)], Machine(SPEC))
+    assert "lost motion" not in str(sound)
+    assert "which is the noise of the readings" in " ".join(str(sound).split())
+
+
+def test_visits_that_differ_may_be_lost_motion_where_sides_are_untold(tmp_path: Path) -> None:
+    file = written(tmp_path / "april.csv", circled("xyz", LOST, 81))
+    with pytest.raises(og.InputError, match=r"or it is lost motion, .*approach_\* is empty"):
+        og.close_loop([file], Machine.nominal())
+
+
+def test_an_unknown_side_is_no_other_side(tmp_path: Path) -> None:
+    """A probe comes from above; where nobody knows how a tracker's places were come to, the two
+    differ by nothing that is known.
+    """
+    plate, tracker = owned_instruments(Machine(SPEC), ["plate", "tcp"]).to_fill_in()
+    for one, shown in ((replace(tracker, approach=0 * tracker.approach), False), (tracker, True)):
+        read = [og.simulate(Machine(SPEC), s, seed=1) for s in (plate, one)]
+        (tmp_path / f"{shown}.csv").write_text(readings_text(read, SPEC))
+        (both,) = read_readings(tmp_path / f"{shown}.csv", SPEC)
+        names = {e.name for e in excited_effects(og.identify(both, Machine(SPEC)).problem)}
+        assert ("backlash" in names) is shown

@@ -20,6 +20,7 @@ from orthoglide.fit.tool import ToolReadings, step_of
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import source
+from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 from orthoglide.observations.arrays import numbered
 
 _BEYOND = 10.0  # times what such an instrument scatters, from which it is no noise of its own
@@ -181,8 +182,15 @@ class _Setup:
         return (
             f"{self._where(self.factor.points.line[fault.rows])}: the reading {read:.6g} "
             f"{self._unit} is {fault.size * 1e3:+.3g} {self._unit} off the others of this place: "
-            f"correct the row or remove it"
+            f"correct the row or remove it{self._or_lost}"
         )
+
+    @property
+    def _or_lost(self) -> str:
+        """What else visits of one place differ by, where nobody knows their sides."""
+        if self.factor.sided(self.setup):
+            return ""
+        return f"; or it is lost motion, as {SIDES_UNTOLD}: {TELL_SIDES}"
 
     def _displaced(self, rows: Rows, size: float) -> str:
         when = "here" if len(rows) == 1 else "one of these"
@@ -190,7 +198,7 @@ class _Setup:
             f"{self._where(self.factor.points.line[rows])}: from {when} on the same places read "
             f"about {size * 1e3:.2g} {self._unit} otherwise than before, as if the instrument, or "
             f"what it stands on, had been moved, or drifted: give the rows from there on a setup "
-            f"name of their own, or measure the setup again"
+            f"name of their own, or measure the setup again{self._or_lost}"
         )
 
     def _scattered(self, size: float) -> str:
@@ -200,6 +208,7 @@ class _Setup:
             f"{size * 1e3:.2g} {self._unit}, which is no noise of such an instrument: rows were "
             f"exchanged, the readings have another unit, or something is loose; put it right, or "
             f"give repeatability in the machine file under [instrument.{self._kind}]"
+            f"{self._or_lost}"
         )
 
 

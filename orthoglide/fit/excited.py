@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.fit.problem import Problem
+from orthoglide.geometry import Array
 
 
 def excited_effects(problem: Problem) -> tuple[Effect, ...]:
@@ -17,10 +19,25 @@ def excited_effects(problem: Problem) -> tuple[Effect, ...]:
         effect
         for effect in catalogue.effects
         if effect.name not in catalogue.base
-        and all(_MET[need](problem) for need in effect.needs)
+        and not unmet(problem, effect)
         and not (effect.instead_of and _MET[effect.instead_of](problem))
         and (not effect.of_dial or any(f.setups_of(effect) for f in problem.factors))
     )
+
+
+def unmet(problem: Problem, effect: Effect) -> tuple[str, ...]:
+    """What an effect needs to be seen and the readings do not vary: ``approach``, ``load`` ..."""
+    return tuple(sorted(need for need in effect.needs if not _MET[need](problem)))
+
+
+def both_sides(approach: Array) -> NDArray[np.bool_]:
+    """Which axes some of the readings ``(n, 3)`` are known to come to from either side ``(3,)``."""
+    return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
+
+
+def _approached(problem: Problem) -> bool:
+    sides = (f.conditions().approach for f in problem.factors)
+    return any(both_sides(side).any() for side in sides)
 
 
 def _varies(what: str) -> Callable[[Problem], bool]:
@@ -42,7 +59,7 @@ def _loaded(problem: Problem) -> bool:
 
 
 _MET: Mapping[str, Callable[[Problem], bool]] = {
-    "approach": _varies("approach"),
+    "approach": _approached,
     "time": _varies("time"),
     "temperature": _varies("temperature"),
     "load": _loaded,

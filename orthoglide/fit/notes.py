@@ -16,6 +16,7 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
+from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _LOUD = 3.0  # times the noise that is usual of an instrument
@@ -125,6 +126,12 @@ def louder(estimate: Estimate) -> Iterator[Note]:
                     f"half way looks like this too, so read some places again at the end",
                     "loud",
                 )
+                if not factor.sided(k):
+                    yield Note(
+                        f"{source(factor.points)}, setup {setup.name!r}: {SIDES_UNTOLD}, so lost "
+                        f"motion passes for the noise of its repeats: {TELL_SIDES}",
+                        "side",
+                    )
 
 
 def slips(estimate: Estimate) -> Iterator[Note]:

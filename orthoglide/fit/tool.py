@@ -110,6 +110,13 @@ class ToolReadings(OfFile):
         own, usual = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in (self.sigma, self.usual))
         return own, usual
 
+    def sided(self, setup: int) -> bool:
+        """Whether it is known from which side a setup's places were come to, on every axis; of
+        distances, which have two ends, it never is, and is not asked.
+        """
+        approach = self.points.approach[self.setup == setup]
+        return self.points.setups[setup].kind == "distance" or bool(approach.all())
+
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Setups of which an instrument's effect has parameters: plates."""
         return tuple(s.name for s in self.points.setups if s.kind == "plate" and effect.plate)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
 from orthoglide.fit import Problem
+from orthoglide.fit.excited import both_sides
 from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.surface import own_shapes
 from orthoglide.fit.tool import ToolReadings
@@ -57,7 +58,7 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
         found = tuple(p for p in found if not p.moves_lines)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
-    one_sided = np.ptp(approach, axis=0) == 0  # which shows no difference between sides
+    one_sided = ~both_sides(approach)  # which shows no difference between sides
     hidden = {"approach": one_sided, "reversal": one_sided | bool(problem.points)}
     return tuple(p for p in found if p.against not in hidden or not hidden[p.against][p.leg])
 

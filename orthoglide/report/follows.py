@@ -15,7 +15,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.klipper import WHERE
 from orthoglide.numerals import compact, plain, signed
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.phrases import listed, sentence, weak_sentences
+from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
 from orthoglide.report.wording import effects_named
 from orthoglide.result.firmware import UNSEEN, FirmwareAdvice
@@ -191,6 +191,7 @@ def unseen(result: Result, figures: Figures) -> Data:
         "sentences": weak_sentences(result.after.weak, result.catalogue),
         "effects": [(words, listed(members)) for words, members in result.unshown],
         "unexcited": [f.replace("_", " ") for f in result.unexcited],
+        "sides": sentence(one) if (one := unvaried_words(result)) else "",
         "dialled": result.machine.geometry.dialled,
         "owned": ",".join(result.instruments),
         "machine": Path(result.request.machine.spec.file).name or "FILE",

@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from orthoglide.effects import CATALOGUE, Catalogue
-from orthoglide.effects.wording import parameter_words
+from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.numerals import compact, signed
+from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
+from orthoglide.result.unvaried import one_sided, unvaried
 
 if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
@@ -88,6 +90,22 @@ def unshown_words(result: Result) -> str:
         f"not visible to {taken} even at three times its tolerance, which is not absent: "
         f"{'; '.join(parts)}"
     )
+
+
+_SIDES = {
+    "fixed": "a probe comes from above alone, and of distances the sides are not known",
+    "same": "every place was come to from the same side: come to some from the other as well",
+    "unknown": f"{SIDES_UNTOLD}: {TELL_SIDES}",
+}
+
+
+def unvaried_words(result: Result) -> str:
+    """That lost motion would not show, and why, as a clause; empty where it would."""
+    if not (why := one_sided(result)):
+        return ""
+    hidden = [name for name, needs in unvaried(result).items() if "approach" in needs]
+    named = "; ".join(f"that {cause_short(result.catalogue, name)}" for name in hidden)
+    return f"not visible either, which is not absent: {named}, as {_SIDES[why]}"
 
 
 def sentence(text: str) -> str:

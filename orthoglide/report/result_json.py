@@ -14,6 +14,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine_file import machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.report.wording import headline, located_words
+from orthoglide.result.unvaried import unvaried
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
@@ -101,7 +102,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "workspace": _workspace(result),
         "tool": {name: error.as_dict() for name, error in result.numbers.expected.items()},
         "actions": [_action(action) for action in result.actions],
-        "invisible": list(result.invisible),
+        "invisible": [*result.invisible, *result.catalogue.expand(list(unvaried(result)))],
         "method": {
             "name": after.method,
             "iterations": after.iterations,

@@ -7,7 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, hundredths, signed
-from orthoglide.report.phrases import WHICHEVER, sentence, unshown_words, weak_sentences
+from orthoglide.report.phrases import (
+    WHICHEVER,
+    sentence,
+    unshown_words,
+    unvaried_words,
+    weak_sentences,
+)
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.wording import MEANINGS, headline, too_early
 from orthoglide.result.firmware import UNSEEN, Unseen
@@ -48,8 +54,8 @@ def summary(result: Result, ranked: bool = False) -> str:
     parts += [_scores(result)] if searches else [_parameters(result), _scores(result)]
     remarks = [f"The search ended: {result.stopped}."] if searches else []
     remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
-    unshown = unshown_words(result)
-    remarks += [*result.pattern, *(sentence(w) for w in (unshown, *result.warnings) if w)]
+    hidden = (unshown_words(result), unvaried_words(result))
+    remarks += [*result.pattern, *(sentence(w) for w in (*hidden, *result.warnings) if w)]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:

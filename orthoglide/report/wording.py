@@ -145,8 +145,10 @@ def _weighed(result: Result) -> str:
     if result.posterior is not None and result.posterior.mixture.linear.unnamed.any():
         given += " and small shapes of the plate's own"
     of = "the dial" if _dials_alone(result) else "the readings"
-    text = f"With {given}, {_fall(result)}, which is the noise of {of}."
-    return text + _alone(result)
+    what = f"the noise of {of}"
+    if any(w.kind == "side" for w in result.warnings):
+        what = "what repeats scatter by: noise of the readings, or lost motion of the machine"
+    return f"With {given}, {_fall(result)}, which is {what}.{_alone(result)}"
 
 
 def where_left(result: Result) -> str:

@@ -21,6 +21,7 @@ from orthoglide.frames import Framed
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.klipper import Corrections, firmware_of
 from orthoglide.machine import Machine
+from orthoglide.notes import Note
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter
 from orthoglide.posterior import (
@@ -382,7 +383,7 @@ class Result(Framed):
         return tuple(found)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Note, ...]:
         """Of the final fit, lack of fit apart: the verdict's word says it already."""
         return tuple(w for w in self.after.warnings if w.kind != "lack_of_fit")
 
