@@ -26,7 +26,7 @@ from orthoglide.report.first import finding, sure_words
 from orthoglide.report.rendering import rendered
 from orthoglide.report.text import to_do
 from orthoglide.report.wording import _falls
-from orthoglide.result.actions import Action, Suspect
+from orthoglide.result.actions import Action, Suspect, _one_of_two
 from tests.test_report import result_of, words
 from tests.test_report_verdict import verdict_of
 
@@ -265,6 +265,19 @@ def test_whatto_do_goes_by_what_it_gains() -> None:
     kept = json.loads(result_text(verdict))["actions"]
     assert [a["action"] for a in kept] == kinds
     assert kept[0]["gain_mm"] == pytest.approx(gains[0] * 1e3, rel=1e-5)
+
+
+def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
+    """Together they correct the zeros twice: whichever comes later says so, on every list."""
+    verdict = verdict_of("explained")
+    commands = next(a.words for a in verdict.actions if a.kind == "compensate")
+    assert commands.startswith("Or send compensated commands, in place of new zeros and never with")
+    assert commands in " ".join(to_do(verdict))
+    assert commands in " ".join(screen(verdict).split())
+    assert commands in [a["words"] for a in json.loads(result_text(verdict))["actions"]]
+    zeros, both = Action("zeros", "Enter new zeros"), Action("compensate", "Send them")
+    assert [a.words for a in _one_of_two([both, zeros])] == ["Send them", "Or enter new zeros"]
+    assert _one_of_two([both]) == [both]
 
 
 def test_where_something_is_left_nothing_is_to_be_changed() -> None:

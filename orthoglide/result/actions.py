@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.control import withheld
@@ -24,6 +24,8 @@ _DIAL_TURNS = (
     "come to one gauge block from a shorter and from a longer one: expect {} between the two "
     "readings"
 )
+_PLAIN = "for which nothing is changed on the machine"
+_INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
@@ -80,7 +82,26 @@ def actions(result: Result) -> tuple[Action, ...]:
         return (*noisy, *_found(result, "confirm"), *told)
     done = [*_zeros(result), *_found(result, "mend"), *_compensate(result)]
     done.sort(key=lambda action: -action.gain if math.isfinite(action.gain) else 0.0)
+    done = _one_of_two(done)
     return (*told, *done) if decides else (*done, *told)
+
+
+def _one_of_two(done: list[Action]) -> list[Action]:
+    """Actions of which new zeros and compensated commands, where both are there, say that they
+    stand in place of each other: together they would correct the zeros twice.
+    """
+    places = [k for k, action in enumerate(done) if action.kind in ("zeros", "compensate")]
+    if len(places) < 2:
+        return done
+    told, later = list(done), places[-1]
+    for k in places:
+        words = done[k].words
+        if done[k].kind == "compensate":
+            words = words.replace(_PLAIN, _INSTEAD, 1)
+        if k == later:
+            words = f"Or {words[:1].lower()}{words[1:]}"
+        told[k] = replace(done[k], words=words)
+    return told
 
 
 def _zeros(result: Result) -> Iterator[Action]:
@@ -207,8 +228,8 @@ def _compensate(result: Result) -> Iterator[Action]:
     gain = expected["zeros"].shape - expected["compensated"].shape
     if result.request.searches and not result.firmware and gain > _WORTH * expected["now"].shape:
         words = (
-            "Send compensated commands, for which nothing is changed on the machine: orthoglide "
-            "compensate path.csv --machine calibrated.toml --out commands.csv"
+            f"Send compensated commands, {_PLAIN}: orthoglide compensate path.csv --machine "
+            f"calibrated.toml --out commands.csv"
         )
         yield Action("compensate", words, gain)
 
