@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -328,3 +329,27 @@ def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None
     assert verdict.word == "unexplained"
     assert headline(verdict).startswith("Repeats of the dials scatter by 0.01")
     assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")
+
+
+def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> None:
+    """Repeats of a tracker were said to be the machine file, and its noise mixed with a probe's."""
+    machine = og.Machine.nominal()
+    tracker, probe = og.owned_instruments(machine, ["tcp", "plate"]).to_fill_in()
+    read = [og.simulate(machine, tracker, noise=3e-5, seed=1), og.simulate(machine, probe, seed=1)]
+    found = og.close_loop([*read], machine)
+    found.report(tmp_path / "out")
+    kept = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert kept["noise_source"] == "repeats"
+    assert kept["noise_of"]["tcp"]["source"] == "repeats"
+    assert kept["noise_of"]["tcp"]["mm"] == pytest.approx(0.03, rel=0.4)
+    assert kept["noise_of"]["plate"] == {"mm": 0.02, "source": "machine"}
+    assert "from the scatter of the repeats" in (tmp_path / "out" / "report.html").read_text()
+    own = replace(machine.spec, instruments={"tcp": og.Instrument(repeatability=3e-5)})
+    told = og.identify(read[0], replace(machine, spec=own)).problem
+    assert told.noises == {"tcp": (pytest.approx(3e-5), "machine")}
+    assert told.noise_source == "machine"
+    declared = og.identify(replace(read[0], sigma=np.full(len(tracker), 2e-5)), machine).problem
+    assert declared.noises == {"tcp": (pytest.approx(2e-5), "declared")}
+    dials = og.identify(og.simulate(machine, "standard"), machine).problem
+    assert list(dials.noises) == ["leg"]
+    assert dials.noise_source == dials.noise.source

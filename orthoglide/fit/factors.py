@@ -7,7 +7,7 @@ with everything else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
 from orthoglide.fit.instrument_frame import turned_near
+from orthoglide.fit.noise import NoiseSource
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign, Recorded, TcpPoints
 from orthoglide.observations.approach import Ints
@@ -196,6 +197,11 @@ class TcpReadings:
         """Standard deviation of each row, metres."""
         declared = np.where(np.isfinite(self.points.sigma), self.points.sigma, TCP_SIGMA)
         return np.asarray(np.repeat(declared[:, None], 3, axis=1)[self.known])
+
+    def rated(self) -> Iterator[tuple[str, Array, NoiseSource]]:
+        """``points``, the standard deviations of its rows ``(n,)``, and where they come from."""
+        own = self.sigma[heard(self.sigma)]
+        yield "points", own, "declared" if (own != TCP_SIGMA).any() else "machine"
 
     @property
     def setup(self) -> Ints:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit.factors import Block, DialReadings, TcpReadings
-from orthoglide.fit.noise import Noise
+from orthoglide.fit.noise import Noise, NoiseSource
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
@@ -185,6 +185,31 @@ class Problem:
         length = float("nan") if self.turned.all() else self.noise.typical
         turns = self.sigma[self.turned]
         return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
+
+    @cached_property
+    def noises(self) -> dict[str, tuple[float, NoiseSource]]:
+        """By instrument, ``leg``, ``tcp``, ``plate`` ... or ``points``, in the order they were
+        given: standard deviation of one reading, metres or radians, root mean square, and its
+        source.
+        """
+        found: dict[str, tuple[float, NoiseSource]] = {}
+        if self.campaigns:
+            found["leg"] = (self.noise.typical, self.noise.source)
+        told = self.noise.source == "declared" and not self.campaigns
+        rated = [one for factor in self.points for one in factor.rated()]
+        for kind in dict.fromkeys(kind for kind, _, _ in rated):
+            sigma = np.concatenate([own for k, own, _ in rated if k == kind])
+            sources = [source for k, _, source in rated if k == kind]
+            often = max(dict.fromkeys(sources), key=sources.count)
+            found[kind] = (float(np.sqrt(np.mean(sigma**2))), "declared" if told else often)
+        return found
+
+    @property
+    def noise_source(self) -> NoiseSource:
+        """Where the noise comes from: that of the dials, where there are any, else of the first
+        instrument.
+        """
+        return next(iter(self.noises.values()))[1]
 
     @cached_property
     def weighing(self) -> Weighing:

@@ -5,7 +5,7 @@ The pose is the tool's place p and the platform's rotation R. A distance has two
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
 from orthoglide.fit.instrument_frame import turned_back
-from orthoglide.fit.noise import FEWEST_REPEATS, repeat_variance, shown_step
+from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance, shown_step
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -109,6 +109,19 @@ class ToolReadings(OfFile):
         rows = self.setup == setup
         own, usual = (float(np.sqrt(np.mean(s[rows] ** 2))) for s in (self.sigma, self.usual))
         return own, usual
+
+    def rated(self) -> Iterator[tuple[str, Array, NoiseSource]]:
+        """Each kind of readings with the standard deviations of its rows ``(n,)``, and where they
+        come from: repeats, or a plate's roughness, where they are not as expected beforehand.
+        """
+        for kind in dict.fromkeys(self.points.kind):
+            rows = self.points.of_kind(kind) & heard(self.sigma)
+            source: NoiseSource = "machine"
+            if np.isfinite(self.points.sigma[rows]).all():
+                source = "declared"
+            elif (self.sigma[rows] != self.usual[rows]).any():
+                source = "repeats"
+            yield kind, self.sigma[rows], source
 
     def sided(self, setup: int) -> bool:
         """Whether it is known from which side a setup's places were come to, on every axis; of

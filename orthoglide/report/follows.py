@@ -207,7 +207,7 @@ _METHODS = {
 }
 _SOURCES = {
     "declared": "as declared",
-    "machine": "from the machine file, or the published repeatability where it has none",
+    "machine": "from the machine file, or as is usual of such instruments where it has none",
     "repeats": "from the scatter of the repeats",
 }
 
@@ -227,7 +227,7 @@ def method(result: Result) -> Data:
         "iterations": fit.iterations,
         "optimality": compact(fit.optimality, 1),
         "noise": problem.one_reading.said(),
-        "source": _SOURCES[problem.noise.source],
+        "source": _SOURCES[problem.noise_source],
         "dials": bool(problem.campaigns),
         "placement": compact(problem.machine.spec.dial.placement * 1e3, 2),
         "priors": problem.priors,

@@ -130,7 +130,11 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
         },
         "noise_mm": _mm(after.problem.one_reading.length),
         **_mrad(noise=after.problem.one_reading.turn),
-        "noise_source": after.problem.noise.source,
+        "noise_source": after.problem.noise_source,
+        "noise_of": {
+            kind: {"mrad" if kind == "incline" else "mm": _mm(sigma), "source": source}
+            for kind, (sigma, source) in after.problem.noises.items()
+        },
         "sigma_scale": number(after.sigma_scale),
     }
 
