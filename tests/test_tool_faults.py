@@ -11,7 +11,7 @@ import pytest
 
 import orthoglide as og
 from orthoglide.diagnosis.tool_faults import check_repeats
-from orthoglide.fit.tool import centre_of
+from orthoglide.fit.instrument_frame import centre_of
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import ToolCampaign

@@ -1,4 +1,4 @@
-"""Coordinates in an instrument's own frame, brought near the machine's by a rigid motion.
+"""An instrument's own frame brought near the machine's by a rigid motion; the centre of a ball.
 
 What is left of the turn is small and is fitted. Points with missing coordinates cannot be turned.
 """
@@ -16,6 +16,7 @@ from orthoglide.observations.arrays import numbered
 
 _FEWEST = 4  # points
 _SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
+_CENTRE_STEPS = 10
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
@@ -78,3 +79,18 @@ def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
     if any(not np.array_equal(first, other) for other in others):
         return None
     return np.stack([own[k] for own, k in zip(coordinates, order, strict=True)], axis=1)
+
+
+def centre_of(p: Array, distance: Array) -> Array:
+    """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``."""
+    columns = np.column_stack([2 * p, np.ones(len(p))])
+    right = np.sum(p * p, axis=1) - distance**2
+    centre, longer = np.linalg.lstsq(columns, right, rcond=1e-9)[0][:3], 0.0
+    for _ in range(_CENTRE_STEPS):
+        toward = p - centre
+        length = np.maximum(np.linalg.norm(toward, axis=1), 1e-9)
+        rest = distance - length - longer
+        slopes = np.column_stack([-toward / length[:, None], np.ones(len(p))])
+        step = np.linalg.lstsq(slopes, rest, rcond=1e-6)[0]
+        centre, longer = centre + step[:3], longer + float(step[3])
+    return np.asarray(centre)

@@ -12,8 +12,7 @@ from itertools import permutations, product
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.fit.instrument_frame import whole_points
-from orthoglide.fit.tool import centre_of
+from orthoglide.fit.instrument_frame import centre_of, whole_points
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import MINUS, compact

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
-from orthoglide.fit.instrument_frame import turned_back
+from orthoglide.fit.instrument_frame import centre_of, turned_back
 from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance, shown_step
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
@@ -34,7 +34,6 @@ SCALE_SD, OFFSET_SD = 0.01, 2e-4
 
 _LEAST = 0.05
 _MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a micrometre
-_STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -116,11 +115,9 @@ class ToolReadings(OfFile):
         """
         for kind in dict.fromkeys(self.points.kind):
             rows = self.points.of_kind(kind) & heard(self.sigma)
-            source: NoiseSource = "machine"
-            if np.isfinite(self.points.sigma[rows]).all():
-                source = "declared"
-            elif (self.sigma[rows] != self.usual[rows]).any():
-                source = "repeats"
+            told = np.isfinite(self.points.sigma[rows]).all()
+            expected = (self.sigma[rows] == self.usual[rows]).all()
+            source: NoiseSource = "declared" if told else "machine" if expected else "repeats"
             yield kind, self.sigma[rows], source
 
     def sided(self, setup: int) -> bool:
@@ -385,18 +382,3 @@ def _of_repeats(campaign: ToolCampaign) -> float:
     if dof < FEWEST_REPEATS or variance == 0:
         return 0.0
     return max(float(np.sqrt(variance)), _LEAST * REPEATABILITY[campaign.kind[0]])
-
-
-def centre_of(p: Array, distance: Array) -> Array:
-    """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``."""
-    columns = np.column_stack([2 * p, np.ones(len(p))])
-    right = np.sum(p * p, axis=1) - distance**2
-    centre, longer = np.linalg.lstsq(columns, right, rcond=1e-9)[0][:3], 0.0
-    for _ in range(_STEPS):
-        toward = p - centre
-        length = np.maximum(np.linalg.norm(toward, axis=1), 1e-9)
-        rest = distance - length - longer
-        slopes = np.column_stack([-toward / length[:, None], np.ones(len(p))])
-        step = np.linalg.lstsq(slopes, rest, rcond=1e-6)[0]
-        centre, longer = centre + step[:3], longer + float(step[3])
-    return np.asarray(centre)
