@@ -142,7 +142,7 @@ def slips(estimate: Estimate) -> Iterator[Note]:
 
     problem, residual = estimate.problem, estimate.residuals
     chance = 1 - _CHANCE / (2 * max(len(residual), 1))
-    limit = float(stdtrit(min(problem.noise.dof, 1e9), chance))
+    limit = float(stdtrit(min(problem.noise_dof, 1e9), chance))
     for campaign, rows in zip(problem.campaigns, problem.rows, strict=True):
         noise = np.hypot(problem.sigma, problem.common)[rows]
         times = np.abs(residual[rows]) / noise

@@ -212,6 +212,23 @@ class Problem:
         return next(iter(self.noises.values()))[1]
 
     @cached_property
+    def repeated(self) -> tuple[tuple[int, int], ...]:
+        """Readings of the tool whose noise is from repeats, by instrument, and the degrees of
+        freedom behind each.
+        """
+        tool = (f for f in self.points if isinstance(f, ToolReadings))
+        return tuple(one for factor in tool for one in factor.repeated())
+
+    @cached_property
+    def noise_dof(self) -> float:
+        """Degrees of freedom behind the noise of all readings together: each instrument's by its
+        share of them (Satterthwaite); infinite where none has it from repeats.
+        """
+        each = ((sum(map(len, self.noise.sigma)), self.noise.dof), *self.repeated)
+        unsure = sum((n / len(self.measured)) ** 2 / dof for n, dof in each)
+        return 1 / unsure if unsure > 0 else float("inf")
+
+    @cached_property
     def weighing(self) -> Weighing:
         """The noise of all rows, with what visits to a station have in common."""
         return Weighing(self.sigma, self.common, self.station)

@@ -125,13 +125,13 @@ def _lack_of_fit(
     the repeats' own scatter; and where that is a matter of single steps of a dial, of no normal
     law.
     """
-    noise, rows, stations = problem.noise, len(problem.measured), len(problem.weighing.first)
+    known, rows, stations = problem.noise_dof, len(problem.measured), len(problem.weighing.first)
     weighing = nuisance.weighing
     rest, own = weighing.along(weighing.whiten(residual)), weighing.along(fitted)
     # What was fitted may move readings of one station apart: its share in the means is what counts.
     shares = np.asarray(np.linalg.eigvalsh(own.T @ own), dtype=np.float64)
-    means = tail(float(rest @ rest), stations, shares, noise.dof)
-    if rows == stations or noise.source == "repeats" or problem.common.any():
+    means = tail(float(rest @ rest), stations, shares, known)
+    if rows == stations or np.isfinite(known) or problem.common.any():
         return means
     whole = tail(here.chi2, rows - nuisance.free, here.shares)
     return min(1.0, 2 * min(means, whole)) if np.isfinite(means) else whole

@@ -120,6 +120,16 @@ class ToolReadings(OfFile):
             source: NoiseSource = "declared" if told else "machine" if expected else "repeats"
             yield kind, self.sigma[rows], source
 
+    def repeated(self) -> Iterator[tuple[int, int]]:
+        """How many readings have their noise from repeats, by kind, and the degrees of freedom
+        behind it.
+        """
+        for kind, sigma, told in self.rated():
+            rows = self.points.of_kind(kind)
+            _, dof = repeat_variance([self.points.subset(rows)])
+            if told == "repeats" and dof >= FEWEST_REPEATS:
+                yield len(sigma), dof
+
     def sided(self, setup: int) -> bool:
         """Whether it is known from which side a setup's places were come to, on every axis; of
         distances, which have two ends, it never is, and is not asked.

@@ -129,6 +129,12 @@ class Mixture(Search):
         rare = np.array([s.rare > 0 for s in self.scales])
         return float(sum(weight[rare].sum() for weight in self.weights.values()))
 
+    @cached_property
+    def beyond(self) -> float:
+        """Probability of a machine beyond its tolerances altogether."""
+        beyond = np.array([s.share > 1 for s in self.scales])
+        return float(sum(weight[beyond].sum() for weight in self.weights.values()))
+
     @property
     def _sound(self) -> list[int]:
         """Scales of a machine that is sound but for what stands out."""

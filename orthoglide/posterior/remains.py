@@ -16,6 +16,10 @@ from orthoglide.posterior.search import State
 
 _VISIBLE = 1e-6  # of the largest: directions that stations span
 _FEW = 2.0  # degrees of freedom: less is no test of the mean
+_SURE = 30.0
+"""Degrees of freedom behind the noise of an instrument of the tool: with fewer it may be off by a
+quarter, and errors without structure are no more than larger noise, which ``p_value`` counts."""
+
 _ENOUGH = 0.05  # probability from which an explanation leaves nothing
 
 
@@ -47,7 +51,8 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     shaped = 0.0
     if mixture.linear.unnamed.any():
         shaped = _chance(posterior, mixture.precision(*told[0], unnamed=True))
-    return Left(p, mixture.rare, shaped, untold)
+    few = any(dof < _SURE for _, dof in posterior.before.problem.repeated)
+    return Left(p, mixture.beyond if few else mixture.rare, shaped, untold)
 
 
 def _best(posterior: FullPosterior, explanations: Sequence[tuple[State, Scale]]) -> float:
@@ -63,13 +68,13 @@ def _best(posterior: FullPosterior, explanations: Sequence[tuple[State, Scale]])
 def _chance(posterior: FullPosterior, inverse: Array) -> float:
     """Probability of as much being left by noise alone, the inverse covariance given."""
     linear, problem = posterior.mixture.linear, posterior.before.problem
-    noise = problem.noise
     rest = inverse @ linear.residual
     vectors, size, _ = np.linalg.svd(linear.stations, full_matrices=False)
     means = vectors[:, size > _VISIBLE * size.max(initial=1.0)]
     square, count, _ = linear.beyond
-    p = _tail(means.T @ rest, means.T @ inverse @ means, square, count, noise.dof)
-    if count == 0 and noise.source != "repeats" and not problem.common.any():
+    known = problem.noise_dof
+    p = _tail(means.T @ rest, means.T @ inverse @ means, square, count, known)
+    if count == 0 and not np.isfinite(known) and not problem.common.any():
         p = float(np.nanmin([1.0, 2 * p, 2 * _tail(rest, inverse, 0.0, 0.0, np.inf)]))
     return p if np.isfinite(p) else 1.0
 
