@@ -143,8 +143,11 @@ class FreeLegs:
         return Leg(given.name, carriage, platform, given.axes)
 
     def touching(self, L: float, r: float) -> tuple[str, ...]:
-        """Names of legs whose bars and platform, by these lengths in metres, almost touch where
-        they are taken to do so.
+        """Names of legs whose circles of bars and platform almost touch, and are taken to.
+
+        Args:
+            L: length of the bars, metres.
+            r: radius of the platform, metres.
         """
         found = []
         for leg, given in zip(self.legs(L, r), self.free, strict=True):
