@@ -21,11 +21,11 @@ from orthoglide.diagnosis.faults import (
     Fault,
     Kind,
     Rows,
-    datums,
     message,
     parts,
     places,
     setup_names,
+    steps,
 )
 from orthoglide.diagnosis.fit_faults import fit_fault
 from orthoglide.diagnosis.joint_faults import joint_fault
@@ -169,9 +169,8 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
     silent = np.zeros(len(problem.measured), dtype=bool)
     readings = problem.measured.copy()
     for fault in faults:
-        for rows, size in zip(datums(problem, fault), fault.offsets, strict=False):
-            readings[rows] -= size
-        silent[fault.rows] |= fault.kind not in DATUMS
+        readings -= steps(problem, fault) @ np.array(fault.offsets)
+        silent[fault.rows] |= fault.sets_aside
     problem = all_put_right(problem, faults)  # the side that its neighbours were reached from, too
     sigma = np.where(silent, SILENT * problem.sigma, problem.sigma)
     noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
@@ -182,17 +181,16 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     """The faults with what each explains once those before it are set aside."""
     problem, names = base.estimate.problem, setup_names(base.estimate.problem)
     n = base.count
-    kept, steps = np.ones(n, dtype=bool), np.zeros((n, 0))
-    chi2, rms = _left(base.estimate, kept, steps)
+    kept, shown = np.ones(n, dtype=bool), np.zeros((n, 0))
+    chi2, rms = _left(base.estimate, kept, shown)
     blunders = []
     for fault in faults:
         before, with_it = chi2, rms
         rows = np.isin(np.arange(n), fault.rows)
-        each = [np.isin(np.arange(n), part) for part in datums(problem, fault)]
-        steps = np.column_stack([steps, *each])
-        if fault.kind not in DATUMS:
+        shown = np.hstack([shown, steps(problem, fault)])
+        if fault.sets_aside:
             kept = kept & ~rows
-        chi2, rms = _left(base.estimate, kept, steps)
+        chi2, rms = _left(base.estimate, kept, shown)
         blunders.append(
             Blunder(
                 fault.kind,

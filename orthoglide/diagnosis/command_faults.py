@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.diagnosis.commands import all_put_right, postures, slopes
-from orthoglide.diagnosis.faults import DATUMS, EVIDENCE, Fault, Rows
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import InputError, NumericsError
@@ -240,7 +240,7 @@ def _free(problem: Problem, known: Sequence[Fault]) -> Rows:
     """
     posture = postures(problem)
     for fault in known:
-        if fault.kind not in DATUMS:
+        if fault.sets_aside:
             posture[fault.rows] = -1
     counts = np.bincount(posture + 1)
     return np.asarray(np.where(counts[posture + 1] > 1, posture, -1))

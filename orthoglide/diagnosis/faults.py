@@ -61,9 +61,14 @@ class Fault:
     sizes: tuple[float, ...] = ()
 
     @property
+    def sets_aside(self) -> bool:
+        """Whether its rows do not count; else they have a datum of their own."""
+        return self.kind not in DATUMS
+
+    @property
     def offsets(self) -> tuple[float, ...]:
         """Of each of its :func:`datums`, metres."""
-        return self.sizes or (self.size,)
+        return () if self.sets_aside else self.sizes or (self.size,)
 
 
 def in_order(problem: Problem, setup: int) -> Rows:
@@ -86,10 +91,18 @@ def setup_names(problem: Problem) -> tuple[str, ...]:
 
 def datums(problem: Problem, fault: Fault) -> list[Rows]:
     """Rows that have a datum of their own: by setup and repeat, or all behind a knock."""
-    if fault.kind not in DATUMS:
+    if fault.sets_aside:
         return []
     repeat = np.concatenate([c.repeat for c in problem.campaigns])
     return parts(fault.kind, fault.rows, problem.setup_of_row, repeat)
+
+
+def steps(problem: Problem, fault: Fault) -> Array:
+    """What readings show of a metre of each of its :func:`datums` ``(n, datums)``."""
+    shown = np.zeros((len(problem.measured), len(fault.offsets)))
+    for k, rows in enumerate(datums(problem, fault)):
+        shown[rows, k] = 1.0
+    return shown
 
 
 def parts(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:

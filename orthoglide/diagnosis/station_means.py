@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.evidence import Scoring, best_pairs
-from orthoglide.diagnosis.faults import DATUMS, Fault, datums
+from orthoglide.diagnosis.faults import Fault, steps
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Problem, solve
@@ -74,19 +74,18 @@ class StationMeans:
         problem, n = signatures.estimate.problem, signatures.count
         weighing = problem.weighing
         counts = np.ones(n, dtype=bool)
-        steps = [np.zeros((n, 0))]
+        shown = [np.zeros((n, 0))]
         for fault in known:
-            each = [np.isin(np.arange(n), part) for part in datums(problem, fault)]
-            steps += [own[:, None].astype(float) for own in each]
-            counts[fault.rows] &= fault.kind in DATUMS
+            shown.append(steps(problem, fault))
+            counts[fault.rows] &= not fault.sets_aside
         seen = np.bincount(weighing.station, counts) > 0
 
         def means(rows: Array) -> Array:
             stations = (weighing.along(rows[:n]).T * seen).T
             return np.concatenate([stations, rows[n:]])
 
-        shown = signatures.whiten(np.hstack(steps))
-        free = orthonormal(np.hstack([means(signatures.fitted), means(shown)]))
+        known_steps = signatures.whiten(np.hstack(shown))
+        free = orthonormal(np.hstack([means(signatures.fitted), means(known_steps)]))
         averaged = replace(
             signatures,
             columns=past(free, means(signatures.columns)),

@@ -211,13 +211,13 @@ class Problem:
         """
         return next(iter(self.noises.values()))[1]
 
-    @cached_property
+    @property
     def repeated(self) -> tuple[tuple[int, int], ...]:
         """Readings of the tool whose noise is from repeats, by instrument, and the degrees of
         freedom behind each.
         """
         tool = (f for f in self.points if isinstance(f, ToolReadings))
-        return tuple(one for factor in tool for one in factor.repeated())
+        return tuple(one for factor in tool for one in factor.repeated)
 
     @cached_property
     def noise_dof(self) -> float:

@@ -120,15 +120,15 @@ class ToolReadings(OfFile):
             source: NoiseSource = "declared" if told else "machine" if expected else "repeats"
             yield kind, self.sigma[rows], source
 
-    def repeated(self) -> Iterator[tuple[int, int]]:
+    @cached_property
+    def repeated(self) -> tuple[tuple[int, int], ...]:
         """How many readings have their noise from repeats, by kind, and the degrees of freedom
         behind it.
         """
-        for kind, sigma, told in self.rated():
-            rows = self.points.of_kind(kind)
-            _, dof = repeat_variance([self.points.subset(rows)])
-            if told == "repeats" and dof >= FEWEST_REPEATS:
-                yield len(sigma), dof
+        kinds = [(kind, len(own)) for kind, own, told in self.rated() if told == "repeats"]
+        each = (repeat_variance([self.points.subset(self.points.of_kind(k))]) for k, _ in kinds)
+        found = zip(kinds, each, strict=True)
+        return tuple((n, dof) for (_, n), (_, dof) in found if dof >= FEWEST_REPEATS)
 
     def sided(self, setup: int) -> bool:
         """Whether it is known from which side a setup's places were come to, on every axis; of

@@ -119,9 +119,7 @@ class FreeLegs:
 
     def _leg(self, given: FreeLeg, L: float, r: float) -> Leg:
         carriage, middle = np.array(given.origin), -np.array(self.tool)
-        a, b, c = (carriage - middle) @ given.axes
-        apart, radius = np.hypot(a, b), np.sqrt(max(r**2 - c**2, 0.0))
-        along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
+        (a, b, c), apart, radius, along = self._circles(given, L, r)
         if abs(c) > r or not -radius <= along <= radius + _TOUCHING:
             raise InputError(
                 f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
@@ -142,6 +140,17 @@ class FreeLegs:
         platform = middle + given.axes @ np.array([joint[0], joint[1], c])
         return Leg(given.name, carriage, platform, given.axes)
 
+    def _circles(self, given: FreeLeg, L: float, r: float) -> tuple[Array, float, float, float]:
+        """Of a leg in its own plane, metres: its carriage from the platform's middle, how far that
+        is, the radius of the platform's circle, and where along that line the bars' circle meets
+        it.
+        """
+        place = (np.array(given.origin) + np.array(self.tool)) @ given.axes
+        apart = float(np.hypot(*place[:2]))
+        radius = float(np.sqrt(max(r**2 - place[2] ** 2, 0.0)))
+        along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
+        return place, apart, radius, along
+
     def touching(self, L: float, r: float) -> tuple[str, ...]:
         """Names of legs whose circles of bars and platform almost touch, and are taken to.
 
@@ -149,15 +158,11 @@ class FreeLegs:
             L: length of the bars, metres.
             r: radius of the platform, metres.
         """
-        found = []
-        for leg, given in zip(self.legs(L, r), self.free, strict=True):
-            middle = -np.array(self.tool)
-            apart = np.linalg.norm((leg.carriage - middle) @ given.axes[:, :2])
-            joint = (leg.platform - middle) @ given.axes
-            off = np.hypot(*joint[:2]) - np.sqrt(max(r**2 - joint[2] ** 2, 0.0))
-            if abs(np.hypot(*joint[:2]) + L - apart) < _EXACT < abs(off):
-                found.append(given.name)
-        return tuple(found)
+        circles = ((given.name, self._circles(given, L, r)) for given in self.free)
+        return tuple(
+            name for name, (_, _, radius, along) in circles
+            if _EXACT < abs(along - radius) < _TOUCHING
+        )  # fmt: skip
 
     def zero(self, L: float) -> float:
         """Travel counts from mechanical zero."""

@@ -267,24 +267,26 @@ def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior
     if before.problem.earlier is not None or any(u.name.campaign for u in unknowns):
         return _settled(before, given)
     at_tolerance = before.problem.at_tolerance()
+    held = at_tolerance is before.problem
     try:
-        narrow = before if at_tolerance is before.problem else solve(at_tolerance, widen=False)
-        other = _settled(narrow, given)
+        other = _settled(before if held else solve(at_tolerance, widen=False), given)
     except NumericsError:
+        if held:
+            raise
         return _settled(before, given)
-    wide = widened(before) if narrow is before else before
-    if wide is narrow:
+    wide = widened(before) if held else before
+    if held and wide is before:
         return other
     unsettled = other.about.apart >= _SETTLED
     try:
         found = _settled(wide, given)
     except SolverError:
-        if unsettled and wide is before:
+        if unsettled and not held:
             raise
         return other
     if unsettled:
         # What a wide base needs causes beside it for may be what bent it.
-        return other if narrow is before and found.mixture.best else found
+        return other if held and found.mixture.best else found
     less = found.evidence - other.evidence
     if less > _DOUBT:
         return found

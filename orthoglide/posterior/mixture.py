@@ -126,14 +126,16 @@ class Mixture(Search):
         """Probability of a machine beyond its tolerances altogether, or of errors of single
         stations that have no structure.
         """
-        rare = np.array([s.rare > 0 for s in self.scales])
-        return float(sum(weight[rare].sum() for weight in self.weights.values()))
+        return self._weight_of([s.rare > 0 for s in self.scales])
 
     @cached_property
     def beyond(self) -> float:
         """Probability of a machine beyond its tolerances altogether."""
-        beyond = np.array([s.share > 1 for s in self.scales])
-        return float(sum(weight[beyond].sum() for weight in self.weights.values()))
+        return self._weight_of([s.share > 1 for s in self.scales])
+
+    def _weight_of(self, scales: list[bool]) -> float:
+        """Probability of some scales together."""
+        return float(sum(weight[np.array(scales)].sum() for weight in self.weights.values()))
 
     @property
     def _sound(self) -> list[int]:
