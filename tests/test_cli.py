@@ -306,6 +306,7 @@ IDLE = [
     (("rehearse", "--dask", "tcp://here:1", "--jobs", "1"), "--dask and --jobs exclude each other"),
     (("tolerances", "--tcp", "0.05", "--noise", "0.01"), "without --calibrated-by: add it"),
     (("forward", "310", "310", "310", "--effects-file", "a.py"), "no effect without --machine"),
+    (("protocol", "--effects-file", "a.py"), "no effect without --machine"),
     (("view", "--effects-file", "a.py"), "--effects-file has no effect without MACHINE"),
 ]
 
@@ -315,7 +316,7 @@ def test_options_without_effect_are_refused(
     arguments: tuple[str, ...], words: str, here: Path
 ) -> None:
     needed = {"simulate": ("--machine", "m.toml", "--out", "x.csv"), "identify": ("--out", "x"),
-              "view": ("--out", "x.html")}  # fmt: skip
+              "view": ("--out", "x.html"), "protocol": ("--out", "x.csv")}  # fmt: skip
     result = run(*arguments, *needed.get(arguments[0], ()))
     assert (result.exit_code, result.stdout) == (2, ""), result.output
     assert result.stderr.startswith("orthoglide: ")

@@ -266,6 +266,62 @@ def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path
     assert again.exit_code == 0, again.output
 
 
+def test_every_command_that_takes_a_machine_takes_effects_of_ones_own() -> None:
+    takes = {
+        name: {option for parameter in command.params for option in parameter.opts}
+        for name, command in cli.commands.items()
+    }
+    of_machine = {name for name, options in takes.items() if {"--machine", "machine"} & options}
+    assert len(of_machine) == 16
+    assert {name for name in of_machine if "--effects-file" not in takes[name]} == set()
+
+
+OWN_FILE = str(PACKAGE.parent / "examples" / "carriage_play.py")
+
+
+def test_a_machine_with_ones_own_effect_is_read_by_every_command(
+    machine: og.Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    machine.with_parameters({"carriage_play.y.b": 1.5e-4}).save("worn.toml")
+    Path("path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,0\n", encoding="utf-8")
+    given = ("--machine", "worn.toml")
+    commands: list[tuple[str, ...]] = [
+        ("forward", "310", "310", "310", *given),
+        ("inverse", "0", "0", "0", *given),
+        ("view", "worn.toml", "--out", "worn.html"),
+        ("export", "--force", "--out", "numbers", *given),
+        ("compensate", "path.csv", "--force", "--out", "commands.csv", *given),
+        ("protocol", "--out", "sheet.csv", *given),
+        ("simulate", "--error", "carriage_play.x.b=0.1", "--out", "shown.csv", *given),
+        ("tolerances", "--tcp", "0.05", *given),
+        ("design", "--count", "6", *given),
+        ("compare", "--effects", "carriage_play", "--no-figures", "--out", "compared", *given),
+    ]
+    for command in commands:
+        without = CliRunner().invoke(cli, command)
+        assert without.exit_code == 2, command
+        assert "there is no parameter 'carriage_play.y.b'" in without.output
+        assert "--effects-file FILE.py" in without.output
+        done = CliRunner().invoke(cli, [*command, "--effects-file", OWN_FILE])
+        assert done.exit_code == 0, done.output
+    with pytest.raises(InputError, match=r"Machine\.load\(FILE, effects=\[\.\.\.\]\)"):
+        og.Machine.load("worn.toml")
+
+
+def test_ones_own_effect_is_what_changed(machine: og.Machine, tmp_path: Path) -> None:
+    """``check`` could not be given it, and told of backlash."""
+    rough = Path(__file__).parent / "data" / "rig" / "machine.toml"
+    worn = machine.with_parameters({"carriage_play.y.b": 1.5e-4})
+    files = [str(tmp_path / name) for name in ("before.csv", "after.csv")]
+    for seed, (one, file) in enumerate(zip((machine, worn), files, strict=True)):
+        og.write_campaign(og.simulate(one, sheet(machine), noise=5e-6, seed=4 + seed), file)
+    given = ["--machine", str(rough), "--effects-file", OWN_FILE]
+    done = CliRunner().invoke(cli, ["check", *files, *given, "--quiet"])
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith("Changed: carriage play of leg y")
+
+
 def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:
     """The sheets' own mountings have names such as ``xy-0.5``."""
     for setup in ("xy-0.5", "leg x, left"):

@@ -18,6 +18,7 @@ from orthoglide.text import text_width
 
 if TYPE_CHECKING:
     from orthoglide.checking import Check
+    from orthoglide.effects import Effect
     from orthoglide.machine import Machine
     from orthoglide.observations import Readings
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("old", type=opt.PATH)
 @click.argument("new", type=opt.PATH)
-@opt.machine
+@opt.machine()
 @opt.out_or_nothing
 @opt.noise("from machine file, rows or repeats")
 @opt.seed
@@ -34,6 +35,7 @@ def check(
     old: Path,
     new: Path,
     machine_path: Path | None,
+    effects_file: Path | None,
     out: Path | None,
     noise: float | None,
     seed: int,
@@ -51,11 +53,13 @@ def check(
         step(Step("reading"))
         from orthoglide.checking import check as compare
         from orthoglide.cli.changes import changes_page, changes_text
+        from orthoglide.effects.loading import load_effects
         from orthoglide.fit.copies import twice
 
-        given = None if machine_path is None else opt.load_machine(machine_path)
-        machine, before = _readings(old, given, None)
-        other, after = _readings(new, given, machine)
+        effects = load_effects(effects_file)
+        given = None if machine_path is None else opt.load_machine(machine_path, effects_file)
+        machine, before = _readings(old, given, None, effects)
+        other, after = _readings(new, given, machine, effects)
         _check_numbers(old, machine, new, other)
         if other.geometry != machine.geometry:
             raise InputError(
@@ -83,7 +87,7 @@ COMMANDS = (check,)
 
 
 def _readings(
-    path: Path, given: Machine | None, otherwise: Machine | None
+    path: Path, given: Machine | None, otherwise: Machine | None, effects: tuple[Effect, ...]
 ) -> tuple[Machine, tuple[Readings, ...]]:
     """The campaigns of a file of readings, or of a result; and the machine that they were read by:
     the one given, else a result's own, of other files that of the other state.
@@ -93,11 +97,11 @@ def _readings(
     from orthoglide.request import request_of
 
     if path.suffix == ".json":
-        request = request_of(read_result(path), str(path))
+        request = request_of(read_result(path), str(path), effects)
         if given is not None:
             _check_numbers(path, request.machine, Path(given.spec.file or "the machine"), given)
         return given or request.machine, request.readings
-    machine = given or otherwise or Machine.nominal()
+    machine = given or otherwise or Machine.nominal().with_effects(effects)
     return machine, readings_of([path], machine)
 
 

@@ -22,7 +22,7 @@ _TITLE = "When the simplified model is good enough"
 
 
 @click.command()
-@opt.machine
+@opt.machine()
 @opt.out()
 @click.option("--effects", "names", type=opt.Names(), default=(), metavar="NAME,...",
               help="Effects or parameters to compare; the whole catalogue where absent.",
@@ -30,7 +30,12 @@ _TITLE = "When the simplified model is good enough"
 @click.option("--no-figures", is_flag=True, help="Tables only.")
 @click.option("--quiet", is_flag=True, help="No progress and no table.")
 def compare(
-    machine_path: Path | None, out: Path, names: tuple[str, ...], no_figures: bool, quiet: bool
+    machine_path: Path | None,
+    effects_file: Path | None,
+    out: Path,
+    names: tuple[str, ...],
+    no_figures: bool,
+    quiet: bool,
 ) -> None:
     """Tell when the simplified model is good enough: every effect at its tolerance.
 
@@ -42,7 +47,7 @@ def compare(
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
-    machine = opt.load_machine(machine_path)
+    machine = opt.load_machine(machine_path, effects_file)
     with progress(quiet) as step:
         step(Step("computing", "comparing effects"))
         rows = compare_effects(machine, names or None)

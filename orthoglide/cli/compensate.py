@@ -11,8 +11,7 @@ from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results, write_texts
 from orthoglide.errors import FileError, InputError, UnreachableError
 
-_MACHINE = click.option("--machine", "machine_path", type=opt.PATH, required=True, metavar="FILE",
-                        help="Machine file, such as calibrated.toml.")  # fmt: skip
+_MACHINE = opt.machine(required=True, help="Machine file, such as calibrated.toml.")
 _FORCE = click.option(
     "--force", is_flag=True, help="Even where the verdict says not to act on the numbers."
 )
@@ -26,15 +25,14 @@ _FORCE = click.option(
               help="Weight at the TCP.")  # fmt: skip
 @click.option("--warming", type=float, default=0.0, metavar="K", show_default=True,
               help="Kelvin above the calibration's first reading.")  # fmt: skip
-@opt.effects
 @_FORCE
 def compensate(
     path: Path,
     machine_path: Path,
+    effects_file: Path | None,
     out: Path,
     load_N: float,
     warming: float,
-    effects_file: Path | None,
     force: bool,
 ) -> None:
     """Turn a path of TCP points into joint commands that reach them on the real machine.
@@ -62,11 +60,10 @@ def compensate(
 @click.command()
 @_MACHINE
 @click.option("--zeros-only", is_flag=True, help="For a controller that takes nothing but zeros.")
-@opt.effects
 @_FORCE
 @opt.out()
 def export(
-    machine_path: Path, out: Path, zeros_only: bool, effects_file: Path | None, force: bool
+    machine_path: Path, effects_file: Path | None, out: Path, zeros_only: bool, force: bool
 ) -> None:
     """Write what other programs take of a calibrated machine.
 

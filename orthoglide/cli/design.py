@@ -30,7 +30,7 @@ _OTHERWISE = (
 
 @click.command()
 @click.argument("campaigns", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
-@opt.machine
+@opt.machine()
 @click.option("--out", type=opt.PATH, metavar="SHEET.csv",
               help="Measuring sheet to write, with a page to print beside it.")  # fmt: skip
 @click.option("--free", type=opt.Names(), default=(), metavar="NAME,...",
@@ -55,6 +55,7 @@ _OTHERWISE = (
 def design(
     campaigns: tuple[Path, ...],
     machine_path: Path | None,
+    effects_file: Path | None,
     out: Path | None,
     free: tuple[str, ...],
     count: int | None,
@@ -83,7 +84,7 @@ def design(
     )  # fmt: skip
     if out is not None:
         check_new(out)
-    machine = opt.load_machine(machine_path)
+    machine = opt.load_machine(machine_path, effects_file)
     if owns:
         _of_owned(machine, owns, count, out, seed, quiet)
         return
@@ -91,7 +92,7 @@ def design(
     most = len(reading_pool(machine.geometry))
     if count > most:
         raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    wanted = opt.quantities("--want", want)
+    wanted = opt.quantities("--want", want, machine.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
         found = choose(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]

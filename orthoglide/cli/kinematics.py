@@ -42,8 +42,7 @@ class _Coordinate(click.ParamType):
 def _arguments(metavar: str) -> opt.Decorator:
     return opt.together(
         click.argument("numbers", nargs=-1, type=_Coordinate(), metavar=f"[{metavar}]"),
-        opt.machine,
-        opt.effects,
+        opt.machine(),
         click.option("--csv", "table", type=opt.PATH, metavar="CSV", help="Rows to compute."),
         click.option("--out", type=opt.PATH, metavar="CSV", help="With --csv: file to write."),
     )

@@ -21,12 +21,18 @@ if TYPE_CHECKING:
 @click.command()
 @click.option("--out", type=opt.PATH, required=True, metavar="CAMPAIGN.csv",
               help="Campaign to write, or to go on with.")  # fmt: skip
-@opt.machine
+@opt.machine()
 @click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Measuring sheet to read first; its own where absent.")  # fmt: skip
 @click.option("--most", type=int, default=126, show_default=True,
               help="Readings after which no more are asked for.")  # fmt: skip
-def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int) -> None:
+def measure(
+    out: Path,
+    machine_path: Path | None,
+    effects_file: Path | None,
+    sheet: Path | None,
+    most: int,
+) -> None:
     """Ask for one reading after another at the machine, until the verdict is settled.
 
     Says where each dial stands and where to go, takes what is typed or sent to its standard input
@@ -42,7 +48,7 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
 
     if most < 2:
         raise InputError(f"--most must be 2 or more, not {most}")
-    machine = opt.load_machine(machine_path)
+    machine = opt.load_machine(machine_path, effects_file)
     otherwise = "measure asks for dials on legs; fill it in and give it to close-loop"
     first = None if sheet is None else opt.dial_sheet(sheet, machine, otherwise)
     record = Record(out, machine.spec)
@@ -58,7 +64,7 @@ def measure(out: Path, machine_path: Path | None, sheet: Path | None, most: int)
             f"{click.format_filename(out)}: the same command goes on from there",
             INTERRUPTED,
         ) from None
-    _tell(end, out, machine_path)
+    _tell(end, out, {"--machine": machine_path, "--effects-file": effects_file})
 
 
 COMMANDS = (measure,)
@@ -75,11 +81,11 @@ def _ask(question: str) -> str:
     return answer
 
 
-def _tell(end: End, out: Path, machine_path: Path | None) -> None:
+def _tell(end: End, out: Path, options: dict[str, Path | None]) -> None:
     from orthoglide.report import summary
 
     word = "Settled" if end.settled else "Not settled"
-    given = f" --machine {click.format_filename(machine_path)}" if machine_path else ""
+    given = "".join(f" {o} {click.format_filename(p)}" for o, p in options.items() if p)
     name = click.format_filename(out)
     say(
         f"{word} after {end.readings} readings: {end.reason}.\n\n{summary(end.verdict)}\n\n"

@@ -14,6 +14,7 @@ from orthoglide.text import shown
 from orthoglide.units import NOISE
 
 if TYPE_CHECKING:
+    from orthoglide.effects import Catalogue
     from orthoglide.machine import Machine
     from orthoglide.observations import Campaign
 
@@ -48,14 +49,20 @@ def together(*options: Decorator) -> Decorator:
 
 PROTOCOLS = ("standard", "sweep", "two-gauges")
 
-machine = click.option(
-    "--machine", "machine_path", type=PATH, metavar="FILE",
-    help="Machine file (machine.toml); the nominal Orthoglide where absent.",
-)  # fmt: skip
 effects = click.option(
     "--effects-file", type=PATH, metavar="FILE.py",
     help="Python file with effects of your own, beside the catalogue.",
 )  # fmt: skip
+
+
+def machine(required: bool = False, help: str = "") -> Decorator:
+    """``--machine FILE``, and ``--effects-file`` for what it may name beside the catalogue."""
+    usual = "Machine file (machine.toml); the nominal Orthoglide where absent."
+    return together(
+        click.option("--machine", "machine_path", type=PATH, metavar="FILE", required=required,
+                     help=help or usual),
+        effects,
+    )  # fmt: skip
 
 
 def _seed_of(_: Any, __: Any, value: int) -> int:
@@ -84,29 +91,28 @@ def out(required: bool = True, help: str = "") -> Decorator:
 out_or_nothing = out(False, "Folder for the results; nothing is written where absent.")
 
 
-def quantities(option: str, items: tuple[str, ...]) -> dict[str, float]:
+def quantities(option: str, items: tuple[str, ...], catalogue: Catalogue) -> dict[str, float]:
     """``NAME=NUMBER`` of an option in SI; the number is in the unit of files, of TCP millimetres.
 
     Args:
         option: its name, for errors.
         items: its values.
+        catalogue: of the effects that it may name.
 
     Raises:
         InputError: where one is not of this form, or names nothing.
     """
-    from orthoglide.effects import CATALOGUE
-
     found = {}
     for item in items:
         name, _, number = item.partition("=")
         try:
             value = float(number)
         except ValueError:
-            example = f"{CATALOGUE.base[0]}.x=0.5"
+            example = f"{catalogue.base[0]}.x=0.5"
             raise InputError(
                 f"{option} takes NAME=NUMBER such as {example}, not {item!r}"
             ) from None
-        found[name] = value * (1e-3 if name == "TCP" else CATALOGUE.effect_of(name).unit.si)
+        found[name] = value * (1e-3 if name == "TCP" else catalogue.effect_of(name).unit.si)
     return found
 
 
@@ -137,8 +143,7 @@ run_options = together(
 fit_options = together(
     click.option("--own", type=Names(), default=(), metavar="NAME,...",
                  help="Effects or parameters that each campaign has of its own."),
-    machine,
-    effects,
+    machine(),
     click.option("--fit-tcp", type=PATH, multiple=True, metavar="FILE",
                  help="TCP points that are readings like the others; may be given several times."),
     click.option("--frame", type=click.Choice(("rigid", "translation", "none")), default="rigid",
@@ -168,13 +173,13 @@ def dial_sheet(path: Path, machine: Machine, otherwise: str) -> Campaign:
     return sheet
 
 
-def load_machine(path: Path | None, effects_file: Path | None = None) -> Machine:
+def load_machine(path: Path | None, effects_file: Path | None) -> Machine:
     """The machine of ``--machine``, with the effects of ``--effects-file``."""
     from orthoglide.effects.loading import load_effects
     from orthoglide.klipper import doubted_rods
     from orthoglide.machine import Machine
 
-    effects = () if effects_file is None else load_effects(effects_file)
+    effects = load_effects(effects_file)
     machine = Machine.nominal() if path is None else Machine.load(path, effects)
     for warning in filter(None, (doubted_rods(machine), *machine.warnings)):
         say(f"warning: {warning}", err=True)

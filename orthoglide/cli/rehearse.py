@@ -17,7 +17,7 @@ from orthoglide.errors import InputError
 
 
 @click.command()
-@opt.machine
+@opt.machine()
 @click.option("--sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Measuring sheet; the protocol sweep where absent, or a probe on a plate where "
                    "no dial stands on a leg.")  # fmt: skip
@@ -35,6 +35,7 @@ from orthoglide.errors import InputError
 @opt.quiet
 def rehearse(
     machine_path: Path | None,
+    effects_file: Path | None,
     sheet: Path | None,
     owns: tuple[str, ...],
     campaigns: int,
@@ -53,7 +54,7 @@ def rehearse(
     from orthoglide.rehearsal import rehearse as run
 
     exclude("dask", "jobs", because="the cluster has its own workers")
-    machine = opt.load_machine(machine_path)
+    machine = opt.load_machine(machine_path, effects_file)
     if out is not None:
         name = click.format_filename(out)
         keep_on_interrupt(f"{name} keeps what was finished, and the same command goes on")

@@ -38,7 +38,7 @@ SCHEMAS = (1, 2)
     metavar="FOLDER",
     help="Where the files lie that were read; else beside the result, or above it, or here.",
 )
-@click.option("--effects-file", type=opt.PATH, metavar="FILE.py", help="As the run was given.")
+@opt.effects
 @click.option("--quiet", is_flag=True, help="No progress; only what differs is said.")
 def rerun(
     result: Path, out: Path | None, inputs: Path | None, effects_file: Path | None, quiet: bool
@@ -60,8 +60,7 @@ def rerun(
         from orthoglide.report import report_files, result_text
         from orthoglide.request import request_of
 
-        effects = () if effects_file is None else load_effects(effects_file)
-        found = run(request_of(old, str(result), effects), step)
+        found = run(request_of(old, str(result), load_effects(effects_file)), step)
         files = report_files(found, step) if out is not None else {}
         new = json.loads(files.get("result.json") or result_text(found))
         numbers = _numbers(new, old["schema"])

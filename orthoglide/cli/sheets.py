@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 import orthoglide.cli.options as opt
-from orthoglide.cli.idle import exclude
+from orthoglide.cli.idle import exclude, need
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
@@ -23,18 +23,18 @@ _kind_option = click.option(
 @click.option("--out", type=opt.PATH, required=True, metavar="SHEET.csv",
               help="File to write; SHEET.html, to print, is written beside it.")  # fmt: skip
 @_kind_option
-@opt.machine
-def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
+@opt.machine()
+def protocol(out: Path, kind: str, machine_path: Path | None, effects_file: Path | None) -> None:
     """Write a measuring sheet: every row but the reading, and the same rows as a page to print."""
     from orthoglide.observations import protocol as make
 
-    machine = opt.load_machine(machine_path)
+    need("effects_file", "machine_path")
+    machine = opt.load_machine(machine_path, effects_file)
     say(write_sheet(out, make(kind, machine.geometry), machine))  # type: ignore[arg-type]
 
 
 @click.command()
-@click.option("--machine", "machine_path", type=opt.PATH, required=True, metavar="FILE",
-              help="Machine file; its [parameters] are errors of the machine.")  # fmt: skip
+@opt.machine(required=True, help="Machine file; its [parameters] are errors of the machine.")
 @click.option("--error", "errors", type=opt.Names(), default=(), metavar="NAME=NUMBER,...",
               help="More errors of the machine, in the units of files.")  # fmt: skip
 @click.option("--out", type=opt.PATH, required=True, metavar="CSV", help="Campaign to write.")
@@ -49,6 +49,7 @@ def protocol(out: Path, kind: str, machine_path: Path | None) -> None:
               help="Also write 60 exact TCP points, to judge by.")  # fmt: skip
 def simulate(
     machine_path: Path,
+    effects_file: Path | None,
     errors: tuple[str, ...],
     out: Path,
     kind: str,
@@ -77,8 +78,8 @@ def simulate(
         raise InputError(f"--out and --tcp are both {str(tcp)!r}: give each a name of its own")
     for path in filter(None, (out, tcp)):
         check_new(path)
-    added = opt.quantities("--error", errors)
-    machine = opt.load_machine(machine_path).with_parameters(added)
+    plain = opt.load_machine(machine_path, effects_file)
+    machine = plain.with_parameters(opt.quantities("--error", errors, plain.catalogue))
     draw = np.random.default_rng(seed)
     sheets = (
         (protocol(kind, machine.geometry),)  # type: ignore[arg-type]

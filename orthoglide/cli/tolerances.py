@@ -18,12 +18,16 @@ _LEAST, _MOST = 1e-6, 1e3  # millimetres, that anybody wants of a tool
 @click.option("--tcp", "tcp_mm", type=float, required=True, metavar="MM",
               help="Mean error wanted of the tool, over the workspace after the best "
                    "translation.")  # fmt: skip
-@opt.machine
+@opt.machine()
 @click.option("--calibrated-by", "sheet", type=opt.PATH, metavar="SHEET.csv",
               help="Also if every machine is calibrated by this sheet.")  # fmt: skip
 @opt.noise()
 def tolerances(
-    tcp_mm: float, machine_path: Path | None, sheet: Path | None, noise: float | None
+    tcp_mm: float,
+    machine_path: Path | None,
+    effects_file: Path | None,
+    sheet: Path | None,
+    noise: float | None,
 ) -> None:
     """Tell how large tolerances may be for a wanted error of the tool, and which cost most.
 
@@ -38,7 +42,7 @@ def tolerances(
             f"--tcp must be a positive number of millimetres from {_LEAST:g} to {_MOST:g}, "
             f"not {tcp_mm:g}"
         )
-    machine = opt.load_machine(machine_path)
+    machine = opt.load_machine(machine_path, effects_file)
     answers = [needed_tolerances(machine, tcp_mm * 1e-3)]
     if sheet is not None:
         read = opt.dial_sheet(sheet, machine, "name one of dials on legs")

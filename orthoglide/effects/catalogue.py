@@ -19,6 +19,12 @@ from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
 from orthoglide.parameters import Parameter, setup_parts
 
+OWN = (
+    "your own come with --effects-file FILE.py, in Python with Machine.load(FILE, effects=[...]) "
+    "or Machine.with_effects"
+)
+"""For errors: how an effect of a user's own becomes known."""
+
 
 @dataclass(frozen=True, repr=False)
 class Catalogue(Mapping[str, Effect]):
@@ -117,7 +123,7 @@ class Catalogue(Mapping[str, Effect]):
         effect = name.effect if isinstance(name, Parameter) else name.split("@")[0].split(".")[0]
         if effect not in self.by_name:
             known = ", ".join(self)
-            raise InputError(f"there is no effect {effect!r}: the catalogue has {known}")
+            raise InputError(f"there is no effect {effect!r}: the catalogue has {known} ({OWN})")
         return self.by_name[effect]
 
     def parameter(self, name: str, setups: Iterable[str] = ()) -> Parameter:

@@ -11,14 +11,16 @@ from orthoglide.errors import FileError
 from orthoglide.text import shown
 
 
-def load_effects(path: str | os.PathLike[str]) -> tuple[Effect, ...]:
-    """Effects that a Python file declares at its top level, in their order.
+def load_effects(path: str | os.PathLike[str] | None) -> tuple[Effect, ...]:
+    """Effects that a Python file declares at its top level, in their order; none without a file.
 
     The file is run: give only files that you trust.
 
     Raises:
         FileError: where it is missing, fails, or declares none.
     """
+    if path is None:
+        return ()
     if not Path(path).is_file():
         raise FileError("there is no such file: check the name", file=shown(path))
     try:

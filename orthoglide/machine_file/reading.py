@@ -10,6 +10,7 @@ from typing import Any
 
 from orthoglide import files, units
 from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.effects.catalogue import OWN
 from orthoglide.effects.places import with_places
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
@@ -331,7 +332,8 @@ def _parameter(document: Document, name: str, catalogue: Catalogue) -> Parameter
     effect = name.partition(".")[0]
     allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
-        document.fail(f"there is no parameter {brief(name)!r}: {advice(effect, allowed)}", *path)
+        told = advice(effect, allowed)
+        document.fail(f"there is no parameter {brief(name)!r}: {told} (effects of {OWN})", *path)
     if name not in catalogue[effect].motions and name not in catalogue.structured(effect):
         document.fail(
             f"{brief(name)!r} names no parameter of {effect}: correct what follows it", *path

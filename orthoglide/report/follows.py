@@ -194,7 +194,8 @@ def unseen(result: Result, figures: Figures) -> Data:
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
         "dialled": result.machine.geometry.dialled,
         "owned": ",".join(result.instruments),
-        "machine": Path(result.request.machine.spec.file).name or "FILE",
+        "machine": f"{Path(result.request.machine.spec.file).name or 'FILE'}"
+        f"{result.request.effects_option}",
         "figure": whole(figure) if figure else "",
     }
 

@@ -70,6 +70,11 @@ class Request:
         return self.command != "identify"
 
     @property
+    def effects_option(self) -> str:
+        """Behind ``--machine`` in a command that is told: the user's own effects, where given."""
+        return f" --effects-file {shlex.quote(self.effects_file)}" if self.effects_file else ""
+
+    @property
     def arguments(self) -> dict[str, Any]:
         """As ``result.json`` keeps them: names of files, no places."""
         found: dict[str, Any] = {

@@ -229,7 +229,7 @@ def _compensate(result: Result) -> Iterator[Action]:
     if result.request.searches and not result.firmware and gain > _WORTH * expected["now"].shape:
         words = (
             f"Send compensated commands, {_PLAIN}: orthoglide compensate path.csv --machine "
-            f"calibrated.toml --out commands.csv"
+            f"calibrated.toml{result.request.effects_option} --out commands.csv"
         )
         yield Action("compensate", words, gain)
 
