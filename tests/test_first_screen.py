@@ -99,6 +99,8 @@ READ = {
     "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
     rf"(?P<way>\d+) degrees",
 }
+# Of an effect that declares no words: its sentence, its side and a sign.
+PLAIN = rf"(?:on leg|in setup) (?P<leg>\w+) .*?(?P<way>(?:{TOWARD}, )?by [+−]?){SIZE}"
 UP = {"out", "more", "gives way", "right", "right-handed", "longer", "wider", "grow", "grows",
       "bowl", "counter-clockwise"}  # fmt: skip
 SCALES = {"mm": 1e-3, "mrad": 1e-3, "%": 1e-2, "µm": 1e-6}
@@ -116,7 +118,7 @@ def every(catalogue: Catalogue) -> list[Parameter]:
 
 def read(text: str, effect: str) -> tuple[str, str, float]:
     """Part, way and size that a sentence gives, the way as a sign and a direction."""
-    found = re.search(READ[effect], text, re.IGNORECASE)
+    found = re.search(READ.get(effect, PLAIN), text, re.IGNORECASE)
     assert found, text
     groups = [g for g in found.groups() if g is not None]
     unit = next(g for g in groups if g in SCALES)
@@ -128,6 +130,11 @@ def points(way: str, p: Parameter, value: float) -> bool:
     """Whether a way is the parameter's, with the sign of its value."""
     if p.effect in UNSIGNED:
         return True
+    if p.effect not in READ:
+        sides = {"radial": "the outside, ", "tangential": "the counter-clockwise side, "}
+        side = sides.get(p.direction, f"{p.direction}, " if p.direction in {"x", "y", "z"} else "")
+        sign = "" if CATALOGUE.effect_of(p).paired else "+−"[value < 0]
+        return way == f"{side}by {sign}"
     if p.effect == "backlash":
         return bool(way) == (value < 0)
     if p.effect == "plate_trefoil":

@@ -48,7 +48,25 @@ PARTS = {
     "leg_length": "bar", "bar_mismatch": "bar",
     "parallelogram_width": "link", "thermal_growth": "bar", "thermal_drift": "bar",
 }  # fmt: skip
+JOINTS = {
+    "travel": "drive",
+    "lateral": "rail",
+    "turn": "carriage",
+    "stretch": "bar",
+    "width": "link",
+}
 AGAINST = {"rail_bow", "backlash"}  # u^2 - 1 between the ends; half of it behind a move outward
+
+
+def part_of(catalogue: Catalogue, p: Parameter) -> str:
+    """The part that an effect moves; of one that is not listed above, by its first joint."""
+    joint = catalogue.motions[p][1][0].joint
+    return PARTS.get(p.effect) or JOINTS[joint.partition("_")[0].rstrip("12")]
+
+
+def shows(own: og.Machine, p: Parameter) -> bool:
+    """Whether it moves anything: what hangs on a screw's pitch does not on a printer's belts."""
+    return "pitch" not in own.catalogue.effect_of(p).needs or own.spec.screw_pitch is not None
 
 
 def expected(catalogue: Catalogue, p: Parameter, posture: Posed) -> np.ndarray:
@@ -56,9 +74,10 @@ def expected(catalogue: Catalogue, p: Parameter, posture: Posed) -> np.ndarray:
     leg = posture.geometry.legs[catalogue.legs.index(p.leg)]
     across = dict(zip(catalogue.legs.across[catalogue.legs.index(p.leg)], leg.axes.T[1:],
                       strict=True))  # fmt: skip
-    if PARTS[p.effect] == "bar":
+    part = part_of(catalogue, p)
+    if part == "bar":
         return (leg.carriage - leg.platform) / posture.geometry.L
-    if PARTS[p.effect] == "link":
+    if part == "link":
         return leg.axes[:, 2]
     sign = -1.0 if p.effect in AGAINST else 1.0
     return sign * across.get(p.direction, leg.axes[:, 1] if p.direction == "b" else leg.axes[:, 0])
@@ -73,22 +92,22 @@ def test_every_effect_is_marked_on_its_part_with_direction_and_size(
     kind: str, name: Parameter, sign: float
 ) -> None:
     own = machine(kind)
-    if name.effect == "screw_error" and own.spec.screw_pitch is None:
+    if not shows(own, name):
         pytest.skip("a printer's belts have no pitch")
     value = sign * 2 * own.tolerance(name)
     marks = option(own, "words", {name: value}).marks
     mark: Mark = marks[0]
-    assert mark.part == PARTS[name.effect]
+    assert mark.part == part_of(own.catalogue, name)
     assert own.geometry.leg_names[mark.leg] == name.leg
     if name.effect not in ("drive_compliance", "screw_error"):  # which way hangs on the load
         along = float(mark.way @ expected(own.catalogue, name, posed(kind)))
-        assert along * sign > 0.99
+        assert (along * sign if name.effect in PARTS else abs(along)) > 0.99
     found = re.search(r"([\d.]+) (mm|mrad|%|µm)", mark.label)
     assert found
     if name.effect not in ("thermal_drift", "screw_error"):
         size = float(found[1]) * SCALES[found[2]] * PER.get(name.effect, 1.0)
         assert size == pytest.approx(abs(value), rel=0.06)
-    assert mark.both == (name.effect == "backlash")
+    assert mark.both == ("approach" in own.catalogue.effect_of(name).needs)
     text = drawing(posed(kind), [option(own, "words", {name: value})])
     assert mark.label in html.unescape(text)
 
@@ -149,7 +168,7 @@ def test_sizes_stand_on_the_paper_and_cover_no_name_and_no_dial(kind: str, sign:
     own, posture = machine(kind), posed(kind)
     stand = dials(posture, [og.protocol("sweep")]) if kind == "orthoglide" else ()
     for parameter in own.catalogue.parameters:
-        if parameter.effect == "screw_error" and own.spec.screw_pitch is None:
+        if not shows(own, parameter):
             continue
         cause = option(own, "", {parameter: sign * 1.23 * own.tolerance(parameter)})
         root = ET.fromstring(drawing(posture, [cause], stand))

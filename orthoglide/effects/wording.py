@@ -65,14 +65,14 @@ def one_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """Clause for one parameter and its value, SI."""
     if effect.words.one is not None:
         return effect.words.one(parameter, value)
-    return f"{_short(effect, parameter)}, by {signed_size(effect, value)}"
+    return f"{_short(effect, parameter)}, by {_told_size(effect, value)}"
 
 
 def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """A test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
         return effect.words.confirm(parameter, value)
-    return f"look at {effect.look_at}: expect {signed_size(effect, value)}"
+    return f"look at {effect.look_at}: expect {_told_size(effect, value)}"
 
 
 def size_words(effect: Effect, value: float) -> str:
@@ -87,6 +87,11 @@ def size_words(effect: Effect, value: float) -> str:
 def signed_size(effect: Effect, value: float) -> str:
     """A size with its sign."""
     return f"{'+' if value >= 0 else MINUS}{size_words(effect, value)}"
+
+
+def _told_size(effect: Effect, value: float) -> str:
+    """A size with its sign; an amplitude, of what is paired, has none."""
+    return size_words(effect, value) if effect.paired else signed_size(effect, value)
 
 
 def parameter_words(parameter: Parameter) -> str:
@@ -142,10 +147,10 @@ def _campaign(parameter: Parameter | None, name: str) -> str:
 def _short(effect: Effect, parameter: Parameter) -> str:
     if effect.words.short is not None:
         return effect.words.short(parameter)
-    place = parameter.setup or f"leg {parameter.leg}"
+    place = f"in setup {parameter.setup}" if parameter.setup else f"on leg {parameter.leg}"
     sided = _sided(effect, parameter.direction)
     toward_j = f" toward {toward(parameter.direction, 1.0)}" if sided else ""
-    return f"{place}: {effect.sentence}{toward_j}"
+    return f"{place} {effect.sentence}{toward_j}"
 
 
 def _sided(effect: Effect | None, direction: str) -> bool:
@@ -154,7 +159,8 @@ def _sided(effect: Effect | None, direction: str) -> bool:
 
 
 def _many(effect: Effect) -> str:
-    return effect.words.many or f"all legs: {effect.sentence}"
+    place = "in all setups" if effect.of_dial else "on all legs"
+    return effect.words.many or f"{place} {effect.sentence}"
 
 
 def _short_pattern(effect: Effect, member: str) -> str:
