@@ -5,6 +5,7 @@ import copy
 import json
 import math
 import pickle
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,9 @@ from orthoglide.effects.motions import constant, sideways
 from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words
 from orthoglide.errors import InputError
+from orthoglide.posterior import Explanation
 from orthoglide.prediction import Conditions, Model
+from orthoglide.result.actions import confirm
 from orthoglide.units import MM
 
 PACKAGE = Path(og.__file__).parent
@@ -154,6 +157,23 @@ def test_ones_own_effect_is_found_and_named(machine: og.Machine, effect: Effect)
     assert verdict.effects[0].name.split(".")[0] == effect.name
     assert verdict.after.values[name] == pytest.approx(1.5e-4, abs=3e-5)
     assert effect.sentence in str(verdict)
+
+
+@pytest.mark.parametrize(
+    ("effect", "test"),
+    [(SECOND_HARMONIC, "look at the encoder's disc: expect an amplitude of 0.05 mm"),
+     (CATALOGUE["screw_error"], "set a dial on carriage y .* to span 0.1 mm")],
+    ids=lambda e: getattr(e, "name", ""),
+)  # fmt: skip
+def test_a_pair_has_a_test_that_confirms_it(machine: og.Machine, effect: Effect, test: str) -> None:
+    values = {f"{effect.name}.y.sin@one": 9.0} | {
+        f"{effect.name}.y.{part}": v for part, v in (("sin", -3e-5), ("cos", 4e-5))
+    }
+    one = Explanation(
+        f"{effect.name}.y", tuple(values), 1.0, values, values, values, np.zeros(0),
+        machine.catalogue,
+    )  # fmt: skip
+    assert re.fullmatch(test, confirm(one))
 
 
 def test_effects_travel_between_processes(machine: og.Machine) -> None:

@@ -72,7 +72,8 @@ def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
     """A test on the machine that confirms a cause, with the reading to expect."""
     if effect.words.confirm is not None:
         return effect.words.confirm(parameter, value)
-    return f"look at {effect.look_at}: expect {_told_size(effect, value)}"
+    size = _told_size(effect, value)
+    return f"look at {effect.look_at}: expect {'an amplitude of ' * effect.paired}{size}"
 
 
 def size_words(effect: Effect, value: float) -> str:

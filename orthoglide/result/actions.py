@@ -212,15 +212,18 @@ def confirm_place(curve: Curve) -> str:
 
 
 def confirm(one: Explanation) -> str:
-    """The test that confirms a cause, with the reading to expect; empty of several parameters."""
-    if len({one.catalogue.parameter(n).plain for n in one.parameters}) > 1:
+    """The test that confirms a cause, with the reading to expect; empty of several parameters that
+    are not those of one leg and one cause.
+    """
+    effect = one.catalogue.effect_of(one.name)
+    named = ((one.catalogue.parameter(n).plain, one.values[n]) for n in one.parameters)
+    values = dict(named)  # of what campaigns have for themselves: the last one's
+    first, *more = values
+    pair = effect.paired and len({p.leg for p in values}) == 1
+    if first.member or (more and not pair):
         return ""
-    name = one.parameters[-1]  # of what campaigns have for themselves: the last one's
-    parameter = one.catalogue.parameter(name)
-    value = one.values[name]
-    return (
-        "" if parameter.member else confirm_words(one.catalogue.effect_of(name), parameter, value)
-    )
+    value = math.hypot(*values.values()) if more else values[first]
+    return confirm_words(effect, first, value)
 
 
 def _compensate(result: Result) -> Iterator[Action]:
