@@ -267,9 +267,10 @@ def test_equals_the_independent_machine_under_load(bar: float) -> None:
     pose = rig.pose(rho, np.ones((30, 3)), np.full(30, 600.0), np.full(30, 3.0), load)
     unloaded = model.outputs(errors, replace(conditions, load=np.zeros(30)))
     assert np.abs(out.p - unloaded.p).max() > 1e-6
-    np.testing.assert_allclose(out.p, pose.p, rtol=0, atol=1e-9)
+    # Growth is of the nominal bar here and of the longer one there: 1e-5 of 0.05 mm.
+    np.testing.assert_allclose(out.p, pose.p, rtol=0, atol=5e-9)
     np.testing.assert_allclose(out.R, pose.R, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(out.lines, pose.lines, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(out.lines, pose.lines, rtol=0, atol=5e-9)
 
 
 def test_compliant_drives_and_bars_together() -> None:

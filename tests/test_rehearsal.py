@@ -111,7 +111,7 @@ def verdict_of(*effects: tuple[str, ...], places: tuple[str, ...] = ()) -> Any:
     catalogue = og.Machine.nominal().catalogue
 
     def explanation(name: str) -> Any:
-        own = [name] if name in catalogue.motions or ".c" in name else list(catalogue[name].motions)
+        own = [name] if "." in name else list(catalogue[name].motions)
         return SimpleNamespace(name=name, parameters=own, probability=0.5)
 
     causes = [
