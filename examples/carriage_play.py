@@ -7,9 +7,12 @@ from orthoglide.effects import Effect, Motion
 from orthoglide.units import MM
 
 
-def play(c):
-    """Half the play behind the last move; see ``LegConditions`` for what else a basis may use."""
+def play(c):  # half of it behind the last move; what else a basis may use: LegConditions
     return -c.approach / 2
+
+
+def across(leg):  # functions with names pickle, lambdas do not
+    return {axis: (Motion(f"lateral_{axis}", play),) for axis in "bc"}
 
 
 CARRIAGE_PLAY = Effect(
@@ -19,5 +22,5 @@ CARRIAGE_PLAY = Effect(
     because="a worn carriage tips by a few hundredths",
     sentence="the carriage has play beside its rail",
     look_at="the carriage's bearings and their preload",
-    members=lambda leg: {axis: (Motion(f"lateral_{axis}", play),) for axis in "bc"},
+    members=across,
 )

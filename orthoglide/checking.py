@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from orthoglide.fit import (
 )
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
+from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.observations import Campaign, Readings, ToolCampaign
@@ -96,7 +98,7 @@ COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
 
 
 @dataclass(frozen=True)
-class Check:
+class Check(Framed):
     """What became of a machine.
 
     Attributes:
@@ -114,6 +116,20 @@ class Check:
     differences: tuple[Difference, ...]
     changes: tuple[Change, ...] = ()
     moves: tuple[PlateMove, ...] = ()
+    _index = "parameter"
+
+    def __repr__(self) -> str:
+        return f"<Check: {self.line}>"
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """A row a difference, in the units of files."""
+        rows = []
+        for d in self.differences:
+            sizes = (d.before, d.after, d.after - d.before, d.sigma)
+            rows.append((d.parameter, *(v / d.unit.si for v in sizes), d.unit.name, d.changed))
+        titles = ("parameter", *COLUMNS)
+        return dict(zip(titles, map(list, zip(*rows, strict=True)), strict=True))
 
     @property
     def plates(self) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,11 @@ def test_zeros_that_were_entered_are_seen_and_nothing_else(machine: og.Machine) 
     assert "changed from" in found.sentences[0]
     assert found.sentences[-1].startswith("nothing else changed beyond its uncertainty: ")
     assert found.sentences[-1].count("±") == len(by_name) - 2
+    frame = found.to_frame()
+    assert list(frame.index) == list(by_name)
+    assert frame["new"]["joint_offset.x"] == by_name["joint_offset.x"].after * 1e3
+    assert set(frame.index[frame["changed"]]) == set(new)
+    assert found.line in unescape(found._repr_html_())
 
 
 def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> None:

@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import importlib
 import json
 import math
 import pickle
@@ -250,6 +251,13 @@ OWN_DIAL = Effect(
     dial=lambda reading, value: reading.shown + value,
 )  # fmt: skip
 SAID = CATALOGUE.with_effects([OWN_SAG, SECOND_HARMONIC, OWN_DIAL])
+
+
+def test_the_documented_example_travels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(PACKAGE.parent / "examples")
+    own = importlib.import_module("carriage_play").CARRIAGE_PLAY
+    machine = og.Machine.nominal().with_effects([own])
+    assert pickle.loads(pickle.dumps(machine)) == machine
 
 
 @pytest.mark.parametrize("name", list(SAID))

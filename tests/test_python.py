@@ -282,8 +282,11 @@ def test_millimetres_of_a_delta_are_refused() -> None:
 
 
 def test_points_in_millimetres_are_said_to_be_far() -> None:
-    with pytest.raises(og.UnreachableError, match="for a point 36 m away"):
+    told = "give metres in Python, millimetres on the command line"
+    with pytest.raises(og.UnreachableError, match=f"for a point 36 m away: {told}"):
         og.Machine.nominal().inverse([-12, 24, 24])
+    with pytest.raises(og.UnreachableError, match=f"^row 1 .* too short; {told}"):
+        og.compensate(og.Machine.nominal(), [[-12, 24, 24]])
 
 
 @pytest.mark.parametrize("kind", [str, Path])

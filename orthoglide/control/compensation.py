@@ -15,6 +15,7 @@ from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine
+from orthoglide.mechanism.seed import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.observations.columns import APPROACHED, POINT, TRAVELLED, by_leg
@@ -235,8 +236,9 @@ def _reached(solve: Callable[[slice], Array], count: int) -> Array:
                 break
         leg, excess = getattr(error, "leg", ""), float(getattr(error, "excess", 0.0))
         why = f"leg {leg} is {excess * 1e3:.3f} mm too short" if leg else "the legs do not reach it"
+        remedy = UNITS if UNITS in str(error) else "move the point towards the middle"
         raise UnreachableError(
-            f"row {row + 1} of the path is out of reach: {why}; move the point towards the middle",
+            f"row {row + 1} of the path is out of reach: {why}; {remedy}",
             leg=leg,
             excess=excess,
             index=(row,),

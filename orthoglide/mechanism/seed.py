@@ -15,6 +15,8 @@ Mode = Literal["machine", "other"]
 """The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
 _FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
+UNITS = "give metres in Python, millimetres on the command line and in files"
+"""What to do about a point so far away."""
 
 
 def free_joints(tree: Tree, travel: Array, p: Array) -> Array:
@@ -57,7 +59,7 @@ def commands(geometry: Geometry, p: Array) -> Array:
         size = float(excess[worst, leg])
         shown = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
         away = float(np.hypot.reduce(p[worst]))
-        far = f" for a point {away:g} m away" if away > _FAR * geometry.L else ""
+        far = f" for a point {away:g} m away: {UNITS}" if away > _FAR * geometry.L else ""
         raise UnreachableError(
             f"{_which(worst, p)}leg {geometry.leg_names[leg]} is {shown} mm too short{far}",
             leg=geometry.leg_names[leg],
