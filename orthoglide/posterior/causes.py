@@ -172,11 +172,13 @@ class Located:
         members: most probable first.
         resembling: causes of the catalogue in the same credible set.
         probability: that it is one of the members, all else that was found given.
+        group: of the likeliest explanation, in whose place any of these may be.
     """
 
     members: tuple[Curve, ...]
     resembling: tuple[str, ...]
     probability: float
+    group: int
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"

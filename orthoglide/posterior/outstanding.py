@@ -227,6 +227,7 @@ class _Reader:
             ),
             tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free),
             probability,
+            member,
         )
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:

@@ -84,7 +84,7 @@ def firmware(advice: FirmwareAdvice, found: Corrections, early: str) -> Data:
 
 
 _AIMS = {
-    "separate": "To tell the causes apart",
+    "separate": "To tell apart what these readings cannot",
     "narrow": "To narrow what is hardly seen",
     "trace": "To follow what nothing explains",
 }
@@ -107,8 +107,8 @@ def following(result: Result, sheet: str) -> Data:
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": suggestions,
-        "others": [_reason(s.reason) for s in suggested if s.pool is None],
-        "hopeless": [_reason(s.reason) for s in suggested if s.pool is not None and not s.chosen],
+        "others": [_reason(s.reason) for s in suggested if s.pool is None and not s.hopeless],
+        "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
         "hidden": bool(result.after.weak),
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
         "readings": len(proposed or ()),

@@ -243,6 +243,6 @@ def _measure(result: Result) -> tuple[bool, list[Action]]:
         if one.chosen and one.aim == "narrow":
             text = f"Measure more only to know more: the report proposes {len(one.chosen)} readings"
             return False, [Action("measure", text)]
-        if one.chosen or one.pool is None:
+        if not one.hopeless:
             return True, [Action("measure", f"Measure more: {one.reason}")]
     return False, []
