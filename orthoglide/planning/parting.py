@@ -13,7 +13,7 @@ from orthoglide.fit.tool import ToolReadings, expected_sigma
 from orthoglide.observations import ToolCampaign
 from orthoglide.planning.criteria import RivalSeparation
 from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.owning import INSTRUMENTS, sheet_of
+from orthoglide.planning.owning import INSTRUMENTS, sheets_of
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.rivals import Rival
 from orthoglide.planning.suggestions import DECIDES, Pairs, Suggestion, to_separate, usual_load
@@ -83,7 +83,8 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
     """A sentence for each that parts any two, that which most probably does first; else one that
     none does.
     """
-    every = {kind: _apart(members, kind) for kind in _AT_TOOL}
+    sheets = sheets_of(members.posterior.after.problem.machine, _AT_TOOL)
+    every = {k: _apart(members, s) for k, s in sheets.items() if isinstance(s, ToolCampaign)}
     chance = [one.probability for one in members.each]
 
     def worth(kind: str) -> float:
@@ -112,11 +113,9 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
         )  # fmt: skip
 
 
-def _apart(members: Members, kind: str) -> Pairs:
+def _apart(members: Members, sheet: ToolCampaign) -> Pairs:
     """Sigmas between each two by an instrument's own sheet."""
     machine = members.posterior.after.problem.machine
-    sheet = sheet_of(machine, kind)
-    assert isinstance(sheet, ToolCampaign)
     sigma = expected_sigma(sheet, machine.spec.instruments)
     factor = replace(ToolReadings.of(sheet, machine), sigma=sigma)
     rows, slopes = members.rows(factor)
