@@ -67,10 +67,12 @@ endstops; what no polynomial of the fourth degree follows counts as noise of the
 single touch that is six times as far off is left out, and told. Many causes draw the same surface,
 the bed's own shape among them: they are told as a class, each with its size. A level on the
 platform, distances around the rim with both widths, or a mesh with the plate turned by 60 degrees
-(a profile of its own, imported with `--turned NAME=60`) decide between them; every result says
-which, and by how much. Seven points cannot see a twist that is common to the towers. [The truth
-table of the linear delta](linear-delta-truth.md) has which instrument sees which cause, and how
-often the verdict is right.
+(a profile of its own, imported with `--turned NAME=60`) decide between them, but none between all:
+neither lobes of the bed nor paths of the carriages that all lean to one side turn the platform. A
+result asks first for what most probably decides, as probable as each cause is, and says which it
+tells apart, by how many sigma, and which not. Seven points cannot see a twist that is common to the
+towers. [The truth table of the linear delta](linear-delta-truth.md) has which instrument sees which
+cause, and how often the verdict is right.
 
 Up to the fourth degree a plate has more shapes than the bowl and three lobes that are named:
 standard deviations of {sizes} mm are expected of those of the second, third and fourth

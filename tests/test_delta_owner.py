@@ -14,7 +14,7 @@ from benchmarks.delta_readings import INSTRUMENTS, measured
 from benchmarks.delta_truth import machine as nominal
 from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
-from orthoglide.closing import close_loop
+from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.errors import InputError
@@ -260,7 +260,10 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
         assert false not in told
         assert false not in text, false
     assert "design --owns plate --machine machine.toml" in text
-    assert "With another instrument, or in another way To tell the causes apart measure a" in text
+    assert (
+        "With another instrument, or in another way To tell the causes apart measure distances"
+        in text
+    )
     assert "Where no reading helps" not in text
     assert "First the joint offsets, axis offsets and leg lengths were identified" in text
 
@@ -278,6 +281,35 @@ def test_distances_beside_a_mesh_name_no_cause_alone(v400: Path) -> None:
             assert cause.probability < 0.9
         every = {one.name for cause in verdict.effects for one in cause.explanations}
         assert {"plate_trefoil.cos.common", "rail_tilt.tangential.common"} <= every
+
+
+def test_what_most_probably_decides_is_asked_for_first() -> None:
+    """A level was, by which neither lobes nor paths that all lean to one side turn the platform."""
+    rig, lobes = DeltaRig(errors={"plate_trefoil.bed.cos": 1.5e-4}), "plate_trefoil.bed.cos"
+
+    def told(instrument: str) -> tuple[Verdict, set[str]]:
+        rng = np.random.default_rng(3)
+        readings = measured(rig, rng, machine=nominal(), instrument=instrument)
+        verdict = close_loop([readings], nominal())
+        return verdict, {one.name for cause in verdict.effects for one in cause.explanations}
+
+    mesh, names = told("mesh")
+    assert {lobes, "axis_tilt.tangential.common", "rail_tilt.tangential.common"} <= names
+    plate = '"the plate of bed has three high and three low sides"'
+    paths = '"the paths of the carriages are out of square, all alike in tangential direction"'
+    first, level = (
+        next(
+            r.split("measure ")[1] for r in (s.reason for s in mesh.next_measurements) if word in r
+        )
+        for word in ("measure distances", "measure a level")
+    )
+    assert mesh.next_measurements[0].reason.endswith(first)
+    assert "it does not tell" not in first
+    assert f"it does not tell {plate} from {paths}, for that take distances" in level
+    assert told("mesh, distances")[1] == {lobes}
+    left = told("mesh, level")[1]
+    assert {lobes, "axis_tilt.tangential.common"} <= left
+    assert "rail_tilt.tangential.common" not in left
 
 
 def test_a_plate_with_a_shape_of_its_own_is_no_cause_in_the_machine() -> None:

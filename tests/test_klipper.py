@@ -372,7 +372,10 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     reasons = " ".join(s["reason"] for s in told["next_measurements"])
     assert "turned by 60 degrees" in reasons
     assert "level on the platform" in reasons
-    sheet = "orthoglide design --owns incline --machine machine.toml --out incline.csv"
+    first, tells = told["next_measurements"][0]["reason"], '"the plate of default_25Probe has'
+    assert "measure distances" in first  # a level turns neither of the two likeliest
+    assert f'{tells} three high and three low sides" from "the paths of the carriages' in first
+    sheet = "orthoglide design --owns distance --machine machine.toml --out distance.csv"
     assert sheet in next(a["words"] for a in told["actions"] if a["action"] == "measure")
     assert sheet in unescape((done / "report.html").read_text())
     page = (done / "report.html").read_text()

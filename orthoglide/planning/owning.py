@@ -166,8 +166,13 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     if kind == "leg":
         return protocol("sweep", machine.geometry)
     (own,) = (k for k in KINDS if k == kind)
-    points, others, ball = _places(machine, own)
-    axes = np.array(_DIRECTIONS.get(own, (0,)))
+    return tool_sheet(machine, own)
+
+
+def tool_sheet(machine: Machine, kind: Kind) -> ToolCampaign:
+    """The same of an instrument at the tool."""
+    points, others, ball = _places(machine, kind)
+    axes = np.array(_DIRECTIONS.get(kind, (0,)))
     n = len(points) * len(axes)
     # Of places that circles share, to what files hold: else a second visit would be no repeat.
     at = np.round(machine.with_only({}).inverse(points), DECIMALS)
@@ -175,11 +180,11 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     second = np.full((n, 3), np.nan)
     if others is not None:
         second = machine.with_only({}).inverse(others)
-    reading = np.linalg.norm(points - ball, axis=1) if own == "ballbar" else np.zeros(n)
+    reading = np.linalg.norm(points - ball, axis=1) if kind == "ballbar" else np.zeros(n)
     nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
     return ToolCampaign(
         name=kind,
-        setups=(ToolSetup(kind, own),),
+        setups=(ToolSetup(kind, kind),),
         setup=np.zeros(n, dtype=np.int64),
         axis=np.tile(axes, len(points)),
         sign=np.ones(n),

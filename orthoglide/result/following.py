@@ -18,8 +18,9 @@ def next_measurements(result: Result) -> tuple[Suggestion, ...]:
     geometry, follow = result.request.machine.geometry, not result.stands
     again = tuple(map(planning.repeating, result.rest_of_tool[:follow]))
     if not geometry.dialled:
-        known = result.after, result.effects, result.machine
-        return (*planning.deciding_instruments(*known), *again)
+        known = result.posterior
+        apart = () if known is None else planning.deciding_instruments(known, result.effects)
+        return (*apart, *again)
     sets = [(c.chosen, *c.rivals) for c in result.effects if c.rivals]
     sets = sets or [tuple(result.alone[:_MOST_RIVALS])]
     rivals = [(e.name, e.machine) for each in sets for e in each]
