@@ -66,8 +66,9 @@ A probe sees one surface. The plate's height and slopes are fitted with every se
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches, and a
 single touch that is six times as far off is left out, and told. Many causes draw the same surface,
 the bed's own shape among them: they are told as a class, each with its size. A level on the
-platform, distances around the rim with both widths, or a mesh with the plate turned by 60 degrees
-(a profile of its own, imported with `--turned NAME=60`) decide between them, but none between all:
+platform, distances around the rim with both widths, the same by a longer tool
+([`beside_z_mm`](files.md#readings-of-the-tool)), or a mesh with the plate turned by 60 degrees (a
+profile of its own, imported with `--turned NAME=60`) decide between them, but none between all:
 neither lobes of the bed nor paths of the carriages that all lean to one side turn the platform. A
 result asks first for what most probably decides, as probable as each cause is, and says which it
 tells apart, by how many sigma, and which not. Seven points cannot see a twist that is common to the

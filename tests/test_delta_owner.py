@@ -20,7 +20,7 @@ from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
-from orthoglide.observations import read_readings
+from orthoglide.observations import ToolSetup, read_readings
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.mixed import mixed_sheet, whitened
 from orthoglide.planning.owning import sheet_of
@@ -301,7 +301,7 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
         next(
             r.split("measure ")[1] for r in (s.reason for s in mesh.next_measurements) if word in r
         )
-        for word in ("measure distances", "measure a level")
+        for word in ("measure distances between", "measure a level")
     )
     assert mesh.next_measurements[0].reason.endswith(first)
     assert "it does not tell" not in first
@@ -310,6 +310,30 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
     left = told("mesh, level")[1]
     assert {lobes, "axis_tilt.tangential.common"} <= left
     assert "rail_tilt.tangential.common" not in left
+
+
+def test_distances_by_a_longer_tool_tell_what_turns_the_platform() -> None:
+    """Of rails that lean the carriages turn, and with them the platform; of bent paths none does.
+
+    The independent machine carries the longer tool.
+    """
+    rng, errors = np.random.default_rng(3), {f"rail_tilt.{k}.tangential": 5e-3 for k in "abc"}
+    mesh = measured(DeltaRig(errors=errors), rng, machine=nominal(), instrument="mesh")
+    proposed = [s.reason for s in close_loop([mesh], nominal()).next_measurements]
+    assert any("by a tool 40 mm longer" in reason for reason in proposed)
+    names = []
+    for down in (0.0, -0.04):
+        rig = DeltaRig(errors=errors, tool=(0.0, 0.0, -0.04 + down))
+        both = measured(rig, rng, machine=nominal(), instrument="mesh, distances")
+        setups, rows = (ToolSetup("apart", "distance", (0.0, 0.0, down)),), both.of_kind("distance")
+        first = np.zeros(rows.sum(), dtype=np.int64)
+        apart = replace(both.subset(rows), name="apart", setups=setups, setup=first)
+        verdict = close_loop([mesh, apart], nominal())
+        names.append({one.name for cause in verdict.effects for one in cause.explanations})
+    leans, bent = "rail_tilt.tangential.common", "axis_tilt.tangential.common"
+    assert {leans, bent} <= names[0]
+    assert leans in names[1]
+    assert bent not in names[1]
 
 
 def test_a_plate_with_a_shape_of_its_own_is_no_cause_in_the_machine() -> None:

@@ -195,7 +195,8 @@ class ToolReadings(OfFile):
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Readings, nuisances apart."""
         out = model.outputs(values, self.conditions())
-        return self._value(out.p, out.R, self._shape(model.catalogue, values))
+        shape = self._shape(model.catalogue, values)
+        return self._value(self._taken(out.p, out.R), out.R, shape)
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
@@ -207,18 +208,19 @@ class ToolReadings(OfFile):
         n = len(self.points)
         jacobian = np.zeros((n, len(names)))
         of_machine = [k for k, name in enumerate(names) if name in set(machine)]
-        jacobian[:, of_machine] = self._derivative(out.p, by_name[:, :12])
+        p = self._taken(out.p, out.R)
+        jacobian[:, of_machine] = self._derivative(p, by_name[:, :12])
         for k, name in enumerate(names):
             if k not in of_machine:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
-        value = self._value(out.p, out.R, self._shape(catalogue, values))
-        touched = out.p[:n] + np.einsum("nij,nj->ni", out.R[:n], self.points.beside)
-        return LinearRows(value, jacobian, np.column_stack([touched, value]))
+        value = self._value(p, out.R, self._shape(catalogue, values))
+        return LinearRows(value, jacobian, np.column_stack([p[:n], value]))
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
         where = self.conditions()
-        slopes, p = model.by_joints(values, where)[:, :12], model.outputs(values, where).p
+        slopes, out = model.by_joints(values, where)[:, :12], model.outputs(values, where)
+        p = self._taken(out.p, out.R)
 
         def moved(joints: Array, functions: Array) -> Array:
             return self._derivative(p, (slopes @ joints)[:, :, None] * functions[:, None])
@@ -264,7 +266,7 @@ class ToolReadings(OfFile):
         axis, sign = self.points.axis, self.points.sign
         found = sign * p[rows, axis]
         of = self.points.of_kind
-        found = np.where(of("plate"), p[:n, 2] + self._lifted(R[:n, 2]), found)
+        found = np.where(of("plate"), p[:n, 2], found)
         found[self.twice] = np.linalg.norm(p[:n][self.twice] - p[n:], axis=1)
         found = np.where(of("ballbar"), np.linalg.norm(p[:n] - self._ball, axis=1), found)
         turn = 0.5 * (R[:n, [2, 0, 1], [1, 2, 0]] - R[:n, [1, 2, 0], [2, 0, 1]])
@@ -274,30 +276,34 @@ class ToolReadings(OfFile):
         """Of the readings ``(n, P)``, by that of places and rotations ``(N, 12, P)``."""
         n, rows = len(self.points), np.arange(len(self.points))
         axis, sign = self.points.axis, self.points.sign
-        of, by_p = self.points.of_kind, by_name[:, :3]
+        of, by_R = self.points.of_kind, by_name[:, 3:].reshape(len(by_name), 3, 3, -1)
+        by_p = self._taken(by_name[:, :3], by_R)
         found = sign[:, None] * by_p[rows, axis]
         plate, ball, level = of("plate"), of("ballbar"), of("incline")
-        by_R = by_name[:n, 3:].reshape(n, 3, 3, -1)
-        found[plate] = (by_p[:n, 2] + self._lifted(by_R[:, 2]))[plate]
+        found[plate] = by_p[:n, 2][plate]
         apart = p[:n][self.twice] - p[n:]
         apart /= np.maximum(np.linalg.norm(apart, axis=1), 1e-9)[:, None]
         found[self.twice] = np.einsum("ni,nip->np", apart, by_p[:n][self.twice] - by_p[n:])
         toward = p[:n] - self._ball
         toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
         found[ball] = np.einsum("ni,nip->np", toward, by_p[:n])[ball]
-        turn = 0.5 * (by_R[:, [2, 0, 1], [1, 2, 0]] - by_R[:, [1, 2, 0], [2, 0, 1]])
+        turn = 0.5 * (by_R[:n, [2, 0, 1], [1, 2, 0]] - by_R[:n, [1, 2, 0], [2, 0, 1]])
         found[level] = (sign[:, None] * turn[rows, axis])[level]
         return found
 
-    def _lifted(self, up: Array) -> Array:
-        """How far a tilting platform lifts a probe beside the tool ``(n, ...)``, by the last row of
-        its rotation ``(n, 3, ...)``: about the mean, as a probe is set against the nozzle there.
+    def _taken(self, p: Array, R: Array) -> Array:
+        """Where readings are taken, beside or below the tool, by its places ``(N, 3, ...)`` and
+        rotations ``(N, 3, 3, ...)`` or derivatives of both. Plates' heights are about the mean, as
+        a probe is set against the nozzle there, and no length is known as well as a touch.
         """
-        lifted = np.einsum("nj...,nj->n...", up, self.points.beside)
-        for k in range(len(self.points.setups)):
-            rows = self.setup == k
-            lifted[rows] -= lifted[rows].mean(axis=0)
-        return np.asarray(lifted)
+        beside = self.points.beside
+        if not beside.any():
+            return p
+        swung = np.einsum("nij...,nj->ni...", R, np.concatenate([beside, beside[self.twice]]))
+        for k in np.unique(self.setup[self._on_plate]):
+            rows = np.flatnonzero(self.setup == k)
+            swung[rows, 2] -= swung[rows, 2].mean(axis=0)
+        return np.asarray(p + swung)
 
     @property
     def _ball(self) -> Array:

@@ -74,12 +74,13 @@ TOOL_COLUMNS: dict[str, Column] = {
     "firmware": Column(label, ""),
     "beside_x_mm": Column(number(MM), 0.0),
     "beside_y_mm": Column(number(MM), 0.0),
+    "beside_z_mm": Column(number(MM), 0.0),
     "turned_deg": Column(number(low=-360, high=360), 0.0),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
 
-BESIDE = ("beside_x_mm", "beside_y_mm")
-"""Where a probe touches a plate, from the tool on the platform."""
+BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
+"""Where a probe touches or a tip stands, from the tool on the platform."""
 
 TURNED = "turned_deg"
 """How far a plate was turned on its seat, counter-clockwise from above."""

@@ -20,6 +20,7 @@ from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.fit.tool import ToolReadings, expected_sigma
 from orthoglide.geometry import Array
+from orthoglide.numerals import compact
 from orthoglide.observations.tool import Kind
 from orthoglide.planning.criteria import EffectSeparation
 from orthoglide.planning.owning import tool_sheet
@@ -31,6 +32,7 @@ members of a credible set."""
 
 _NAMED = 2  # explanations in a sentence; of others their number
 _TURNED = 60.0  # degrees, of a plate on its seat: the lobes of a shape of three come to its hollows
+_LONGER = 0.04  # metres: as much again as a nozzle hangs below the joints of a platform
 _SHEET = "; a sheet for it: orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
 
 Pair = tuple[Explanation, Explanation]
@@ -84,7 +86,8 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
     """What would tell rivals apart, in sentences with the most sigmas between two of them.
 
     First stands what decides between the likeliest: the sum of the products of the probabilities
-    of any two that it tells apart is the largest.
+    of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
+    by that first stands what needs least.
 
     Args:
         known: of the readings at hand.
@@ -93,8 +96,10 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
     pairs = [pair for cause in causes for pair in combinations(_likeliest_first(cause), 2)]
     if not pairs:
         return ()
-    several = [Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known)]
-    several.sort(key=lambda one: -one.probability)
+    several = [
+        Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known.after.problem)
+    ]
+    several.sort(key=lambda one: -round(one.probability, 1))  # of alike ones what needs least
     return tuple(
         (_sentence(one, causes, several), max(one.apart.values()))
         for one in several
@@ -109,12 +114,11 @@ def _likeliest_first(cause: Cause) -> list[Explanation]:
 # -- what could be read ----------------------------------------------------------------------------
 
 
-def _instruments(known: FullPosterior) -> Iterator[Instrument]:
+def _instruments(problem: Problem) -> Iterator[Instrument]:
     """Those that need least first."""
-    problem, machine = known.after.problem, known.after.problem.machine
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
-        for k, f in enumerate(problem.points)
+        for k, f in enumerate(problem.factors)
         if isinstance(f, ToolReadings)
         for s, setup in enumerate(f.points.setups)
         if setup.kind == "plate"
@@ -127,16 +131,23 @@ def _instruments(known: FullPosterior) -> Iterator[Instrument]:
             "",
             _turned(problem, *max(plates)[1:]),
         )
-    several: tuple[tuple[Kind, str, str], ...] = (
-        ("distance", "distances between holes or pillars", " around the rim and across it, each "
-         "with its own width and the part's shrinkage"),
-        ("incline", "a level on the platform", ", read about x and y around the rim"),
+    long = f"{_LONGER * 1e3:.0f}"
+    several: tuple[tuple[Kind, float, str, str, str], ...] = (
+        ("distance", 0.0, "distances between holes or pillars", " around the rim and across it, "
+         "each with its own width and the part's shrinkage", _SHEET.format("distance")),
+        ("incline", 0.0, "a level on the platform", ", read about x and y around the rim",
+         _SHEET.format("incline")),
+        ("distance", _LONGER, f"distances by a tool {long} mm longer", ", a pen or a rod, around "
+         f"the rim and across it, commanded {long} mm higher, as a setup of their own with -{long} "
+         "under beside_z_mm", ""),
     )  # fmt: skip
-    for kind, brief, how in several:
-        sheet = tool_sheet(machine, kind)
-        sigma = expected_sigma(sheet, machine.spec.instruments)
-        factor = replace(ToolReadings.of(sheet, machine), sigma=sigma)
-        yield Instrument(brief, how, _SHEET.format(kind), _alone(problem, problem.last, factor))
+    for kind, longer, brief, how, told in several:
+        sheet = tool_sheet(problem.machine, kind, longer)
+        sigma = expected_sigma(sheet, problem.machine.spec.instruments)
+        factor = replace(ToolReadings.of(sheet, problem.machine), sigma=sigma)
+        unit = "mrad" if kind == "incline" else "mm"
+        known = f"{how}, to {compact(float(sigma[0]) * 1e3, 2)} {unit} each"
+        yield Instrument(brief, known, told, _alone(problem, problem.last, factor))
 
 
 def _turned(problem: Problem, k: int, setup: int, factor: ToolReadings) -> Problem:
@@ -146,7 +157,7 @@ def _turned(problem: Problem, k: int, setup: int, factor: ToolReadings) -> Probl
     points = replace(factor.points.subset(rows), setups=(lies,), setup=np.zeros(rows.sum(), int))
     again = replace(ToolReadings.of(points, problem.machine), sigma=factor.sigma[rows])
     # Shapes without a name, of one degree as likely along all directions, are so when turned, too.
-    curves, at = problem.curves, problem.factor_rows[len(problem.campaigns) + k]
+    curves, at = problem.curves, problem.factor_rows[k]
     if curves is not None:
         curves = Block(curves.columns[at][rows], curves.sd, curves.placement)
     return _alone(problem, k, again, curves)

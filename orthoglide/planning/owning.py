@@ -169,22 +169,30 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     return tool_sheet(machine, own)
 
 
-def tool_sheet(machine: Machine, kind: Kind) -> ToolCampaign:
-    """The same of an instrument at the tool."""
-    points, others, ball = _places(machine, kind)
+def tool_sheet(machine: Machine, kind: Kind, longer: float = 0.0) -> ToolCampaign:
+    """The same of an instrument at the tool.
+
+    Args:
+        machine: as it is believed to be.
+        kind: of readings.
+        longer: by how much the tool is than the machine's, metres; the platform stays so much
+            higher.
+    """
+    up = np.array([0.0, 0.0, longer])
+    points, others, ball = _places(machine, kind, up)
     axes = np.array(_DIRECTIONS.get(kind, (0,)))
     n = len(points) * len(axes)
     # Of places that circles share, to what files hold: else a second visit would be no repeat.
-    at = np.round(machine.with_only({}).inverse(points), DECIMALS)
+    at = np.round(machine.with_only({}).inverse(points + up), DECIMALS)
     command = np.repeat(at, len(axes), axis=0)
     second = np.full((n, 3), np.nan)
     if others is not None:
-        second = machine.with_only({}).inverse(others)
+        second = machine.with_only({}).inverse(others + up)
     reading = np.linalg.norm(points - ball, axis=1) if kind == "ballbar" else np.zeros(n)
     nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
     return ToolCampaign(
         name=kind,
-        setups=(ToolSetup(kind, kind),),
+        setups=(ToolSetup(kind, kind, (0.0, 0.0, -longer)),),
         setup=np.zeros(n, dtype=np.int64),
         axis=np.tile(axes, len(points)),
         sign=np.ones(n),
@@ -204,10 +212,12 @@ def tool_sheet(machine: Machine, kind: Kind) -> ToolCampaign:
     ).in_order()  # fmt: skip
 
 
-def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:
-    """Points ``(n, 3)``, the others of distances, and the centre of a ball."""
+def _places(machine: Machine, kind: Kind, up: Array) -> tuple[Array, Array | None, Array]:
+    """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
+    machine's own tool has to be within reach.
+    """
     ring = _ring()
-    flat = _widest(machine, lambda r: r * ring)
+    flat = _widest(machine, lambda r: r * ring + up)
     if kind == "plate":
         side = np.linspace(-1.0, 1.0, _SIDE)
         grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -219,11 +229,11 @@ def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:
         return flat * ring[ends[:, 0]], flat * ring[ends[:, 1]], np.zeros(3)
     if kind == "incline":
         return np.concatenate([np.zeros((1, 3)), flat * ring]), None, np.zeros(3)
-    up = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else np.zeros(3)
+    high = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else np.zeros(3)
     circles = np.concatenate([ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]])
-    round_ = _widest(machine, lambda r: r * (circles + up))
-    points = round_ * (circles + up)
-    return points, None, round_ * up
+    round_ = _widest(machine, lambda r: r * (circles + high) + up)
+    points = round_ * (circles + high)
+    return points, None, round_ * high
 
 
 def _ring() -> Array:
