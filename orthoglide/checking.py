@@ -214,12 +214,9 @@ def check(
     verdict = run(replace(request, campaigns=now_dials, points=now_points), progress)
     progress(Step("comparing"))
     names = _compared(together)
-    problem, later = together.before.problem, {a.name for a in after}
-    # Rows taken for faulty have lost their weight there.
-    kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
-    both = assemble([*kept, *past], machine, names, own=names, noise=noise if dials else None)
-    apart = account_for_changes(solve(_two_states(both, later)))
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
+    apart = _one_value_each(together, past, names, new_names)
+    problem = together.before.problem
     searched = not past and len(visits(problem)) > 1
     differences = tuple(_differences(apart, names, together.changed, searched))
     none = Change(
@@ -245,6 +242,25 @@ def _told_apart(
         for several, side in sides
     )
     return before, after
+
+
+def _one_value_each(
+    together: Verdict, past: Sequence[ToolCampaign], names: list[str], later: Collection[str]
+) -> Estimate:
+    """A fit of all readings with one value of each parameter before and one after.
+
+    Args:
+        together: both states closed together.
+        past: readings of the tool that this left out.
+        names: of the parameters.
+        later: names of the new campaigns.
+    """
+    problem, request = together.before.problem, together.request
+    # Rows taken for faulty have lost their weight there.
+    kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
+    noise = request.noise if request.campaigns else None
+    both = assemble([*kept, *past], request.machine, names, own=names, noise=noise)
+    return account_for_changes(solve(_two_states(both, later)))
 
 
 def _two_states(problem: Problem, later: Collection[str]) -> Problem:

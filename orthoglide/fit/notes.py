@@ -28,23 +28,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     problem, scores = estimate.problem, estimate.scores
     found = [Note(text, "campaign") for f in problem.factors for text in f.points.warnings]
     found += coarse(problem)
-    tool = [f.points for f in problem.points]
-    found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
-    for campaign in (*problem.campaigns, *problem.tool_campaigns):
-        if count := copied(campaign):
-            text = (
-                f"all {count} repeats of {campaign.name} are the same to the last digit as the "
-                f"visit before: if they are copies they say nothing of the noise, so leave them "
-                f"out and declare it"
-            )
-            found.append(Note(text, "copies"))
-    for points in tool:
-        if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
-            text = (
-                f"{_lines(points, lines)}: the same point as before to the last "
-                f"digit: a copy tells nothing that the other does not, so leave it out"
-            )
-            found.append(Note(text, "copies", lines))
+    found += copies(problem)
     told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
     found += [Note(text, "stray") for text in told]
     if estimate.sigma_scale > 1:
@@ -64,18 +48,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
-    for unknown, value, far in zip(
-        problem.unknowns, estimate.x, problem.far(estimate.x), strict=True
-    ):
-        if far:
-            unit = estimate.unit(unknown.name)
-            text = (
-                f"{parameter_words(estimate.problem.machine.catalogue.parameter(unknown.name))} "
-                f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
-                f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
-                f"the tolerance in the machine file"
-            )
-            found.append(Note(text, "tolerance"))
+    found += far_off(estimate)
     check = estimate.check
     if check is not None and not check.second_order:
         text = (
@@ -84,6 +57,45 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         )
         found.append(Note(text, "second_order"))
     return tuple(found)
+
+
+def copies(problem: Problem) -> Iterator[Note]:
+    """Readings that are the same to the last digit as others, and so may be copies of them."""
+    tool = [f.points for f in problem.points]
+    for text in twice([*problem.campaigns, *tool]):
+        yield Note(text, "copies")
+    for campaign in (*problem.campaigns, *problem.tool_campaigns):
+        if count := copied(campaign):
+            text = (
+                f"all {count} repeats of {campaign.name} are the same to the last digit as the "
+                f"visit before: if they are copies they say nothing of the noise, so leave them "
+                f"out and declare it"
+            )
+            yield Note(text, "copies")
+    for points in tool:
+        if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
+            text = (
+                f"{_lines(points, lines)}: the same point as before to the last "
+                f"digit: a copy tells nothing that the other does not, so leave it out"
+            )
+            yield Note(text, "copies", lines)
+
+
+def far_off(estimate: Estimate) -> Iterator[Note]:
+    """Parameters of the base beyond what their tolerances let expect."""
+    problem = estimate.problem
+    for unknown, value, far in zip(
+        problem.unknowns, estimate.x, problem.far(estimate.x), strict=True
+    ):
+        if far:
+            unit = estimate.unit(unknown.name)
+            text = (
+                f"{parameter_words(problem.machine.catalogue.parameter(unknown.name))} "
+                f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
+                f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
+                f"the tolerance in the machine file"
+            )
+            yield Note(text, "tolerance")
 
 
 def coarse(problem: Problem) -> Iterator[Note]:
