@@ -105,6 +105,11 @@ class Cause:
         return self.chosen.probability
 
     @property
+    def together(self) -> float:
+        """Probability of the chosen one under any of its names, which share it."""
+        return sum(one.probability for one in (self.chosen, *self.same))
+
+    @property
     def explanations(self) -> tuple[Explanation, ...]:
         """The credible set."""
         return (self.chosen, *self.same, *self.rivals)

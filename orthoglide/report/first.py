@@ -128,8 +128,7 @@ def claims(result: Result) -> list[Claim]:
 
 
 def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
-    names = (cause.chosen, *cause.same)  # share one probability
-    first = _statement(cause.chosen, sum(one.probability for one in names), next(option))
+    first = _statement(cause.chosen, cause.together, next(option))
     same, rivals = (
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
