@@ -26,7 +26,11 @@ _SAID = 8  # lines
 def notes(estimate: Estimate) -> tuple[Note, ...]:
     """Notes of a fit: what was noticed on reading, lack of fit, bounds, tolerances, the check."""
     problem, scores = estimate.problem, estimate.scores
-    found = [Note(text, "campaign") for f in problem.factors for text in f.points.warnings]
+    given = [f.points for f in problem.factors]
+    found: list[Note] = []
+    for points in given:
+        file = f"{source(points)}: " if len(given) > 1 else ""
+        found += [Note(file + text, "campaign") for text in points.warnings]
     found += coarse(problem)
     found += copies(problem)
     told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
