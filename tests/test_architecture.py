@@ -1,4 +1,4 @@
-"""The plan of the house, as code: who may import whom, how large a file may be, what loads when."""
+"""The architecture as tests: who may import whom, how large a file may be, what loads when."""
 
 import ast
 import re
@@ -15,8 +15,8 @@ PACKAGE = ROOT / "orthoglide"
 LONGEST = 400
 LONGEST_FUNCTION = 60
 
-# A room may import from the floors below its own, never from beside or above.
-FLOORS: tuple[frozenset[str], ...] = (
+# A part (module or folder) may import from the layers below its own, never from beside or above.
+LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"errors", "notes", "parameters", "progress", "text"}),
     frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
@@ -37,7 +37,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"cli"}),
     frozenset({"__main__"}),
 )
-# Nearer than the floors: two derivations never meet below, and declarations know names only.
+# Finer than the layers: two derivations never meet below, and declarations know names only.
 NEVER = {
     ("mechanism", "reduction"), ("mechanism", "effects"), ("machine_file", "mechanism"),
     ("observations", "mechanism"), ("prediction", "reduction"), ("machine", "reduction"),
@@ -50,7 +50,7 @@ def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def room_of(path: Path) -> str:
+def part_of(path: Path) -> str:
     """Module or folder directly in the package."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
@@ -76,31 +76,31 @@ def imports(path: Path) -> Iterator[str]:
 
 @cache
 def edges() -> dict[tuple[str, str], str]:
-    """Who imports whom among the rooms, with a file that does."""
-    rooms = {room_of(path) for path in modules()}
+    """Who imports whom among the parts, with a file that does."""
+    parts = {part_of(path) for path in modules()}
     found: dict[tuple[str, str], str] = {}
     for path in modules():
         for name in imports(path):
-            parts = name.split(".")
-            if parts[0] == "orthoglide" and parts[1] in rooms and parts[1] != room_of(path):
-                found[room_of(path), parts[1]] = str(path.relative_to(ROOT))
+            package, other = [*name.split("."), ""][:2]
+            if package == "orthoglide" and other in parts and other != part_of(path):
+                found[part_of(path), other] = str(path.relative_to(ROOT))
     return found
 
 
-def floor(room: str) -> int:
-    return next((k for k, rooms in enumerate(FLOORS) if room in rooms), len(FLOORS))
+def layer(part: str) -> int:
+    return next((k for k, parts in enumerate(LAYERS) if part in parts), len(LAYERS))
 
 
-def test_every_room_has_its_floor() -> None:
-    rooms = {room_of(path) for path in modules()} - {"__init__"}
-    assert rooms == frozenset().union(*FLOORS)
+def test_every_part_has_its_layer() -> None:
+    parts = {part_of(path) for path in modules()} - {"__init__"}
+    assert parts == frozenset().union(*LAYERS)
 
 
 def test_imports_go_down() -> None:
     wrong = {
         pair: path
         for pair, path in edges().items()
-        if pair[0] != "__init__" and floor(pair[1]) >= floor(pair[0])
+        if pair[0] != "__init__" and layer(pair[1]) >= layer(pair[0])
     }
     assert not wrong
 
@@ -135,10 +135,10 @@ COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior",
 def test_reports_only_draw() -> None:
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
-        for room in ("report", "figures")
-        for path in sorted((PACKAGE / room).rglob("*.py"))
+        for part in ("report", "figures")
+        for path in sorted((PACKAGE / part).rglob("*.py"))
         for name in imports(path)
-        if name.startswith(("scipy", *(f"orthoglide.{room}" for room in COMPUTING)))
+        if name.startswith(("scipy", *(f"orthoglide.{part}" for part in COMPUTING)))
     ]
     assert not wrong
 
