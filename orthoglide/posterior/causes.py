@@ -177,11 +177,14 @@ class Located:
         members: most probable first.
         resembling: causes of the catalogue in the same credible set.
         probability: that it is one of the members, all else that was found given.
+        ruled_out: causes of the catalogue that move what the first member moves, and are none of
+            the set.
     """
 
     members: tuple[Curve, ...]
     resembling: tuple[str, ...]
     probability: float
+    ruled_out: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"
