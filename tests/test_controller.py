@@ -317,7 +317,7 @@ def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
 
 def test_the_sign_rule_is_worked_out_in_words() -> None:
     text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
-    assert "new zero = old zero - sign x joint_offset" in text
+    assert "new zero = old zero - sign x joint offset" in text
     worked = re.search(r"shows (\S+) - \((\S+)\) x \((\S+)\) = (\S+) mm", text)
     assert worked
     zero, sign, offset, result = (float(x) for x in worked.groups())

@@ -25,7 +25,7 @@ _RULE = (
     "{words}. Enter the new zero once, or add new zero - old zero to every command; never "
     "both."
 ).format
-RULE = _RULE(sum="new zero = old zero - sign x joint_offset:", words="joint offset")
+RULE = _RULE(sum="new zero = old zero - sign x joint offset:", words="joint offset")
 """The sign of a zero, wherever one is given."""
 _RULE_ALONE = _RULE(
     sum="new zero = old zero - sign x offset:",
