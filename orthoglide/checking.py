@@ -288,9 +288,9 @@ def _compared(verdict: Verdict) -> list[str]:
     catalogue = verdict.request.machine.catalogue
     base = catalogue.expand(catalogue.base)
     causes = [n for c in verdict.effects for n in c.chosen.parameters]
-    found = [catalogue.parameter(n) for n in (*causes, *(c.parameter for c in verdict.changed))
-             if n.partition(".")[0] in catalogue]  # fmt: skip
-    named = (n.plain for n in found if not catalogue.effect_of(n).of_dial)
+    found = (*map(verdict.catalogue.parameter, causes), *(c.parameter for c in verdict.changed))
+    known = (n.plain for n in found if n.effect in catalogue)  # others are of places
+    named = (n for n in known if not catalogue.effect_of(n).of_dial)
     return list(dict.fromkeys(map(str, (*base, *named))))
 
 

@@ -172,6 +172,15 @@ def test_functions_stay_readable(path: Path) -> None:
     assert not {name: lines for name, lines in lengths.items() if lines > LONGEST_FUNCTION}
 
 
+def test_nothing_cuts_names_of_parameters_apart() -> None:
+    """A `Parameter` carries its parts; what is parsed is parsed where names are."""
+    cuts = re.compile(r"partition\(.[.@].\)|split\(.[.@].\)")
+    parsing = {PACKAGE / "parameters.py", *(PACKAGE / "effects").glob("*.py")}
+    found = {path for path in modules() if cuts.search(path.read_text(encoding="utf-8"))}
+    assert found & parsing
+    assert not found - parsing
+
+
 def fresh(code: str) -> str:
     """What a new interpreter prints."""
     return subprocess.run(

@@ -31,6 +31,7 @@ from orthoglide.observations import (
     check_given,
     read_readings,
 )
+from orthoglide.parameters import plain_and_campaign
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
@@ -94,8 +95,8 @@ def identify(
         own=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
     )  # fmt: skip
     for name in problem.own:
-        plain = name.partition("@")[0]
-        if not any(n.plain == plain or n.startswith(f"{plain}.") for n in problem.names):
+        plain, _ = plain_and_campaign(name)
+        if not any(plain in (n.plain, n.effect) for n in problem.names):
             raise InputError(f"{name} is own to each campaign but not free: free it too")
     if weighting == "deviations":
         problem = _anchored(problem)

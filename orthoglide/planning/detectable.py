@@ -19,6 +19,7 @@ from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
+from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import foreseen
 from orthoglide.units import Unit
 
@@ -44,7 +45,7 @@ class SmallestEffect:
         elementary: whether it is a single parameter, no structured member.
     """
 
-    name: str
+    name: Parameter
     effect: str
     tolerance: float
     unit: Unit
@@ -65,7 +66,7 @@ class Detectability(Framed):
     """
 
     smallest: tuple[SmallestEffect, ...]
-    invisible: tuple[str, ...]
+    invisible: tuple[Parameter, ...]
     threshold: float
     _index = "effect"
 
@@ -145,7 +146,7 @@ def smallest_effects(
         detectable, nameable = _sizes(length[k], float(cosine[k, closest]), threshold)
         found.append(
             SmallestEffect(
-                candidate.name,
+                machine.catalogue.parameter(candidate.name),
                 candidate.effect,
                 tolerance,
                 machine.catalogue[candidate.effect].unit,

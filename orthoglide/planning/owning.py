@@ -124,7 +124,7 @@ def _gain(
 
     def within(found: Detectability, what: str) -> dict[str, str]:
         return {
-            s.name.partition("@")[0]: s.effect
+            s.name.plain: s.effect
             for s in found.smallest
             if s.elementary and s.effect in of_machine and getattr(s, what) <= LARGEST * s.tolerance
         }
@@ -132,7 +132,7 @@ def _gain(
     members: dict[str, set[str]] = {}
     for s in (*before.smallest, *after.smallest):
         if s.elementary:
-            members.setdefault(s.effect, set()).add(s.name.partition("@")[0])
+            members.setdefault(s.effect, set()).add(s.name.plain)
 
     def new(now: dict[str, str], earlier: dict[str, str]) -> tuple[str, ...]:
         """Names, an effect's own where all its parameters are among them."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orthoglide.effects import Catalogue
+from orthoglide.parameters import Parameter
 from orthoglide.planning.designs import Design
 from orthoglide.planning.detectable import Detectability
 from orthoglide.planning.observability import Observability
@@ -80,12 +81,11 @@ def detectable_rows(found: Detectability, width: int) -> list[str]:
     return lines
 
 
-def _by_effect(names: Sequence[str]) -> list[str]:
+def _by_effect(names: Sequence[Parameter]) -> list[str]:
     """Parameters of one effect together: ``encoder_scale (x, y, z)``."""
     groups: dict[str, list[str]] = {}
     for name in names:
-        effect, _, member = name.partition(".")
-        groups.setdefault(effect, []).append(member)
+        groups.setdefault(name.effect, []).append(name.behind)
     return [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
 
 

@@ -12,6 +12,7 @@ from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
+from orthoglide.parameters import plain_and_campaign
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,8 +50,8 @@ class Explanation:
     @property
     def words(self) -> str:
         """What is wrong, with size and sign, as a clause."""
-        values = dict(self.values)
-        if "@" not in self.name:  # of what campaigns have for themselves: the last one's
+        values, (_, campaign) = dict(self.values), plain_and_campaign(self.name)
+        if not campaign:  # of what campaigns have for themselves: the last one's
             values = {self.catalogue.parameter(n).plain: v for n, v in values.items()}
         return cause_words(self.catalogue, self.name, values)
 
