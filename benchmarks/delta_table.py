@@ -27,10 +27,11 @@ from orthoglide.errors import InputError
 UNSEEN = 3.0
 """A cause is invisible that shows less than this in all readings together, in sigmas."""
 
-ENDS = ("adequate", "rows set aside", "refused", "explained", "ambiguous", "located", "partial",
-        "unexplained", "error")  # fmt: skip
-"""How a campaign can end: the verdict's word, rows set aside as faulty where the rest is adequate,
-readings refused as faulty, or another error."""
+ENDS = ("adequate", "noisy", "rows set aside", "refused", "explained", "ambiguous", "located",
+        "partial", "unexplained", "error")  # fmt: skip
+"""How a campaign can end: the verdict's word; where it is adequate, with a warning that readings
+are far noisier than is usual, or with rows set aside as faulty; readings refused as faulty, or
+another error."""
 
 Test = Callable[[Record], bool]
 
@@ -59,8 +60,9 @@ def ending(record: Record) -> str:
     """How a campaign ended, one of `ENDS`."""
     if record["word"] == "error" and record["message"].startswith(InputError.__name__):
         return "refused"
-    aside = record["word"] == "adequate" and record["blunders"]
-    return "rows set aside" if aside else str(record["word"])
+    if record["word"] != "adequate":
+        return str(record["word"])
+    return "rows set aside" if record["blunders"] else "noisy" if record["loud"] else "adequate"
 
 
 def endings(records: Sequence[Record]) -> Table:
@@ -81,7 +83,8 @@ def endings(records: Sequence[Record]) -> Table:
         rows.append([title, *(str(count[end] or "") for end in ENDS)])
     note = (
         "All campaigns by what was wrong and by the verdict's word, all instruments together. "
-        "*Rows set aside*: a fault of the data was reported, and the rest is adequate; *refused*: "
+        "*Noisy*: adequate, with a warning that the readings are far noisier than is usual; *rows "
+        "set aside*: a fault of the data was reported, and the rest is adequate; *refused*: "
         "an error that calls the readings faulty, and no verdict. What lies outside the catalogue "
         "and ends *adequate* was not noticed; *explained* or *ambiguous*, it got a wrong name. A "
         "bed has no place that could be located."
@@ -116,7 +119,7 @@ def _of_effects(records: Sequence[Record]) -> list[list[str]]:
     strong, faint = [r for r in effects if _plain(r)], [r for r in effects if not _plain(r)]
     hidden = [r for r in effects if _hidden(r)]
     return [
-        _row("false alarms", nothing, lambda r: ending(r) != "adequate"),
+        _row("false alarms", nothing, lambda r: ending(r) not in ("adequate", "noisy")),
         _row("clear causes named, alone or in a class", strong, named),
         _row("  named first and alone", strong, holds_alone),
         _row("  another cause besides", strong, lambda r: len(r["effects"]) > 1),
@@ -137,6 +140,7 @@ def _of_strangers(records: Sequence[Record]) -> list[list[str]]:
 
     return [
         _row("outside the catalogue, three sigma or more: not noticed", strange, ends("adequate")),
+        _row("  taken for noise, with a warning", strange, ends("noisy")),
         _row("  taken for faulty readings", strange, ends("refused", "rows set aside")),
         _row("  said to be unexplained, or explained in part", strange,
              ends("unexplained", "partial")),

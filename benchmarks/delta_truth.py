@@ -258,6 +258,7 @@ def run(case: Case, seed: int) -> Record:
         verdict = close_loop([given(rig, rng)], machine())
         found = said(verdict)
         record |= {"word": verdict.word, "blunders": len(verdict.blunders), **found}
+        record["loud"] = any(note.kind == "loud" for note in verdict.warnings)
         record["invisible"] = [*map(str, verdict.invisible), *verdict.unexcited]
         record["tool_mm"] = _errors(rig, verdict)
     except OrthoglideError as error:

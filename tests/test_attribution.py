@@ -146,11 +146,13 @@ def test_no_end_of_a_delta_outside_the_catalogue_goes_uncounted() -> None:
     def ended(word: str, places: list[str], **more: object) -> Record:
         truth = {"rms": 8.0, "places": places}
         return {"kind": "outside", "what": "wavy rail", "instrument": "probe", "word": word,
-                "truth": [truth], "located": [], "effects": [], "blunders": 0, **more}  # fmt: skip
+                "truth": [truth], "located": [], "effects": [], "blunders": 0,
+                "loud": False, **more}  # fmt: skip
 
     records = [
         ended("adequate", [rail]),
         ended("adequate", [], blunders=1),
+        ended("adequate", [rail], loud=True),
         ended("located", [rail], located=[{"places": ["drive.a/travel", rail]}]),
         ended("located", [rail], located=[{"places": ["drive.a/travel"]}]),
         ended("explained", []),
@@ -160,10 +162,11 @@ def test_no_end_of_a_delta_outside_the_catalogue_goes_uncounted() -> None:
     ]
     told, ends = delta_table.tables(records)
     shares = {row[0].strip(): row[1] for row in told.rows}
-    assert shares["outside the catalogue, three sigma or more: not noticed"] == "12.5 % (1/8)"
-    assert shares["taken for faulty readings"] == "25.0 % (2/8)"
-    assert shares["explained by a wrong name"] == "12.5 % (1/8)"
-    assert shares["a wrong place located"] == "12.5 % (1/8)"
-    assert shares["rails and carriages: a place located that holds the true one"] == "25.0 % (1/4)"
-    assert ends.rows[1] == ["outside: wavy rail", "1", "1", "1", "1", "", "2", "", "1", "1"]
+    assert shares["outside the catalogue, three sigma or more: not noticed"] == "11.1 % (1/9)"
+    assert shares["taken for noise, with a warning"] == "11.1 % (1/9)"
+    assert shares["taken for faulty readings"] == "22.2 % (2/9)"
+    assert shares["explained by a wrong name"] == "11.1 % (1/9)"
+    assert shares["a wrong place located"] == "11.1 % (1/9)"
+    assert shares["rails and carriages: a place located that holds the true one"] == "20.0 % (1/5)"
+    assert ends.rows[1] == ["outside: wavy rail", "1", "1", "1", "1", "1", "", "2", "", "1", "1"]
     assert "1 were refused as faulty and 1 ended in another error" in told.note
