@@ -151,13 +151,14 @@ class Geometry:
         """Command ``(3,)`` at mechanical zero, where p = 0; the Orthoglide's is (L, L, L)."""
         return np.full(3, self.layout.zero(self.L))
 
-    def commands(self, values: ArrayLike, name: str = "rho") -> Array:
-        """``values`` as commands ``(..., 3)``, metres; a message calls them ``name``.
+    def commands(self, values: ArrayLike, name: str = "") -> Array:
+        """``values`` as commands ``(..., 3)``, metres; a message calls them ``name``, if given.
 
         Raises:
             InputError: where they are no numbers, have another shape, or lie so far from any reach
                 that they must be millimetres.
         """
+        name = name or self.layout.names.command
         rho = vectors(values, name)
         beyond = np.abs(rho - self.layout.zero(self.L)).max(initial=0.0) - max(
             map(abs, self.stroke)

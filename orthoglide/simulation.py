@@ -189,7 +189,7 @@ def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -
         sigma=np.full(count, np.nan),
         approach=np.zeros((count, 3)),
         line=np.arange(2, count + 2),
-        legs=geometry.leg_names,
+        legs=geometry.layout.names,
     )
 
 

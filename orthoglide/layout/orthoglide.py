@@ -24,6 +24,8 @@ class Orthoglide:
         (("y", "z"), ("z", "x"), ("x", "y")),
         ("zero", "bar_length"),
         (("in", "toward the origin"), ("out", "away from the origin")),
+        command="rho",
+        travel="rho - L",
     )
     hanging: ClassVar[bool] = False
 
