@@ -378,6 +378,10 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     page = (done / "report.html").read_text()
     assert "To undo" in page
     assert "Numbers for the firmware" in page
+    before_verdict, _, rest = page.partition("<main>")[2].partition('<p class="word')
+    assert "The arms that the firmware stores" in before_verdict
+    assert rest
+    assert "The arms that the firmware stores" not in rest.partition("<section")[0]
     calibrated = Machine.load(done / "calibrated.toml")
     assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
     exported = og.controller_numbers(calibrated)
