@@ -10,7 +10,7 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.geometry import LEGS, Array, Geometry, axial
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import Kind, protocol
@@ -108,8 +108,7 @@ class Comparison:
         """TCP ``(n, 3)`` where it is visited, and the largest turn of the platform, radians."""
         distinct, place = self.model.merged(seen or self.seen, values)
         out = self.model.outputs(values, distinct)
-        skew = out.R - np.swapaxes(out.R, 1, 2)
-        sine = np.linalg.norm(skew[:, [2, 0, 1], [1, 2, 0]], axis=1) / 2
+        sine = np.linalg.norm(axial(out.R), axis=1)
         return out.p[place], float(np.arcsin(np.clip(sine, 0, 1)).max())
 
     def reduced(self, six: Array, seen: Conditions | None = None) -> Array:

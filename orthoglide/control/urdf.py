@@ -75,10 +75,11 @@ def _is_constant(effect: Effect, machine: Machine) -> bool:
     if effect.of_dial or effect.needs:
         return False
     length, stroke = machine.geometry.L, machine.geometry.stroke
+    zero = machine.geometry.layout.zero(length)
 
     def moved(motion: Motion, s: float) -> float:
-        command = length + s
-        at = LegConditions(command, length, stroke, None, 0, 0, 0, 0, s, commands=(command,) * 3)
+        command = zero + s
+        at = LegConditions(command, length, stroke, None, 0, 0, 0, 0, s, zero, (command,) * 3)
         return float(motion.basis(at))
 
     for _, motions in effect.motions.values():

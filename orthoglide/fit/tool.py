@@ -17,7 +17,7 @@ from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
 from orthoglide.fit.instrument_frame import centre_of, turned_back
 from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance, shown_step
 from orthoglide.fit.surface import roughness
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, axial
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import ToolCampaign, source
@@ -267,7 +267,7 @@ class ToolReadings(OfFile):
         found = np.where(of("plate"), p[:n, 2] + self._lifted(R[:n, 2]), found)
         found[self.twice] = np.linalg.norm(p[:n][self.twice] - p[n:], axis=1)
         found = np.where(of("ballbar"), np.linalg.norm(p[:n] - self._ball, axis=1), found)
-        turn = 0.5 * (R[:n, [2, 0, 1], [1, 2, 0]] - R[:n, [1, 2, 0], [2, 0, 1]])
+        turn = axial(R[:n])
         return np.asarray(np.where(of("incline"), sign * turn[rows, axis], found) + shape)
 
     def _derivative(self, p: Array, by_name: Array) -> Array:
@@ -285,8 +285,7 @@ class ToolReadings(OfFile):
         toward = p[:n] - self._ball
         toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
         found[ball] = np.einsum("ni,nip->np", toward, by_p[:n])[ball]
-        turn = 0.5 * (by_R[:, [2, 0, 1], [1, 2, 0]] - by_R[:, [1, 2, 0], [2, 0, 1]])
-        found[level] = (sign[:, None] * turn[rows, axis])[level]
+        found[level] = (sign[:, None] * axial(by_R)[rows, axis])[level]
         return found
 
     def _lifted(self, up: Array) -> Array:
