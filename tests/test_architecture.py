@@ -193,6 +193,7 @@ OF_ONE_LAYOUT = {
     "control/numbers.py:controller_numbers": "L with its correction",
     "klipper/rods.py:_measured": "the same",
     "result/corrections.py:corrections": "the same",
+    "comparison/comparing.py:Comparison._spheres": "the same",
     "machine_file/travel.py:check_travel": "an arm against L",
     "mechanism/seed.py:commands": "how far a point is beyond a bar's reach",
     "planning/owning.py:_widest": "a size between 0 and L that is searched for",
