@@ -16,7 +16,7 @@ from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
 from orthoglide.fit.instrument_frame import centre_of, turned_back
 from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance
-from orthoglide.fit.tool_noise import LOUD, shown_sigma
+from orthoglide.fit.tool_noise import LOUD, shown_sigma, usual_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolCampaign, source
