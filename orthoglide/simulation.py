@@ -14,7 +14,8 @@ from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.fit.factors import Block
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
-from orthoglide.fit.tool import ToolReadings, expected_sigma
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import commands as commands_of

@@ -16,7 +16,7 @@ LONGEST = 400
 
 # A room may import from the floors below its own, never from beside or above.
 FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "notes", "parameters", "progress", "text"}),
+    frozenset({"errors", "notes", "parameters", "progress", "text", "threads"}),
     frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects", "scene"}),
