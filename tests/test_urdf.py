@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from orthoglide import urdf
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.errors import FileError
-from orthoglide.geometry import LEGS, Geometry, base_from_leg, leg_axes
+from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.urdf import solids
@@ -68,7 +68,7 @@ def closed_configuration(geometry: Geometry, travel: np.ndarray, model: pin.Mode
     p = tcp(geometry, geometry.L + travel)
     q = np.empty(model.nq)
     for leg, n in enumerate(LEGS):
-        _, b, c = leg_axes(leg)
+        _, b, c = geometry.legs[leg].axes.argmax(axis=0)
         bars = np.arcsin(p[c] / geometry.L)
         theta = -np.arcsin(p[b] / (geometry.L * np.cos(bars)))
         values = (travel[leg], theta, bars, -bars, -theta, bars)
@@ -161,7 +161,9 @@ def test_neutral_is_the_closed_machine_at_zero(geometry: Geometry) -> None:
         for part, along in (("carriage", geometry.L + geometry.r), ("platform", geometry.r)):
             pose = poses[f"{n}_{part}"]
             np.testing.assert_allclose(pose[:3, 3], along * np.eye(3)[leg], rtol=0, atol=1e-15)
-            np.testing.assert_allclose(pose[:3, :3], base_from_leg(leg), rtol=0, atol=1e-15)
+            np.testing.assert_allclose(
+                pose[:3, :3], np.roll(np.eye(3), -leg, axis=1), rtol=0, atol=1e-15
+            )
 
 
 @GEOMETRIES

@@ -31,6 +31,7 @@ from orthoglide.observations import (
     check_given,
     read_readings,
 )
+from orthoglide.threads import on_one_thread
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
@@ -43,6 +44,7 @@ Read = Readings | TcpPoints
 """Readings of any kind."""
 
 
+@on_one_thread
 def identify(
     campaigns: Source | Sequence[Source],
     machine: MachineSource | None = None,

@@ -15,6 +15,7 @@ from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise, predict
 from orthoglide.fit.problem import rows_about
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
@@ -192,6 +193,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         likely = tuple(s for s in SLABS if s <= _LIKELY)
         rare = 2 * RARE if only_plates(problem) else RARE
         linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
+    if any(isinstance(f, ToolReadings) and f.jumps for f in problem.points):
+        linear = replace(linear, rough=-RARE)  # what is not all noise has been seen
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
