@@ -30,6 +30,7 @@ from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
+from orthoglide.threads import on_one_thread
 from orthoglide.units import Unit
 
 CHANGED = 3.0
@@ -168,6 +169,7 @@ class Check:
         return "\n".join(self.sentences)
 
 
+@on_one_thread
 def check(
     old: Source | Sequence[Source],
     new: Source | Sequence[Source],

@@ -32,6 +32,7 @@ from orthoglide.observations import (
     read_readings,
 )
 from orthoglide.parameters import plain_and_campaign
+from orthoglide.threads import on_one_thread
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
@@ -44,6 +45,7 @@ Read = Readings | TcpPoints
 """Readings of any kind."""
 
 
+@on_one_thread
 def identify(
     campaigns: Source | Sequence[Source],
     machine: MachineSource | None = None,

@@ -13,14 +13,19 @@ from orthoglide.fit.loud import loud_dials
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import LOUD
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
-_LOUD = 3.0  # times the noise that is usual of an instrument
+_ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
+_TURNED = (
+    ", and all once more with the plate turned by 60 degrees (turned_deg): what turns with it is "
+    "its own, what does not comes of the machine"
+)
 
 
 def notes(estimate: Estimate) -> tuple[Note, ...]:
@@ -132,14 +137,15 @@ def louder(estimate: Estimate) -> Iterator[Note]:
             continue
         for k, setup in enumerate(factor.points.setups):
             size, kind = factor.loudness(k)
-            if size > _LOUD * kind:
+            if size > _ABOUT * LOUD * kind:
                 unit = "mrad" if setup.kind == "incline" else "mm"
                 plate = ", or the plate's roughness," if setup.kind == "plate" else ""
+                turned = _TURNED if setup.kind == "plate" else ""
                 yield Note(
                     f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
                     f"count as good to {compact(size * 1e3, 2)} {unit}, {compact(size / kind, 2)} "
                     f"times worse than is usual: smaller errors are not seen; something that moved "
-                    f"half way looks like this too, so read some places again at the end",
+                    f"half way looks like this too, so read some places again at the end{turned}",
                     "loud",
                 )
                 if not factor.sided(k):

@@ -9,7 +9,7 @@ import numpy as np
 
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate
-from orthoglide.fit.tool import REPEATABILITY
+from orthoglide.fit.tool_noise import REPEATABILITY
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact

@@ -15,6 +15,7 @@ from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.tool import KINDS, Kind
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
+from orthoglide.threads import on_one_thread
 
 INSTRUMENTS: dict[str, str] = {
     "leg": "dials on the legs",
@@ -86,6 +87,7 @@ class Owned:
         return found
 
 
+@on_one_thread
 def owned_instruments(
     machine: Machine, kinds: Sequence[str], *, count: int | None = None, seed: int = 0
 ) -> Owned:

@@ -61,7 +61,8 @@ def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
 
 
 def detectable_rows(found: Detectability, width: int) -> list[str]:
-    """A row an effect: the parameter that takes the largest size to be found, and to be named.
+    """A row for the parameters of an effect that are found from about the same size: the largest
+    sizes that one of them takes to be found, and to be named.
 
     Args:
         found: of a sheet.
@@ -90,9 +91,17 @@ def _by_effect(names: Sequence[Parameter]) -> list[str]:
 
 
 def _effect_row(
-    effect: str, unit: str, tolerance: float, found: float, named: float, hardest: str, nearest: str
+    effect: str,
+    unit: str,
+    tolerance: float,
+    found: float,
+    named: float,
+    hardest: str,
+    nearest: str,
+    parameters: str,
 ) -> tuple[str, str]:
-    """Its sizes, and what its hardest parameter is taken for."""
+    """Its sizes, and what its hardest parameter is taken for; which it has, where not all."""
     size = f"{named:.2g}" if np.isfinite(named) else "never"
     sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
-    return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}"
+    of = f" (of {parameters})" if parameters and parameters != hardest.partition(".")[2] else ""
+    return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}{of}"

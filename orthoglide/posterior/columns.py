@@ -15,6 +15,7 @@ from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import Linearised, linearise, predict
 from orthoglide.fit.problem import rows_about
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
@@ -179,8 +180,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
-    if one_surface(problem):
-        linear = _of_one_surface(linear, problem)
+    linear = _with_plates(linear, problem)
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
@@ -205,11 +205,15 @@ def _linearised(estimate: Estimate, wide: Problem, at: Array | None) -> tuple[Ar
     return at, here
 
 
-def _of_one_surface(linear: Linear, problem: Problem) -> Linear:
-    """The same with the scales to expect where a surface is all that was read."""
-    likely = tuple(s for s in SLABS if s <= _LIKELY)
-    rare = 2 * RARE if only_plates(problem) else RARE
-    return replace(linear, slabs=likely, wide=(_QUIET, rare))
+def _with_plates(linear: Linear, problem: Problem) -> Linear:
+    """The same where a surface is all that was read, or plates have errors without structure."""
+    if one_surface(problem):
+        likely = tuple(s for s in SLABS if s <= _LIKELY)
+        rare = 2 * RARE if only_plates(problem) else RARE
+        linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
+    if any(isinstance(f, ToolReadings) and f.jumps for f in problem.points):
+        linear = replace(linear, rough=-RARE)  # these have been seen
+    return linear
 
 
 def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:

@@ -88,8 +88,8 @@ def finding(result: Result) -> Data:
     """The verdict, how sure it is, the tool's error, what to do, and what speaks against it."""
     after, searches = result.after, result.request.searches
     lacking = not searches and after.sigma_scale > 1
-    first = result.firmware.first if result.firmware else ""
     return {
+        "first": result.firmware.first if result.firmware else "",
         "word": result.word,
         "meaning": sentence(MEANINGS[result.word]),
         "claims": claims(result),
@@ -109,7 +109,7 @@ def finding(result: Result) -> Data:
         "actions": [action_data(action) for action in result.actions],
         "sheet": result.next_sheet is not None,
         "most": MOST,
-        "cautions": [*([first] if first else []), *result.cautions],
+        "cautions": result.cautions,
         "warnings": [sentence(w) for w in result.warnings],
     }
 
