@@ -324,7 +324,7 @@ def test_only_layouts_know_where_legs_stand() -> None:
     found = {
         f"{path.relative_to(PACKAGE)}:{function}".rstrip(":")
         for path in modules()
-        if room_of(path) != "layout"
+        if part_of(path) != "layout"
         for function in knows_a_layout(path.read_text(encoding="utf-8"))
     }
     assert found == set(OF_ONE_LAYOUT)

@@ -120,11 +120,11 @@ class Detectability(Framed):
     def _parameters(self, members: Sequence[SmallestEffect]) -> str:
         """Those of one row, without their effect's name; empty where they are all there are."""
         effect = members[0].effect
-        hidden = sum(name.partition(".")[0] == effect for name in self.invisible)
+        hidden = sum(name.effect == effect for name in self.invisible)
         if len(members) == len(self.by_effect[effect]) + hidden:
             return ""
         given = [s.name for s in self.by_effect[effect] if s in members]
-        return ", ".join(name.partition(".")[2] for name in given)
+        return ", ".join(name.behind for name in given)
 
 
 def smallest_effects(
