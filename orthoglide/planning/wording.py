@@ -96,12 +96,12 @@ def _effect_row(
     tolerance: float,
     found: float,
     named: float,
-    hardest: str,
+    hardest: Parameter,
     nearest: str,
     parameters: str,
 ) -> tuple[str, str]:
     """Its sizes, and what its hardest parameter is taken for; which it has, where not all."""
     size = f"{named:.2g}" if np.isfinite(named) else "never"
     sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
-    of = f" (of {parameters})" if parameters and parameters != hardest.partition(".")[2] else ""
+    of = f" (of {parameters})" if parameters and parameters != hardest.behind else ""
     return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}{of}"
