@@ -13,7 +13,8 @@ from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit import tempered
 from orthoglide.fit.surface import roughness
-from orthoglide.fit.tool import REPEATABILITY, ToolReadings
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import REPEATABILITY
 from orthoglide.geometry import Geometry, moved_onto
 from orthoglide.klipper import import_printer
 from orthoglide.layout import LinearDelta

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.geometry import LEGS, Array
+from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations.approach import Ints, Moves, derive_approach
 from orthoglide.observations.checks import check_commands
@@ -35,6 +36,11 @@ TRAVELLED, SECOND, APPROACHED = "travel_{}_mm", "travel_{}2_mm", "approach_{}"
 def by_leg(column: str, legs: tuple[str, str, str] = LEGS) -> tuple[str, ...]:
     """The three columns of a quantity that every leg, or base axis, has."""
     return tuple(column.format(leg) for leg in legs)
+
+
+def of_commands(names: LegNames) -> tuple[str, ...]:
+    """The three columns of commands: joint coordinates of the Orthoglide, travel of others."""
+    return by_leg(f"{names.command}_{{}}_mm", names.legs)
 
 
 RHO, TRAVEL = by_leg("rho_{}_mm"), by_leg(TRAVELLED)
@@ -95,7 +101,7 @@ SIGMA_MRAD = Column(positive(MM, TURNS), NAN)
 def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
     """The three columns that hold the commands: joint coordinates or the controller's values."""
     if machine is not None and not machine.geometry.dialled:
-        return by_leg(TRAVELLED, machine.geometry.leg_names)
+        return of_commands(machine.geometry.layout.names)
     if "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"

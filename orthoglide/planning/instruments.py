@@ -18,7 +18,8 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.tool import ToolReadings, expected_sigma
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.observations.tool import Kind

@@ -15,6 +15,7 @@ from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.tool import KINDS, Kind
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
+from orthoglide.threads import on_one_thread
 
 INSTRUMENTS: dict[str, str] = {
     "leg": "dials on the legs",
@@ -86,6 +87,7 @@ class Owned:
         return found
 
 
+@on_one_thread
 def owned_instruments(
     machine: Machine, kinds: Sequence[str], *, count: int | None = None, seed: int = 0
 ) -> Owned:
@@ -124,7 +126,7 @@ def _gain(
 
     def within(found: Detectability, what: str) -> dict[str, str]:
         return {
-            s.name.partition("@")[0]: s.effect
+            s.name.plain: s.effect
             for s in found.smallest
             if s.elementary and s.effect in of_machine and getattr(s, what) <= LARGEST * s.tolerance
         }
@@ -132,7 +134,7 @@ def _gain(
     members: dict[str, set[str]] = {}
     for s in (*before.smallest, *after.smallest):
         if s.elementary:
-            members.setdefault(s.effect, set()).add(s.name.partition("@")[0])
+            members.setdefault(s.effect, set()).add(s.name.plain)
 
     def new(now: dict[str, str], earlier: dict[str, str]) -> tuple[str, ...]:
         """Names, an effect's own where all its parameters are among them."""
