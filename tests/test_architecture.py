@@ -206,7 +206,6 @@ OF_ONE_LAYOUT = {
     "fit/meant.py": "names of the tool's coordinates",
     "control/urdf.py:calibrated_urdf": "an attribute of URDF, and turns about x, y and z",
     "control/urdf.py:_shift": "the same attribute",
-    "planning/instruments.py:_readings_of": "rolls points along a circle",
     "planning/owning.py:_places": "circles about x, y and z, whatever the legs",
     # A leg's own axes a, b, c, which every layout has
     "urdf/tree.py": "the axes of a leg's joints",

@@ -23,6 +23,7 @@ from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.observations.tool import Kind
+from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.criteria import EffectSeparation
 from orthoglide.planning.owning import tool_sheet
 from orthoglide.posterior import Cause, Explanation, FullPosterior
@@ -208,7 +209,8 @@ def _of(one: Explanation, problem: Problem) -> Array:
     setups = [s for f in problem.factors for s in f.setup_names]
     found = np.zeros(len(problem.names))
     for name, value in one.values.items():
-        of = {p.split("@")[0]: w for p, w in one.catalogue.elementary(name, setups).items()}
+        weights = one.catalogue.elementary(name, setups).items()
+        of = {plain_and_campaign(parameter)[0]: w for parameter, w in weights}
         campaign = one.catalogue.parameter(name, setups).campaign
         mine = [not campaign or n.campaign in ("", campaign) for n in problem.names]
         found += value * np.array([of.get(n.plain, 0.0) for n in problem.names]) * mine
