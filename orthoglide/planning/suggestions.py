@@ -27,7 +27,7 @@ from orthoglide.planning.rivals import (
     inseparable_words,
     rival_of,
 )
-from orthoglide.posterior import Cause
+from orthoglide.posterior import Cause, FullPosterior
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "trace", "none"]
@@ -53,8 +53,9 @@ class Suggestion(Framed):
         reason: what they are for and what is to be expected of them, in words.
         aim: ``separate`` rivals, ``narrow`` a weak direction, ``trace`` what nothing explains, or
             ``none`` where nothing helps.
-        gain: for rivals the sigmas between the two least separated; for a direction how many times
-            narrower it gets; nan of what nothing explains.
+        gain: for rivals the sigmas between the two least separated, by another instrument between
+            the two most; for a direction how many times narrower it gets; nan of what nothing
+            explains.
         pool: the readings to choose from; ``None`` where another instrument is what helps.
         chosen: those chosen, with repetitions; none where nothing helps.
     """
@@ -105,19 +106,17 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
     return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
 
 
-def deciding_instruments(
-    fit: Estimate, causes: Sequence[Cause], machine: Machine
-) -> tuple[Suggestion, ...]:
-    """Instruments at the tool that would decide between rivals, where no dial is set on the legs.
+def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
+    """Instruments at the tool that would decide between rivals, where no dial is set on the legs:
+    first what most probably does.
 
     Args:
-        fit: of the readings at hand.
+        known: of the readings at hand.
         causes: that were found, with their rivals.
-        machine: that knows them, and the places found.
     """
     return tuple(
         Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
-        for reason, gain in deciding(fit, causes, machine)
+        for reason, gain in deciding(known, causes)
     )
 
 

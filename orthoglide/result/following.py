@@ -20,8 +20,8 @@ def next_measurements(result: Result) -> tuple[Suggestion, ...]:
     known = result.posterior
     parts = [s for one in result.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
-        causes = result.after, result.effects, result.machine
-        return (*planning.deciding_instruments(*causes), *parts, *again)
+        apart = () if known is None else planning.deciding_instruments(known, result.effects)
+        return (*apart, *parts, *again)
     sets = [(c.chosen, *c.rivals) for c in result.effects if c.rivals]
     sets = sets or [tuple(result.alone[:_MOST_RIVALS])]
     rivals = [(e.name, e.machine) for each in sets for e in each]
