@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from orthoglide.fit.factors import DialReadings
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.observations import ToolCampaign
 from orthoglide.planning.criteria import RivalSeparation
