@@ -6,7 +6,7 @@ The files are those of ``tests/data/delta``; nothing is simulated.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,8 +26,8 @@ STEPS_A_MM = 106.667
 
 SIZES = dict.fromkeys(1e3 * size for _, size in own_shapes(np.zeros((1, 2))))
 
-MOST = 3
-"""Members of a class that are listed."""
+MOST, IN_FULL = 3, "mesh-default_25Probe alone"
+"""Members of a class that are listed, and the campaign of which all are."""
 
 TO_TELL = "to tell the causes apart measure "
 HEAD = """# Linear deltas
@@ -66,11 +66,14 @@ A probe sees one surface. The plate's height and slopes are fitted with every se
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches, and a
 single touch that is six times as far off is left out, and told. Many causes draw the same surface,
 the bed's own shape among them: they are told as a class, each with its size. A level on the
-platform, distances around the rim with both widths, or a mesh with the plate turned by 60 degrees
-(a profile of its own, imported with `--turned NAME=60`) decide between them; every result says
-which, and by how much. Seven points cannot see a twist that is common to the towers. [The truth
-table of the linear delta](linear-delta-truth.md) has which instrument sees which cause, and how
-often the verdict is right.
+platform, distances around the rim with both widths, the same by a longer tool
+([`beside_z_mm`](files.md#readings-of-the-tool)), or a mesh with the plate turned by 60 degrees (a
+profile of its own, imported with `--turned NAME=60`) decide between them, but none between all:
+neither lobes of the bed nor paths of the carriages that all lean to one side turn the platform. A
+result asks first for what most probably decides, as probable as each cause is, and says which it
+tells apart, by how many sigma, and which not. Seven points cannot see a twist that is common to the
+towers. [The truth table of the linear delta](linear-delta-truth.md) has which instrument sees which
+cause, and how often the verdict is right.
 
 Up to the fourth degree a plate has more shapes than the bowl and three lobes that are named:
 standard deviations of {sizes} mm are expected of those of the second, third and fourth
@@ -162,16 +165,45 @@ def told(name: str, campaigns: Sequence[ToolCampaign], verdict: Verdict) -> Iter
     )
     if verdict.word == "unexplained":
         yield f"{claim(verdict)}\n"
+    if verdict.effects:
+        yield f"{certain(verdict)}\n"
     for cause in verdict.effects:
         yield "One of:" if len(cause.explanations) > 1 else "Found:"
         yield ""
-        for one in cause.explanations[:MOST]:
+        listed = cause.explanations[: None if name.endswith(IN_FULL) else MOST]
+        for one in listed:
             yield f"- {one.words} ({one.probability:.2f})"
-        if (more := len(cause.explanations) - MOST) > 0:
+        if (more := len(cause.explanations) - len(listed)) > 0:
             yield f"- and {more} more"
         yield ""
     for suggestion in verdict.next_measurements[:1]:
         yield f"First of what would tell: {suggestion.reason.removeprefix(TO_TELL)}."
+
+
+def certain(verdict: Verdict) -> str:
+    """What is certain and what is not where causes are named, and what the firmware would see."""
+    of, classes = verdict.catalogue.effect_of, [c.explanations for c in verdict.effects]
+    many = len(classes) > 1
+    plate = [sum(e.probability for e in every if of(e.name).plate) for every in classes]
+    text = (
+        f"Certain: endstops, radius, angles and arms do not explain these readings, and one cause "
+        f"{'of each class ' * many}below is enough to. Not certain: which. The likeliest has "
+        f"{_both(every[0].probability for every in classes)}, that it is the plate's own shape "
+        f"{_both(plate)}{', class by class' * many}."
+    )
+    if verdict.firmware is None:
+        return text
+    shown = {one.words: one.shown for one in verdict.firmware.unseen}
+    most = (max((shown[e.words] for e in c if e.words in shown), default=0.0) for c in classes)
+    return (
+        f"{text} The seven points that Klipper probes cannot see, or hardly, {len(shown)} of these "
+        f"{sum(map(len, classes))} causes: after their fit none of those changes a height by more "
+        f"than {_both(most, '.2g')} times the noise of a touch."
+    )
+
+
+def _both(numbers: Iterable[float], how: str = ".2f") -> str:
+    return " and ".join(format(one, how) for one in numbers)
 
 
 def page() -> str:

@@ -32,6 +32,7 @@ from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
+from orthoglide.threads import on_one_thread
 from orthoglide.units import Unit
 
 CHANGED = 3.0
@@ -184,6 +185,7 @@ class Check(Framed):
         return "\n".join(self.sentences)
 
 
+@on_one_thread
 def check(
     old: Source | Sequence[Source],
     new: Source | Sequence[Source],
@@ -230,12 +232,9 @@ def check(
     verdict = run(replace(request, campaigns=now_dials, points=now_points), progress)
     progress(Step("comparing"))
     names = _compared(together)
-    problem, later = together.before.problem, {a.name for a in after}
-    # Rows taken for faulty have lost their weight there.
-    kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
-    both = assemble([*kept, *past], machine, names, own=names, noise=noise if dials else None)
-    apart = account_for_changes(solve(_two_states(both, later)))
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
+    apart = _one_value_each(together, past, names, new_names)
+    problem = together.before.problem
     searched = not past and len(visits(problem)) > 1
     differences = tuple(_differences(apart, names, together.changed, searched))
     none = Change(
@@ -263,6 +262,25 @@ def _told_apart(
     return before, after
 
 
+def _one_value_each(
+    together: Verdict, past: Sequence[ToolCampaign], names: list[str], later: Collection[str]
+) -> Estimate:
+    """A fit of all readings with one value of each parameter before and one after.
+
+    Args:
+        together: both states closed together.
+        past: readings of the tool that this left out.
+        names: of the parameters.
+        later: names of the new campaigns.
+    """
+    problem, request = together.before.problem, together.request
+    # Rows taken for faulty have lost their weight there.
+    kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
+    noise = request.noise if request.campaigns else None
+    both = assemble([*kept, *past], request.machine, names, own=names, noise=noise)
+    return account_for_changes(solve(_two_states(both, later)))
+
+
 def _two_states(problem: Problem, later: Collection[str]) -> Problem:
     """What every campaign has for itself, joined to one value in the old ones and one in the new.
 
@@ -288,9 +306,9 @@ def _compared(verdict: Verdict) -> list[str]:
     catalogue = verdict.request.machine.catalogue
     base = catalogue.expand(catalogue.base)
     causes = [n for c in verdict.effects for n in c.chosen.parameters]
-    found = [catalogue.parameter(n) for n in (*causes, *(c.parameter for c in verdict.changed))
-             if n.partition(".")[0] in catalogue]  # fmt: skip
-    named = (n.plain for n in found if not catalogue.effect_of(n).of_dial)
+    found = (*map(verdict.catalogue.parameter, causes), *(c.parameter for c in verdict.changed))
+    known = (n.plain for n in found if n.effect in catalogue)  # others are of places
+    named = (n for n in known if not catalogue.effect_of(n).of_dial)
     return list(dict.fromkeys(map(str, (*base, *named))))
 
 

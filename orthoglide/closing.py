@@ -44,6 +44,7 @@ from orthoglide.posterior import (
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request
 from orthoglide.result import Result, Word
+from orthoglide.threads import on_one_thread
 
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
@@ -63,6 +64,7 @@ SIGNIFICANT = 0.003
 class Verdict(Result):
     """A result that writes and shows itself: what :func:`close_loop` returns."""
 
+    @on_one_thread
     def report(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the report into a folder, as the command line does.
 
@@ -78,6 +80,7 @@ class Verdict(Result):
 
         write_report(self, folder, overwrite=overwrite)
 
+    @on_one_thread
     def plot(self, what: str = "residuals") -> Drawing:
         """A figure of the report, which notebooks show and ``save`` writes.
 
@@ -97,11 +100,13 @@ class Verdict(Result):
         found = ", ".join(e.name for e in self.effects) or "no cause"
         return f"<Verdict {self.word}: {found}; {self.request.command}>"
 
+    @on_one_thread
     def __str__(self) -> str:
         from orthoglide.report import summary
 
         return summary(self)
 
+    @on_one_thread
     def _repr_html_(self) -> str:
         from orthoglide.report.wording import headline
 
@@ -153,6 +158,7 @@ def close_loop(
     return run(request, progress)
 
 
+@on_one_thread
 def run(request: Request, progress: Progress | None = None) -> Verdict:
     """Do what was asked: once, or again from the request that a result keeps.
 

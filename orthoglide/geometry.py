@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide import layout as layouts
-from orthoglide.errors import InputError, UnreachableError
+from orthoglide.errors import InputError
 
 Array = NDArray[np.float64]
 Leg = Literal["x", "y", "z"]
@@ -56,6 +56,13 @@ def moved_onto(points: Array, source: Array, target: Array) -> Array:
     return np.asarray((points - centre) @ (left @ flip @ right) + goal)
 
 
+def axial(matrices: Array) -> Array:
+    """Axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of rotations the sine of the
+    angle times the axis, of small ones the turn about x, y and z.
+    """
+    return np.asarray(0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]))
+
+
 def axis_index(name: str) -> int:
     """Index of a leg or base axis.
 
@@ -71,16 +78,6 @@ def axis_index(name: str) -> int:
     if name not in LEGS:
         raise InputError(f"there is no leg or axis {name!r}: it is one of x, y, z")
     return LEGS.index(name)
-
-
-def leg_axes(leg: int) -> tuple[int, int, int]:
-    """Base axes (a, b, c) of leg 0, 1 or 2: slide, parallelogram pivots, short links."""
-    return leg, (leg + 1) % 3, (leg + 2) % 3
-
-
-def base_from_leg(leg: int) -> Array:
-    """Rotation ``(3, 3)`` whose columns are the leg's axes a, b, c in the base frame."""
-    return np.eye(3)[:, list(leg_axes(leg))]
 
 
 @dataclass(frozen=True)
@@ -151,13 +148,14 @@ class Geometry:
         """Command ``(3,)`` at mechanical zero, where p = 0; the Orthoglide's is (L, L, L)."""
         return np.full(3, self.layout.zero(self.L))
 
-    def commands(self, values: ArrayLike, name: str = "rho") -> Array:
-        """``values`` as commands ``(..., 3)``, metres; a message calls them ``name``.
+    def commands(self, values: ArrayLike, name: str = "") -> Array:
+        """``values`` as commands ``(..., 3)``, metres; a message calls them ``name``, if given.
 
         Raises:
             InputError: where they are no numbers, have another shape, or lie so far from any reach
                 that they must be millimetres.
         """
+        name = name or self.layout.names.command
         rho = vectors(values, name)
         beyond = np.abs(rho - self.layout.zero(self.L)).max(initial=0.0) - max(
             map(abs, self.stroke)
@@ -181,19 +179,11 @@ class Geometry:
 
         Raises:
             UnreachableError: where the travel is not less than a bar's length.
+            InputError: for any other layout than the Orthoglide.
         """
-        s = np.asarray(travel, dtype=float)
-        excess = float(np.max(np.abs(s), initial=0.0) - self.L)
-        if excess >= 0:
-            raise UnreachableError(
-                f"legs of {self.L * 1e3:g} mm cannot follow the TCP {excess * 1e3:g} mm beyond "
-                f"their length along {LEGS[leg]}",
-                leg=LEGS[leg],
-                excess=excess,
-            )
-        rho = np.repeat(np.sqrt(self.L**2 - s**2)[..., None], 3, axis=-1)
-        rho[..., leg] = self.L + s
-        return rho
+        if not isinstance(self.layout, layouts.Orthoglide):
+            raise InputError(f"legs of a {self.layout.kind} do not lie along base axes")
+        return self.layout.on_axis(self.L, leg, np.asarray(travel, dtype=float))
 
     def command(self, posture: str) -> Array:
         """Command ``(3,)`` of a named posture: ``zero``, ``xmax``, ``xmin``, ``ymax`` ...

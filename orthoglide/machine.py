@@ -232,10 +232,11 @@ class Machine:
             sigma = sigmas.get(name, 0.0)
             unit = self.catalogue.effect_of(name).unit.name
             for part, weight in self.catalogue.elementary(name).items():
-                if campaign := self.catalogue.parameter(part).campaign:
+                parameter = self.catalogue.parameter(part)
+                if parameter.campaign:
                     raise InputError(
-                        f"{name} is what the campaign {campaign} has for itself: a machine has "
-                        f"{part.partition('@')[0]}"
+                        f"{name} is what the campaign {parameter.campaign} has for itself: a "
+                        f"machine has {parameter.plain}"
                     )
                 entries[part] = ParameterValue(
                     weight * float(value), abs(weight) * float(sigma), unit

@@ -33,6 +33,21 @@ def setup_parts(text: str, shapes: Collection[str] = ()) -> tuple[str, str, str]
     return (setup, shape, campaign) if setup and shape in shapes else (behind, "", campaign)
 
 
+def effect_name(name: str) -> str:
+    """The effect of a name: its own, a parameter's or a structured member's."""
+    if isinstance(name, Parameter):
+        return name.effect
+    return plain_and_campaign(name)[0].partition(".")[0]
+
+
+def plain_and_campaign(name: str) -> tuple[str, str]:
+    """A name, an effect's own too, without its campaign, and that; empty where it has none."""
+    if isinstance(name, Parameter):
+        return name.plain, name.campaign
+    plain, _, campaign = name.partition("@")
+    return plain, campaign
+
+
 class Parameter(str):
     """Name of one parameter, or of a structured member of several.
 
@@ -79,6 +94,11 @@ class Parameter(str):
             self.member,
             self.campaign,
         )
+
+    @property
+    def behind(self) -> str:
+        """What stands behind its effect's name, its campaign included."""
+        return self[len(self.effect) + 1 :]
 
     @property
     def plain(self) -> Parameter:

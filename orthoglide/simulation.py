@@ -14,7 +14,8 @@ from orthoglide.accuracy import wanted_points
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.fit.factors import Block
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
-from orthoglide.fit.tool import ToolReadings, expected_sigma
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import commands as commands_of
@@ -189,7 +190,7 @@ def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -
         sigma=np.full(count, np.nan),
         approach=np.zeros((count, 3)),
         line=np.arange(2, count + 2),
-        legs=geometry.leg_names,
+        legs=geometry.layout.names,
     )
 
 

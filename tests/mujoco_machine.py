@@ -9,7 +9,8 @@ Two machines written down by hand as MJCF, with MuJoCo's own equality constraint
 
 Nothing of the package is used: dimensions come in as numbers. ``MujocoMachine`` closes the loops
 with Newton steps on MuJoCo's constraint Jacobian. SI units; leg i has the axes a, b, c = e_i,
-e_(i+1), e_(i+2), bars run from the carriage toward -a, bar 1 is on the +c side.
+e_(i+1), e_(i+2), bars run from the carriage toward -a, bar 1 is on the +c side. The six bars take
+legs that stand elsewhere too; they are called x, y, z all the same.
 """
 
 from __future__ import annotations
@@ -33,6 +34,10 @@ _HEAD = (
 )
 
 
+def _of_orthoglide() -> Array:
+    return np.stack([np.roll(np.eye(3), -leg, axis=0) for leg in range(3)])
+
+
 @dataclass(frozen=True)
 class Dimensions:
     """What is built: nominal dimensions in metres, and errors of the parts.
@@ -43,6 +48,9 @@ class Dimensions:
         lateral: where each carriage's path lies beside its axis ``(leg, xyz)``.
         turn: of the short link on the carriage about a, the turned b, the turned c ``(leg, 3)``.
         half: by how much the platform's half of each short link is too long ``(leg, bar)``.
+        axes: unit vectors a, b, c of each leg ``(leg, abc, xyz)``.
+        places: joints of each leg on its carriage and, from the TCP, on the platform at mechanical
+            zero ``(leg, 2, xyz)``; ``None``: those of an Orthoglide.
     """
 
     L: float = 0.31025
@@ -52,25 +60,27 @@ class Dimensions:
     lateral: Array = field(default_factory=lambda: np.zeros((3, 3)))
     turn: Array = field(default_factory=lambda: np.zeros((3, 3)))
     half: Array = field(default_factory=lambda: np.zeros((3, 2)))
+    axes: Array = field(default_factory=_of_orthoglide)
+    places: Array | None = None
+
+    def joints(self, leg: int) -> tuple[Array, Array]:
+        """Joints of a leg on its carriage and on the platform ``(3,)``."""
+        if self.places is not None:
+            return self.places[leg, 0], self.places[leg, 1]
+        return self.axes[leg, 0] * (self.L + self.r), self.axes[leg, 0] * self.r
 
 
 def _text(values: Sequence[float] | Array) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
-def _axes(leg: int) -> tuple[Array, Array, Array]:
-    """Unit vectors a, b, c of a leg in the base frame."""
-    a, b, c = np.eye(3)[[leg, (leg + 1) % 3, (leg + 2) % 3]]
-    return a, b, c
-
-
 def _short_link(size: Dimensions, leg: int) -> Array:
     """Direction of the short link on its carriage, base frame."""
     total, one, found = np.array([1.0, 0.0, 0.0, 0.0]), np.empty(4), np.empty(3)
-    for axis, angle in zip(_axes(leg), size.turn[leg], strict=True):
+    for axis, angle in zip(size.axes[leg], size.turn[leg], strict=True):
         mujoco.mju_axisAngle2Quat(one, axis, angle)
         mujoco.mju_mulQuat(total, total.copy(), one)
-    mujoco.mju_rotVecQuat(found, _axes(leg)[2], total)
+    mujoco.mju_rotVecQuat(found, size.axes[leg, 2], total)
     return found
 
 
@@ -78,7 +88,7 @@ def prpar_mjcf(size: Dimensions) -> str:
     """The nominal machine with rigid PRPaR legs; all bodies keep the base's axes at zero."""
     bodies = []
     for leg, n in enumerate(LEGS):
-        a, b, c = _axes(leg)
+        a, b, c = size.axes[leg]
         hinge = '<joint name="{}" type="hinge" axis="{}"/>' + _MASS
         up, down, along = _text(c * size.d / 2), _text(-c * size.d / 2), _text(-a * size.L)
         bodies.append(
@@ -103,30 +113,29 @@ def six_bar_mjcf(size: Dimensions) -> str:
     """A rigid platform on six bars, with the errors of the parts built in."""
     carriages, ends, loops = [], [], []
     for leg, n in enumerate(LEGS):
-        a, b, c = _axes(leg)
-        bars = []
+        a, b, c = size.axes[leg]
+        carriage, platform = size.joints(leg)
+        along, bars = (platform - carriage) / size.L, []
         for bar, side in ((1, 1.0), (2, -1.0)):
             own = size.L + size.length[leg, bar - 1]
-            # The hinges keep to the base's axes: a turned carriage only moves the bars' ends.
+            # The hinges keep to the leg's axes: a turned carriage only moves the bars' ends.
             where = side * _short_link(size, leg) * size.d / 2
             bars.append(
                 f'<body pos="{_text(where)}">'
                 f'<joint name="{n}{bar}_b" type="hinge" axis="{_text(b)}"/>'
                 f'<joint name="{n}{bar}_c" type="hinge" axis="{_text(c)}"/>{_MASS}'
-                f'<site name="{n}{bar}_tip" pos="{_text(-a * own)}"/></body>'
+                f'<site name="{n}{bar}_tip" pos="{_text(along * own)}"/></body>'
             )
-            place = a * size.r + side * c * (size.d / 2 + size.half[leg, bar - 1])
+            place = platform + side * c * (size.d / 2 + size.half[leg, bar - 1])
             ends.append(f'<site name="{n}{bar}_end" pos="{_text(place)}"/>')
             loops.append(f'<connect site1="{n}{bar}_tip" site2="{n}{bar}_end"/>')
         carriages.append(
-            f'<body pos="{_text(a * (size.L + size.r) + size.lateral[leg])}">'
+            f'<body pos="{_text(carriage + size.lateral[leg])}">'
             f'<joint name="{n}_slide" type="slide" axis="{_text(a)}"/>{_MASS}{"".join(bars)}</body>'
         )
-    platform = (
-        f'<body><freejoint name="platform"/>{_MASS}<site name="x_tcp"/>{"".join(ends)}</body>'
-    )
+    middle = f'<body><freejoint name="platform"/>{_MASS}<site name="x_tcp"/>{"".join(ends)}</body>'
     return (
-        f"{_HEAD}{''.join(carriages)}{platform}</worldbody>"
+        f"{_HEAD}{''.join(carriages)}{middle}</worldbody>"
         f"<equality>{''.join(loops)}</equality></mujoco>"
     )
 
@@ -136,7 +145,7 @@ class MujocoMachine:
 
     Args:
         mjcf: as ``prpar_mjcf`` or ``six_bar_mjcf`` write it.
-        length: L, metres: the drives stand at rho - L.
+        length: L, metres: the drives stand at rho - L; 0 where commands are travel.
     """
 
     def __init__(self, mjcf: str, length: float) -> None:

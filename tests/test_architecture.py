@@ -1,4 +1,4 @@
-"""The plan of the house, as code: who may import whom, how large a file may be, what loads when."""
+"""The architecture as tests: who may import whom, how large a file may be, what loads when."""
 
 import ast
 import re
@@ -13,10 +13,11 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "orthoglide"
 LONGEST = 400
+LONGEST_FUNCTION = 60
 
-# A room may import from the floors below its own, never from beside or above.
-FLOORS: tuple[frozenset[str], ...] = (
-    frozenset({"errors", "notes", "parameters", "progress", "text"}),
+# A part (module or folder) may import from the layers below its own, never from beside or above.
+LAYERS: tuple[frozenset[str], ...] = (
+    frozenset({"errors", "notes", "parameters", "progress", "text", "threads"}),
     frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects", "scene"}),
@@ -36,12 +37,14 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"cli"}),
     frozenset({"__main__"}),
 )
-# Nearer than the floors: two derivations never meet below, and declarations know names only.
+# Finer than the layers: two derivations never meet below, and declarations know names only.
 NEVER = {
     ("mechanism", "reduction"), ("mechanism", "effects"), ("machine_file", "mechanism"),
     ("observations", "mechanism"), ("prediction", "reduction"), ("machine", "reduction"),
     ("diagnosis", "reduction"), ("control", "reduction"),
 }  # fmt: skip
+# Fits and results draw themselves by figures, which know their types and import none of them.
+TYPES_ABOVE = {("figures", "fit"), ("figures", "posterior"), ("figures", "result")}
 HEAVY = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "yourdfpy", "joblib", "dask")
 
 
@@ -49,16 +52,16 @@ def modules() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def room_of(path: Path) -> str:
+def part_of(path: Path) -> str:
     """Module or folder directly in the package."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Dotted names that a file imports, at its top or within functions; not those for types."""
+def imports(path: Path, types: bool = False) -> Iterator[str]:
+    """Dotted names that a file imports, within functions too, and for types if asked."""
 
     def visit(node: ast.AST) -> Iterator[str]:
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        if not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             children: list[ast.stmt] | Iterator[ast.AST] = node.orelse
         else:
             children = ast.iter_child_nodes(node)
@@ -74,34 +77,35 @@ def imports(path: Path) -> Iterator[str]:
 
 
 @cache
-def edges() -> dict[tuple[str, str], str]:
-    """Who imports whom among the rooms, with a file that does."""
-    rooms = {room_of(path) for path in modules()}
+def edges(types: bool = False) -> dict[tuple[str, str], str]:
+    """Who imports whom among the parts, with a file that does; for types too if asked."""
+    parts = {part_of(path) for path in modules()}
     found: dict[tuple[str, str], str] = {}
     for path in modules():
-        for name in imports(path):
-            parts = name.split(".")
-            if parts[0] == "orthoglide" and parts[1] in rooms and parts[1] != room_of(path):
-                found[room_of(path), parts[1]] = str(path.relative_to(ROOT))
+        for name in imports(path, types):
+            package, other = [*name.split("."), ""][:2]
+            if package == "orthoglide" and other in parts and other != part_of(path):
+                found[part_of(path), other] = str(path.relative_to(ROOT))
     return found
 
 
-def floor(room: str) -> int:
-    return next((k for k, rooms in enumerate(FLOORS) if room in rooms), len(FLOORS))
+def layer(part: str) -> int:
+    return next((k for k, parts in enumerate(LAYERS) if part in parts), len(LAYERS))
 
 
-def test_every_room_has_its_floor() -> None:
-    rooms = {room_of(path) for path in modules()} - {"__init__"}
-    assert rooms == frozenset().union(*FLOORS)
+def test_every_part_has_its_layer() -> None:
+    parts = {part_of(path) for path in modules()} - {"__init__"}
+    assert parts == frozenset().union(*LAYERS)
 
 
 def test_imports_go_down() -> None:
-    wrong = {
+    up = {
         pair: path
-        for pair, path in edges().items()
-        if pair[0] != "__init__" and floor(pair[1]) >= floor(pair[0])
+        for pair, path in edges(types=True).items()
+        if pair[0] != "__init__" and layer(pair[1]) >= layer(pair[0])
     }
-    assert not wrong
+    assert up.keys() == TYPES_ABOVE, up
+    assert not up.keys() & edges().keys()
 
 
 def test_the_rules_look_at_something() -> None:
@@ -134,17 +138,17 @@ COMPUTING = ("fit", "diagnosis", "planning", "accuracy", "judging", "posterior",
 def test_reports_only_draw() -> None:
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
-        for room in ("report", "figures")
-        for path in sorted((PACKAGE / room).rglob("*.py"))
+        for part in ("report", "figures")
+        for path in sorted((PACKAGE / part).rglob("*.py"))
         for name in imports(path)
-        if name.startswith(("scipy", *(f"orthoglide.{room}" for room in COMPUTING)))
+        if name.startswith(("scipy", *(f"orthoglide.{part}" for part in COMPUTING)))
     ]
     assert not wrong
 
 
 def test_reduction_and_mechanism_know_nothing_of_each_other() -> None:
     assert not {("reduction", "mechanism"), ("mechanism", "reduction")} & set(edges())
-    assert not {pair: edges()[pair] for pair in NEVER & set(edges())}
+    assert not NEVER & set(edges(types=True))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests").glob("rig*.py")), ids=lambda p: p.name)
@@ -161,6 +165,25 @@ def test_files_stay_readable(path: Path) -> None:
     assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
 
 
+@pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_functions_stay_readable(path: Path) -> None:
+    lengths = {
+        node.name: node.end_lineno - node.lineno + 1
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef) and node.end_lineno is not None
+    }
+    assert not {name: lines for name, lines in lengths.items() if lines > LONGEST_FUNCTION}
+
+
+def test_nothing_cuts_names_of_parameters_apart() -> None:
+    """A `Parameter` carries its parts; what is parsed is parsed where names are."""
+    cuts = re.compile(r"partition\(.[.@].\)|split\(.[.@].\)")
+    parsing = {PACKAGE / "parameters.py", *(PACKAGE / "effects").glob("*.py")}
+    found = {path for path in modules() if cuts.search(path.read_text(encoding="utf-8"))}
+    assert found & parsing
+    assert not found - parsing
+
+
 def fresh(code: str) -> str:
     """What a new interpreter prints."""
     return subprocess.run(
@@ -175,34 +198,157 @@ def test_nothing_heavy_is_loaded_early(module: str) -> None:
     assert not set(HEAVY) & set(loaded)
 
 
-# What knows that legs lie along base axes, in a cycle: layouts, and what is the Orthoglide's own.
+# Where a layout is known outside `layout/`, function by function ("" is a file's top), and why.
 OF_ONE_LAYOUT = {
-    "layout/": "where legs stand is said here",
-    "geometry.py": "the Orthoglide's legs and named postures, beside the base axes",
-    "reduction/": "the papers' own model of the Orthoglide",
-    "comparison/": "compares with that model, and refuses other layouts",
-    "observations/campaign.py": "dials on legs: an Orthoglide's, relabelled",
-    "planning/pool.py": "mountings of dials against legs",
-    "report/sheet.py": "the same, said to who mounts them",
-    "urdf/solids.py": "boxes of the Orthoglide's drawing keep to the base axes",
-    "urdf/tree.py": "a sentence of the Orthoglide's own file, tested letter by letter",
-    "control/urdf.py": "the same",
-    "effects/wording.py": "the threefold pattern of legs that lie along each other's directions",
+    # Cartesian coordinates
+    "geometry.py": "names of the base axes",
+    "geometry.py:axial": "entries of an antisymmetric matrix",
+    "fit/meant.py": "names of the tool's coordinates",
+    "control/urdf.py:calibrated_urdf": "an attribute of URDF, and turns about x, y and z",
+    "control/urdf.py:_shift": "the same attribute",
+    "planning/owning.py:_places": "circles about x, y and z, whatever the legs",
+    # A leg's own axes a, b, c, which every layout has
+    "urdf/tree.py": "the axes of a leg's joints",
+    "effects/rails.py:_about": "the axis of a hinge",
+    "effects/rails.py:_turned": "the same",
+    # Lengths of bars
+    "control/numbers.py:controller_numbers": "L with its correction",
+    "klipper/rods.py:_measured": "the same",
+    "result/corrections.py:corrections": "the same",
+    "comparison/comparing.py:Comparison._spheres": "the same",
+    "machine_file/travel.py:check_travel": "an arm against L",
+    "mechanism/seed.py:commands": "how far a point is beyond a bar's reach",
+    "planning/owning.py:_widest": "a size between 0 and L that is searched for",
+    # Names that files have
+    "klipper/firmware.py": "the firmware's own names of its towers",
+    "observations/columns.py": "columns of the Orthoglide's commands",
+    "observations/columns.py:command_names": "says which of them to keep",
+    "observations/writing.py:command_columns": "tells columns of commands from others",
+    "observations/checks.py:check_commands": "says under which of them a command would fit",
+    # Dials, which are set against the legs of the Orthoglide alone
+    "observations/campaign.py:Campaign.relabelled": "renames its legs in readings of dials",
+    "observations/checks.py:_gauges": "places of dials along a leg, from joint coordinates",
+    "observations/checks.py:_gauges.on_leg": "the same",
+    "diagnosis/faults.py:_commanded": "a column of their campaigns",
+    # The Orthoglide's own
+    "urdf/solids.py:base_solids": "the drawing of its frame; others are drawn by their legs",
+    "comparison/comparing.py:cube": "the cube of its workspace",
+    "reduction/kinematics.py:forward": "its quadratic",
+    "reduction/kinematics.py:inverse": "the same",
+    "reduction/kinematics.py:jacobians": "the same",
+    "reduction/spheres.py:_gap": "three spheres, in pairs, whatever the legs",
+    "reduction/spheres.py:explain_miss": "the same",
 }
-CYCLIC = re.compile(
-    r"\+ *(?:leg|[12])\) *% *3|\brho *- *(?:\w+\.)*L\b|\"xyz\"\[|\(\"x\", \"y\", \"z\"\)"
-)
+_LEGS, _TOWERS = ("x", "y", "z"), ("a", "b", "c")
+_TURNED = ([1, 2, 0], [2, 0, 1])
+_JOINT_COORDINATE = re.compile(r"\brho(_|\b)")
+
+
+def knows_a_layout(source: str) -> set[str]:
+    """Functions of a file in which something speaks of one layout's legs.
+
+    That is arithmetic modulo 3, rolled arrays and cyclic permutations; names of legs, listed or
+    compared with; joint coordinates: L added or taken away, and texts that say rho.
+    """
+    found: set[str] = set()
+
+    def visit(node: ast.AST, within: str, lengths: frozenset[str]) -> None:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            within = f"{within}.{node.name}".lstrip(".")
+            lengths = frozenset(_named_lengths(node)) | lengths
+        if _of_a_layout(node, lengths):
+            found.add(within)
+        body = getattr(node, "body", None)
+        for child in ast.iter_child_nodes(node):
+            if not (isinstance(body, list) and child in body and _is_text(child)):  # a docstring
+                visit(child, within, lengths)
+
+    visit(ast.parse(source), "", frozenset())
+    return found
+
+
+def _of_a_layout(node: ast.AST, lengths: frozenset[str]) -> bool:
+    match node:
+        case ast.BinOp(op=ast.Mod(), right=ast.Constant(value=3)):
+            return True
+        case ast.BinOp(op=ast.Add() | ast.Sub(), left=left, right=right):
+            return _is_length(left, lengths) or _is_length(right, lengths)
+        case ast.Attribute(attr="roll" | "rotate" | "cycle") | ast.Name(id="cycle"):
+            return True
+        case ast.Constant(value=str(text)):
+            return text in ("xyz", "abc") or bool(_JOINT_COORDINATE.search(text))
+        case ast.Compare(comparators=sides) | ast.Tuple(elts=sides) | ast.List(elts=sides):
+            return _names_legs(node, [getattr(side, "value", None) for side in sides])
+        case ast.Dict(keys=sides) | ast.Set(elts=sides):
+            return _names_legs(node, [getattr(side, "value", None) for side in sides])
+        case ast.MatchValue(value=ast.Constant(value=name)):
+            return name in (*_LEGS, *_TOWERS)
+    return False
+
+
+def _names_legs(node: ast.AST, values: list[object]) -> bool:
+    if isinstance(node, ast.Compare):
+        left = getattr(node.left, "value", None)
+        return any(value in (*_LEGS, *_TOWERS) for value in (left, *values))
+    if values in _TURNED or tuple(values) == _TOWERS:
+        return True
+    return len(values) > 1 and all(value in _LEGS for value in values)
+
+
+def _named_lengths(function: ast.AST) -> Iterator[str]:
+    """Names that a function gives to L."""
+    for node in ast.walk(function):
+        if isinstance(node, ast.Assign):
+            (target,) = node.targets[:1]
+            pair = isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple)
+            names = target.elts if pair else [target]
+            values = node.value.elts if pair else [node.value]
+            for name, value in zip(names, values, strict=False):
+                if isinstance(name, ast.Name) and _is_length(value, frozenset()):
+                    yield name.id
+
+
+def _is_length(node: ast.AST, lengths: frozenset[str]) -> bool:
+    if isinstance(node, ast.Name):
+        return node.id in {"L", *lengths}
+    return isinstance(node, ast.Attribute) and node.attr == "L"
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def test_only_layouts_know_where_legs_stand() -> None:
+    """And each exemption is still needed."""
     found = {
-        str(path.relative_to(PACKAGE))
+        f"{path.relative_to(PACKAGE)}:{function}".rstrip(":")
         for path in modules()
-        if CYCLIC.search(path.read_text(encoding="utf-8"))
+        if part_of(path) != "layout"
+        for function in knows_a_layout(path.read_text(encoding="utf-8"))
     }
-    assert {f for f in found if not f.startswith(tuple(OF_ONE_LAYOUT))} == set()
-    assert all(any(f.startswith(known) for f in found) or known.endswith("/")
-               for known in OF_ONE_LAYOUT)  # fmt: skip
+    assert found == set(OF_ONE_LAYOUT)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        'leg == "x"', '"b" != leg', 'leg in ("x", "y")', '"xyz"[leg]', "(leg - 1) % 3",
+        "(k + j) % 3", "np.roll(legs, 1)", '["a", "b", "c"]', '{"x": 0, "y": 1, "z": 2}',
+        "command - geometry.L", "L - p[leg]", "legs[[1, 2, 0]]", "itertools.cycle(legs)",
+        "cycle(legs)", 'f"rho_{leg}_mm"', '{"a", "b"} == {"x", "y"}',
+    ],
+)  # fmt: skip
+def test_what_knows_a_layout_is_seen(code: str) -> None:
+    assert knows_a_layout(f"def here(leg):\n    return {code}") == {"here"}
+
+
+def test_lengths_by_another_name_are_seen_and_words_are_not() -> None:
+    named = "def here(g, s):\n    length, r = g.L, g.r\n    return length + s\n"
+    cases = 'def here(leg):\n    match leg:\n        case "a":\n            return 1\n'
+    innocent = 'def here(n):\n    """Commands rho."""\n    return n % 2, ("b", "c"), f"a {n}"\n'
+    assert knows_a_layout(named) == {"here"}
+    assert knows_a_layout(cases) == {"here"}
+    assert not knows_a_layout(innocent)
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda p: str(p.relative_to(PACKAGE)))

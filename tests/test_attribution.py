@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from benchmarks import delta_table
 from benchmarks.attribution_asked import (
     clear,
     fault_found,
@@ -136,3 +137,36 @@ def test_tables_count_what_the_records_say() -> None:
     alarm = {**record, "word": "unexplained"}
     found = {row[0]: row[2] for row in tables([record, record, alarm])[0].rows}
     assert found["false alarms"] == "33.3 % (1/3)"
+
+
+def test_no_end_of_a_delta_outside_the_catalogue_goes_uncounted() -> None:
+    """A machine that ends adequate, or whose readings are refused, is no success."""
+    rail = "rail.a.tangential/travel"
+
+    def ended(word: str, places: list[str], **more: object) -> Record:
+        truth = {"rms": 8.0, "places": places}
+        return {"kind": "outside", "what": "wavy rail", "instrument": "probe", "word": word,
+                "truth": [truth], "located": [], "effects": [], "blunders": 0,
+                "loud": False, **more}  # fmt: skip
+
+    records = [
+        ended("adequate", [rail]),
+        ended("adequate", [], blunders=1),
+        ended("adequate", [rail], loud=True),
+        ended("located", [rail], located=[{"places": ["drive.a/travel", rail]}]),
+        ended("located", [rail], located=[{"places": ["drive.a/travel"]}]),
+        ended("explained", []),
+        ended("unexplained", []),
+        ended("error", [rail], message="InputError: rows were exchanged"),
+        ended("error", [], message="NumericsError: no end"),
+    ]
+    told, ends = delta_table.tables(records)
+    shares = {row[0].strip(): row[1] for row in told.rows}
+    assert shares["outside the catalogue, three sigma or more: not noticed"] == "11.1 % (1/9)"
+    assert shares["taken for noise, with a warning"] == "11.1 % (1/9)"
+    assert shares["taken for faulty readings"] == "22.2 % (2/9)"
+    assert shares["explained by a wrong name"] == "11.1 % (1/9)"
+    assert shares["a wrong place located"] == "11.1 % (1/9)"
+    assert shares["rails and carriages: a place located that holds the true one"] == "20.0 % (1/5)"
+    assert ends.rows[1] == ["outside: wavy rail", "1", "1", "1", "1", "1", "", "2", "", "1", "1"]
+    assert "1 were refused as faulty and 1 ended in another error" in told.note

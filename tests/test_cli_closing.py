@@ -126,6 +126,10 @@ def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     assert tree(rig) == before
     assert "The path of the y carriage is out of square toward z" in shown
     assert "Verdict explained" in shown
+    table = shown[shown.index("probability cause") : shown.index("weighed evidence probability")]
+    both = ["axis_tilt.y.z or the y rail leans", "rail_tilt.y.z"]  # one cause with two names
+    assert [name in table for name in both] == [True, True]
+    assert re.findall(r"\d\.\d\d (?=the path|or the)", table) == ["1.00 "]
     ranked = shown[shown.index("weighed evidence probability") :]
     place = [ranked.index(f" {name} ") for name in ("axis_tilt.y.z", "rail.y.z/travel")]
     assert place == sorted(place)

@@ -31,7 +31,10 @@ from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT
 from orthoglide.comparison.tables import comparison_page, csv_table, markdown_table
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
+from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
+from orthoglide.prediction import Conditions
 from tests.rig import Array, Rig
+from tests.rig_delta import DeltaRig
 
 ROOT = Path(__file__).parents[1]
 SOME = ("joint_offset.y", "axis_offset.x.y", "axis_tilt.z.y", "bar_mismatch.y", "backlash.x")
@@ -235,6 +238,112 @@ def test_tables_hold_the_rows() -> None:
     assert "&lt;Title&gt;" in page
     assert "a &lt; b" in page
     assert page.count("<tr>") == 3
+
+
+# -- other layouts ------------------------------------------------------------------------------
+
+DELTA = DeltaRig()
+_AXES = ("x", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), ("y", (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+# The legs of an Orthoglide in another order: the platform is on the other side of the carriages.
+MIRRORED = FreeLegs(
+    tuple(
+        FreeLeg(name, tuple(0.34125 * a for a in slide), slide, link)
+        for name, slide, link in (("z", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), _AXES[1], _AXES[0])
+    )
+)  # type: ignore[arg-type]
+LAYOUTS = {
+    "linear delta": Geometry(
+        DELTA.L, DELTA.d, DELTA.r, DELTA.stroke,
+        LinearDelta((DELTA.radius,) * 3, DELTA.angles, DELTA.tool),
+    ),
+    "free legs": Geometry(layout=MIRRORED),
+}  # fmt: skip
+
+
+def other(kind: str) -> Machine:
+    return Machine(replace(Machine.nominal().spec, geometry=LAYOUTS[kind]))
+
+
+@pytest.mark.parametrize("kind", LAYOUTS)
+def test_three_spheres_hold_offsets_and_lengths_of_any_layout(kind: str) -> None:
+    names = LAYOUTS[kind].leg_names
+    for k, family in enumerate(("joint_offset", "leg_length")):
+        for leg in range(3):
+            (found,) = compare_effects(other(kind), (f"{family}.{names[leg]}",), FEW)
+            planted = np.zeros(6)
+            planted[3 * k + leg] = found.value
+            assert np.abs(found.six - planted).max() < 1e-10
+            assert found.fitted.max < 1e-11
+            assert found.nominal.max > 1e-5
+            assert found.good_enough
+            assert not found.read
+
+
+def test_what_three_spheres_get_wrong_of_a_delta() -> None:
+    """Against the independent delta, and three spheres fitted to it here."""
+    name = "axis_tilt.b.tangential"
+    (found,) = compare_effects(other("linear delta"), (name,), FEW)
+    compared = Comparison(other("linear delta"), FEW)
+    half = len(compared.p) // 2  # cold and warm are the same to it
+    travel, goal = compared.seen.command[:half], compared.p[:half]
+    worn = replace(DELTA, errors={name: found.value})
+    p = np.array([worn.pose(t, near)[0] for t, near in zip(travel, goal, strict=True)])
+    apart = np.linalg.norm(p - goal, axis=1)
+    assert apart.max() > 5e-5
+    assert found.nominal.max == pytest.approx(apart.max(), abs=1e-9)
+    assert found.nominal.mean == pytest.approx(apart.mean(), abs=1e-9)
+
+    def miss(six: Array) -> Array:
+        height = np.sqrt(DELTA.L**2 - (DELTA.radius - DELTA.r) ** 2)
+        t = np.deg2rad(DELTA.angles)
+        feet = (DELTA.radius - DELTA.r) * np.stack([np.cos(t), np.sin(t)])
+        z = goal[:, 2:]  # to first order along the bars, which is all that a fit of mm needs
+        bars = np.stack([goal[:, :1] - feet[0], goal[:, 1:2] - feet[1],
+                         z - height - travel], axis=-1)  # fmt: skip
+        own = six[3:] * DELTA.L + bars[..., 2] * six[:3]
+        return ((p - goal) - np.linalg.solve(bars, own[..., None])[..., 0]).ravel() * 1e6
+
+    best = least_squares(miss, np.zeros(6), x_scale=1e-5)
+    left = np.linalg.norm(best.fun.reshape(-1, 3), axis=1) * 1e-6
+    assert found.fitted.mean == pytest.approx(left.mean(), rel=0.02)
+    assert found.fitted.max == pytest.approx(left.max(), rel=0.02)
+    assert not found.good_enough
+    assert 0.8 < found.good_up_to * left.max() / TCP_LIMIT / found.value < 1.25
+
+
+def test_planes_of_a_delta_end_with_its_workspace() -> None:
+    worn = other("linear delta").with_parameters({"bar_mismatch.b": 5e-5})
+    six = np.array(compare_machine(worn, FEW)[0].six)
+    across, along, level = slices(worn, 9, FEW)
+    assert np.isfinite(across.difference).all()
+    assert np.isnan(level.difference[0, 0])
+    rho = worn.with_only({}).inverse(along.p)
+    reduced = Comparison(worn, FEW).reduced(six, Conditions.at(rho)).reshape(along.p.shape)
+    apart = np.linalg.norm(worn.forward(rho) - reduced, axis=-1)
+    assert np.abs(apart - along.difference).max() < 1e-9
+
+
+def test_dials_of_other_layouts_are_refused() -> None:
+    with pytest.raises(InputError, match=r"gauge_scale\.any: dials are set against"):
+        compare_effects(other("free legs"), ("gauge_scale.any",), FEW)
+
+
+def test_the_tables_of_a_delta_have_no_readings(tmp_path: Path) -> None:
+    file, out = tmp_path / "delta.toml", tmp_path / "out"
+    other("linear delta").with_parameters({"bar_mismatch.b": 1e-4}).save(file)
+    effects = ("--effects", "axis_offset.c.radial,axis_tilt.a.radial")
+    code, text = invoke("--machine", str(file), *effects, "--out", str(out))
+    assert code == 0, text
+    assert "readings" not in text
+    (record, *_) = csv.DictReader(io.StringIO((out / "table.csv").read_text()))
+    assert {f"fitted_{k}_{leg}_mm" for k in ("offset", "length") for leg in "abc"} <= set(record)
+    assert not [name for name in record if "reading" in name or "identified" in name]
+    page, table = (out / "compare.html").read_text(), (out / "table.md").read_text()
+    for told in (page, table):
+        assert "Readings are not compared" in told
+        assert "calibrated TCP" not in told
+    assert "nan" not in page.replace("tangential", "")
+    assert page.count("<svg") == 3
 
 
 # -- the documentation --------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from click.testing import CliRunner
 
 from orthoglide import Campaign, Machine, UnreachableError, identify
 from orthoglide.accuracy import tcp_slopes, workspace
+from orthoglide.cli import cli
 from orthoglide.cli.compensate import COMMANDS
 from orthoglide.cli.run import Commands
 from orthoglide.control import (
@@ -33,11 +34,12 @@ from orthoglide.control import (
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import LEGS, Geometry
-from orthoglide.layout import LinearDelta
+from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
 from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.tree import Tree, _sorted, _with_extras
 from orthoglide.prediction import Conditions
+from orthoglide.simulation import simulate_tcp
 from orthoglide.urdf import to_urdf
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
@@ -317,7 +319,7 @@ def test_the_numbers_are_headed_by_the_machines_name_where_it_has_one() -> None:
 
 def test_the_sign_rule_is_worked_out_in_words() -> None:
     text = controller_numbers(machine(DRIVES, controller=COUNTING)).text()
-    assert "new zero = old zero - sign x joint_offset" in text
+    assert "new zero = old zero - sign x joint offset" in text
     worked = re.search(r"shows (\S+) - \((\S+)\) x \((\S+)\) = (\S+) mm", text)
     assert worked
     zero, sign, offset, result = (float(x) for x in worked.groups())
@@ -512,8 +514,62 @@ def test_with_relief_joints_all_constant_geometry_is_held() -> None:
         assert np.abs(found - p).max() < 1e-9
 
 
+LEGS_ALONG_THE_AXES = FreeLegs(
+    tuple(
+        FreeLeg(name, tuple(0.34125 * a), tuple(a), tuple(c))
+        for name, a, c in zip("xyz", np.eye(3), np.roll(np.eye(3), 1, axis=0), strict=True)
+    )
+)  # type: ignore[arg-type]
+"""Where the Orthoglide's legs stand, and by their names: still no Orthoglide to the package."""
+
+OTHERS = {
+    "linear delta": Geometry(
+        0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04))
+    ),
+    "free legs": Geometry(layout=LEGS_ALONG_THE_AXES),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_commands_of_other_layouts_are_travel_wherever_users_meet_them(
+    kind: str, tmp_path: Path
+) -> None:
+    geometry = OTHERS[kind]
+    counting = Controller(zero=(0.01, -0.02, 0.03), sign=(1, 1, 1))
+    names = geometry.leg_names
+    values = {f"joint_offset.{names[0]}": 4e-4, f"backlash.{names[1]}": 1e-4}
+    spec = replace(Machine.nominal().spec, geometry=geometry, controller=counting)
+    own = Machine(spec).with_parameters(values)
+    own.save(tmp_path / "m.toml")
+    goal = np.array([[0.001, 0.002, 0.003], [-0.02, 0.01, 0.005], [0.0, 0.0, 0.009]])
+    path, out = write_path(tmp_path / "path.csv", goal), tmp_path / "commands.csv"
+    machine_file = ("--machine", str(tmp_path / "m.toml"))
+    code, text = invoke("compensate", str(path), *machine_file, "--out", str(out))
+    assert code == 0, text
+    header = out.read_text().splitlines()[0].split(",")
+    assert [n for n in header if n.startswith(("rho", "travel"))] == [
+        f"travel_{name}_mm" for name in names
+    ]
+    again = tmp_path / "again.csv"
+    arguments = ["forward", "--csv", str(out), "--out", str(again), *machine_file]
+    result = CliRunner().invoke(cli, arguments)
+    assert result.exit_code == 0, result.output
+    rows = list(csv.DictReader(again.open()))
+    reached = [[float(row[f"computed_p_{axis}_mm"]) * 1e-3 for axis in LEGS] for row in rows]
+    assert reached == pytest.approx(goal, abs=3e-9)
+    points = simulate_tcp(own, 2)
+    assert list(points.columns)[:3] == [f"travel_{name}_mm" for name in names]
+    told = [calibrated_urdf(own), controller_numbers(own).text(), *points.columns]
+    assert not [text for text in told if re.search(r"\brho", text)]
+    assert "Slide q is the commanded travel from mechanical zero." in told[0]
+    assert "no dial is set against the legs of this machine" in " ".join(told[1].split())
+    for wrong in (np.full(3, 400.0), np.zeros(2)):
+        with pytest.raises(InputError, match=r"^travel\b"):
+            own.forward(wrong)
+
+
 def test_carriages_of_a_delta_keep_their_lean_where_they_turn() -> None:
-    delta = Geometry(0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
+    delta = OTHERS["linear delta"]
     spec = replace(Machine.nominal().spec, geometry=delta)
     turned = Machine(spec).with_parameters({"mount_tilt.a.b": 1e-3, "mount_tilt.c.a": -2e-3})
     tree = tree_of(calibrated_urdf(turned), general=True, geometry=delta)

@@ -14,13 +14,13 @@ from benchmarks.delta_readings import INSTRUMENTS, measured
 from benchmarks.delta_truth import machine as nominal
 from benchmarks.deltas import forty_one_points
 from orthoglide.cli import cli
-from orthoglide.closing import close_loop
+from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.signatures import signatures
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.errors import InputError
 from orthoglide.fit import identify
 from orthoglide.machine import Machine
-from orthoglide.observations import read_readings
+from orthoglide.observations import ToolSetup, read_readings
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.mixed import mixed_sheet, whitened
 from orthoglide.planning.owning import sheet_of
@@ -130,8 +130,9 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
         told = run(*command, "--machine", machine, code=2)
         assert "linear-delta" in told
         assert "design --owns plate --out SHEET.csv writes a sheet" in told
-    told = run("compare", "--machine", machine, "--out", tmp_path / "cmp", code=2)
-    assert "simplified model" in told
+    kinds = ("--effects", "leg_length,rail_tilt", "--no-figures")
+    run("compare", "--machine", machine, *kinds, "--out", tmp_path / "cmp")
+    assert "Readings are not compared" in (tmp_path / "cmp" / "table.md").read_text()
     run("identify", imported / "mesh-default.csv", "--machine", machine, "--out", tmp_path / "id")
     calibrated = tmp_path / "id" / "calibrated.toml"
     (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,10\n30,-20,5\n")
@@ -260,7 +261,10 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
         assert false not in told
         assert false not in text, false
     assert "design --owns plate --machine machine.toml" in text
-    assert "With another instrument, or in another way To tell the causes apart measure a" in text
+    assert (
+        "With another instrument, or in another way To tell the causes apart measure distances"
+        in text
+    )
     assert "Where no reading helps" not in text
     assert "First the joint offsets, axis offsets and leg lengths were identified" in text
 
@@ -278,6 +282,59 @@ def test_distances_beside_a_mesh_name_no_cause_alone(v400: Path) -> None:
             assert cause.probability < 0.9
         every = {one.name for cause in verdict.effects for one in cause.explanations}
         assert {"plate_trefoil.cos.common", "rail_tilt.tangential.common"} <= every
+
+
+def test_what_most_probably_decides_is_asked_for_first() -> None:
+    """A level was, by which neither lobes nor paths that all lean to one side turn the platform."""
+    rig, lobes = DeltaRig(errors={"plate_trefoil.bed.cos": 1.5e-4}), "plate_trefoil.bed.cos"
+
+    def told(instrument: str) -> tuple[Verdict, set[str]]:
+        rng = np.random.default_rng(3)
+        readings = measured(rig, rng, machine=nominal(), instrument=instrument)
+        verdict = close_loop([readings], nominal())
+        return verdict, {one.name for cause in verdict.effects for one in cause.explanations}
+
+    mesh, names = told("mesh")
+    assert {lobes, "axis_tilt.tangential.common", "rail_tilt.tangential.common"} <= names
+    plate = '"the plate of bed has three high and three low sides"'
+    paths = '"the paths of the carriages are out of square, all alike in tangential direction"'
+    first, level = (
+        next(
+            r.split("measure ")[1] for r in (s.reason for s in mesh.next_measurements) if word in r
+        )
+        for word in ("measure distances between", "measure a level")
+    )
+    assert mesh.next_measurements[0].reason.endswith(first)
+    assert "it does not tell" not in first
+    assert f"it does not tell {plate} from {paths}, for that take distances" in level
+    assert told("mesh, distances")[1] == {lobes}
+    left = told("mesh, level")[1]
+    assert {lobes, "axis_tilt.tangential.common"} <= left
+    assert "rail_tilt.tangential.common" not in left
+
+
+def test_distances_by_a_longer_tool_tell_what_turns_the_platform() -> None:
+    """Of rails that lean the carriages turn, and with them the platform; of bent paths none does.
+
+    The independent machine carries the longer tool.
+    """
+    rng, errors = np.random.default_rng(3), {f"rail_tilt.{k}.tangential": 5e-3 for k in "abc"}
+    mesh = measured(DeltaRig(errors=errors), rng, machine=nominal(), instrument="mesh")
+    proposed = [s.reason for s in close_loop([mesh], nominal()).next_measurements]
+    assert any("by a tool 40 mm longer" in reason for reason in proposed)
+    names = []
+    for down in (0.0, -0.04):
+        rig = DeltaRig(errors=errors, tool=(0.0, 0.0, -0.04 + down))
+        both = measured(rig, rng, machine=nominal(), instrument="mesh, distances")
+        setups, rows = (ToolSetup("apart", "distance", (0.0, 0.0, down)),), both.of_kind("distance")
+        first = np.zeros(rows.sum(), dtype=np.int64)
+        apart = replace(both.subset(rows), name="apart", setups=setups, setup=first)
+        verdict = close_loop([mesh, apart], nominal())
+        names.append({one.name for cause in verdict.effects for one in cause.explanations})
+    leans, bent = "rail_tilt.tangential.common", "axis_tilt.tangential.common"
+    assert {leans, bent} <= names[0]
+    assert leans in names[1]
+    assert bent not in names[1]
 
 
 def test_a_plate_with_a_shape_of_its_own_is_no_cause_in_the_machine() -> None:

@@ -416,7 +416,7 @@ def test_effects_with_one_signature_are_never_named(machine):
     bow = told["rail_bow.x.y"]
     assert bow.detectable <= bow.nameable < np.inf
     seen = smallest_effects(machine, protocol("standard"))
-    lines = detectable_rows(seen, 120)
+    lines = detectable_rows(seen, 140)
     *narrow, last = detectable_rows(seen, 80)
     assert max(map(len, narrow)) <= 80 < max(map(len, lines[:-1]))
     assert last == lines[-1]
@@ -424,6 +424,25 @@ def test_effects_with_one_signature_are_never_named(machine):
     assert split.replace("nearest: ", "") == whole
     assert any("never" in line for line in lines)
     assert "mount_tilt (x.a, y.a, z.a)" in lines[-1]
+
+
+def test_a_further_instrument_never_seems_to_find_less(machine):
+    """A tracker shows turns about the leg, hard to see: those that dials show keep their row."""
+    rows = {}
+    for kinds in (["leg"], ["leg", "tcp"]):
+        tells = og.owned_instruments(machine, kinds).tells
+        table = [r for r in zip(*tells.columns.values(), strict=True) if r[0] == "mount_tilt"]
+        rows[len(kinds)] = {members: found for *_, found, _, _, _, members in table}
+        assert all(
+            f"(of {one})" in "\n".join(detectable_rows(tells, 200)) for one in rows[len(kinds)]
+        )
+    (easy,), pivots = rows[1].values(), "x.b, y.b, z.b"
+    assert list(rows[1]) == [pivots]
+    # More that shows is more that noise alone may look like: a little of an effect more is needed.
+    assert rows[2][pivots] <= 1.1 * easy
+    (hard,) = set(rows[2]) - {pivots}
+    assert hard.replace(".a", "") in ("x, y, z", "x, y", "y, z", "x, z", "x", "y", "z")
+    assert rows[2][hard] > 5 * easy
 
 
 # -- what to measure next ------------------------------------------------------------------------

@@ -115,6 +115,16 @@ def test_copies_of_repeats_are_said() -> None:
     assert not [w for w in og.identify(whole, MACHINE).warnings if w.kind == "copies"]
 
 
+def test_what_is_odd_about_one_of_several_files_names_it() -> None:
+    odd = replace(rig(), warnings=(Note("leg z moves by only 0 mm along its own axis", "command"),))
+
+    def said(*given: og.Campaign) -> list[Note]:
+        return [w for w in og.identify(given, MACHINE).warnings if w.kind == "campaign"]
+
+    assert said(odd) == ["leg z moves by only 0 mm along its own axis"]
+    assert said(rig(1), odd) == ["rig-2.csv: leg z moves by only 0 mm along its own axis"]
+
+
 def test_the_training_file_as_holdout_is_said() -> None:
     renamed = replace(rig(), name="other", file="other.csv")
     same = og.close_loop(rig(), MACHINE, holdout=renamed)

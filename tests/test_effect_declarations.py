@@ -58,7 +58,7 @@ def test_no_effect_is_known_by_name_outside_its_declaration() -> None:
         if path.parent.name == "effects":
             continue
         for line, text in literals(path):
-            words = text.replace(".", " ").replace(",", " ").split()
+            words = re.findall(r"\w+", text)
             found += [f"{path.relative_to(PACKAGE)}:{line}: {w}" for w in words if w in CATALOGUE]
     # "backlash" is also a number that a controller holds, as "zero" and "scale" are.
     found = [f for f in found if not (f.startswith("control/") and f.endswith(": backlash"))]

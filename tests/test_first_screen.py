@@ -395,6 +395,16 @@ def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None
     assert "in calibrated.toml , but not that" in page.replace("  ", " ")
 
 
+def test_a_place_says_which_known_shapes_are_ruled_out() -> None:
+    page = words(report_files(lost("reversal"))["report.html"])
+    assert (
+        "Known shapes of this place are ruled out: drive y moves more or less than it is told; "
+        "drive y has lost motion." in page
+    )
+    page = words(report_files(lost("platform"))["report.html"])
+    assert "No known cause moves this part in this way" in page
+
+
 def test_lost_motion_of_the_catalogue_is_said_to_be_left_out_too() -> None:
     one = explained("backlash.x", 2e-4, CATALOGUE, 1.0)
     verdict = made_up("explained", Cause(one, (), ()))
@@ -463,7 +473,7 @@ def test_the_gain_of_a_class_of_places_counts_all_that_the_machine_has() -> None
     found = {place.name: place for place in places() if place.name in kinds}
     known = CATALOGUE.with_effects([found[name].effect for name in kinds[1:]])
     members = tuple(SimpleNamespace(place=found[name]) for name in kinds)
-    name, parts = Located(members, (), 1.0).in_machine(known)  # type: ignore[arg-type]
+    name, parts = Located(members, (), 1.0, 0).in_machine(known)  # type: ignore[arg-type]
     assert name == found[kinds[1]].effect.name
     assert set(parts) == {str(p) for kind in kinds[1:] for p in found[kind].effect.motions}
 

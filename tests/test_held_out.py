@@ -1,10 +1,29 @@
-"""Files of printers, looked for after the methods were made: readings that were not used."""
+"""Files of printers: readings that were not used, and the page of what is told of them."""
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 
+from benchmarks.deltas import page
 from benchmarks.held_out import DATA, every, table
+
+PAGE = Path(__file__).parents[1] / "docs" / "linear-deltas.md"
+NUMBER = re.compile(r"(?<![\w.])−?\d+(?:\.\d+)?")
+
+
+def test_the_page_of_deltas_is_what_its_script_prints() -> None:
+    """But for the last digits of its numbers, which differ between processors."""
+    remedy = "stale: python -m benchmarks.deltas > docs/linear-deltas.md"
+    written, printed = PAGE.read_text(encoding="utf-8"), page()
+    assert NUMBER.sub("#", printed) == NUMBER.sub("#", written), remedy
+    old, new = (
+        [float(n.replace("−", "-")) for n in NUMBER.findall(text)] for text in (written, printed)
+    )
+    assert len(new) > 100
+    np.testing.assert_allclose(new, old, rtol=0.05, atol=0.011, err_msg=remedy)
 
 
 def test_what_is_found_predicts_what_was_not_used() -> None:

@@ -16,6 +16,8 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.closing import close_loop
 from orthoglide.errors import FileError, InputError
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import LOUD
 from orthoglide.klipper import Firmware, import_printer
 from orthoglide.klipper.firmware import refitted
 from orthoglide.machine import Machine
@@ -318,6 +320,29 @@ def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
         assert spoilt_one.values[name] == pytest.approx(value, abs=0.3 * sigma)
 
 
+def test_no_printer_s_plate_is_as_rough_as_what_no_roughness_explains() -> None:
+    for file in sorted([*DATA.glob("*.cfg"), *DATA.glob("held/*.cfg")]):
+        found = import_printer(file)
+        for campaign in found.campaigns:
+            readings = ToolReadings.of(campaign, Machine(found.machine))
+            for k, setup in enumerate(campaign.setups):
+                own, usual = readings.loudness(k)
+                assert setup.kind != "plate" or own < 0.7 * LOUD * usual, file.name
+
+
+@pytest.mark.parametrize(("roll", "word"), [(0.002, "adequate"), (0.04, "unexplained")])
+def test_what_jumps_from_place_to_place_is_no_noise(roll: float, word: str, tmp_path: Path) -> None:
+    """A carriage that rolls in short waves had counted as a rough plate: nothing was wrong."""
+    file = tmp_path / "printer.cfg"
+    waves = {"b": lambda travel: roll * np.sin(2 * np.pi * travel / 0.035 + 1.0)}
+    file.write_text(simulated_cfg(DeltaRig(turns=waves)))
+    found = import_printer(file)
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    told = [w for w in verdict.after.warnings if w.kind == "loud"]
+    assert (verdict.word, bool(told)) == (word, word == "unexplained")
+    assert all("turned by 60 degrees (turned_deg)" in w for w in told)
+
+
 def test_an_endstop_that_is_off_is_told_with_its_sign_and_what_it_costs(tmp_path: Path) -> None:
     """The plate is the firmware's z = 0: what an endstop tilts is an error of height."""
     file, out = tmp_path / "printer.cfg", tmp_path / "out"
@@ -372,12 +397,19 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
     reasons = " ".join(s["reason"] for s in told["next_measurements"])
     assert "turned by 60 degrees" in reasons
     assert "level on the platform" in reasons
-    sheet = "orthoglide design --owns incline --machine machine.toml --out incline.csv"
+    first, tells = told["next_measurements"][0]["reason"], '"the plate of default_25Probe has'
+    assert "measure distances" in first  # a level turns neither of the two likeliest
+    assert f'{tells} three high and three low sides" from "the paths of the carriages' in first
+    sheet = "orthoglide design --owns distance --machine machine.toml --out distance.csv"
     assert sheet in next(a["words"] for a in told["actions"] if a["action"] == "measure")
     assert sheet in unescape((done / "report.html").read_text())
     page = (done / "report.html").read_text()
     assert "To undo" in page
     assert "Numbers for the firmware" in page
+    before_verdict, _, rest = page.partition("<main>")[2].partition('<p class="word')
+    assert "The arms that the firmware stores" in before_verdict
+    assert rest
+    assert "The arms that the firmware stores" not in rest.partition("<section")[0]
     calibrated = Machine.load(done / "calibrated.toml")
     assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
     exported = og.controller_numbers(calibrated)

@@ -1,6 +1,7 @@
 """MuJoCo as an independent witness: its constraints, its derivatives, a model of its own."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,31 +12,38 @@ from orthoglide.geometry import Geometry
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from tests.mujoco_machine import Array, Dimensions, MujocoMachine, prpar_mjcf, six_bar_mjcf
+from tests.rig_delta import DeltaRig
+from tests.test_layout import DELTA, RIG
 
 NOMINAL = Geometry()
 OTHER = Geometry(L=0.5, d=0.11, r=0.047, stroke=(-0.12, 0.08))
-MECHANISM = {g: Mechanism(g, compile=False) for g in (NOMINAL, OTHER)}
+MECHANISM = {g: Mechanism(g, compile=False) for g in (NOMINAL, OTHER, DELTA)}
 
 
 def commands(n: int, seed: int, geometry: Geometry = NOMINAL) -> Array:
     return geometry.L + np.random.default_rng(seed).uniform(*geometry.stroke, (n, 3))
 
 
+def delta(rig: DeltaRig) -> Dimensions:
+    """A linear delta as the tests' own machine has it."""
+    A, B = (ends.reshape(3, 2, 3) for ends in rig._ends(np.zeros(3), np.zeros(3)))
+    links = (B[:, 0] - B[:, 1]) / rig.d
+    slides = np.broadcast_to([0.0, 0.0, 1.0], (3, 3))
+    axes = np.stack([slides, np.cross(links, slides), links], axis=1)
+    places = np.stack([A.mean(axis=1), B.mean(axis=1)], axis=1)
+    return Dimensions(rig.L, rig.d, rig.r, axes=axes, places=places)
+
+
 def dimensions(geometry: Geometry = NOMINAL, moves: Array | None = None) -> Dimensions:
     """A machine whose parts have the errors that displacements ``(3, 10)`` stand for."""
     moves = np.zeros((3, len(VIRTUAL_NAMES))) if moves is None else moves
     of = dict(zip(VIRTUAL_NAMES, moves.T, strict=True))
-    lateral = np.zeros((3, 3))
-    for leg in range(3):
-        lateral[leg, leg] = of["travel"][leg]
-        lateral[leg, (leg + 1) % 3] = of["lateral_b"][leg]
-        lateral[leg, (leg + 2) % 3] = of["lateral_c"][leg]
-    return Dimensions(
-        geometry.L,
-        geometry.d,
-        geometry.r,
+    nominal = delta(RIG) if geometry is DELTA else Dimensions(geometry.L, geometry.d, geometry.r)
+    path = np.stack([of["travel"], of["lateral_b"], of["lateral_c"]], axis=1)
+    return replace(
+        nominal,
         length=np.stack([of["stretch1"], of["stretch2"]], axis=1),
-        lateral=lateral,
+        lateral=np.einsum("li,lij->lj", path, nominal.axes),
         turn=np.stack([of["turn_a"], of["turn_b"], of["turn_c"]], axis=1),
         half=np.stack([of["width1"], of["width2"]], axis=1),
     )
@@ -78,10 +86,11 @@ ERRORS = {
 }
 
 
-def compare(rho: Array, moves: Array, tolerance: float) -> float:
+def compare(rho: Array, moves: Array, tolerance: float, geometry: Geometry = NOMINAL) -> float:
     """Check poses with errors against MuJoCo's six bars; by how much the errors turn them."""
-    mechanism, most = MECHANISM[NOMINAL], 0.0
-    witness = MujocoMachine(six_bar_mjcf(dimensions(NOMINAL, moves)), NOMINAL.L)
+    mechanism, most = MECHANISM[geometry], 0.0
+    zero = float(geometry.zero[0])
+    witness = MujocoMachine(six_bar_mjcf(dimensions(geometry, moves)), zero)
     given = mechanism.given(rho, np.broadcast_to(moves, (len(rho), *moves.shape)))
     out = mechanism.batch.outputs(mechanism.batch.close(given), given)
     for k, command in enumerate(rho):
@@ -108,6 +117,14 @@ def test_errors_of_one_leg(name: str, leg: int) -> None:
 def test_all_errors_at_once(seed: int) -> None:
     moves = 3e-3 * np.random.default_rng(seed).standard_normal((3, len(VIRTUAL_NAMES)))
     assert compare(commands(10, seed), moves, 1e-11) > 1e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_linear_delta_with_all_errors_at_once(seed: int) -> None:
+    moves = 3e-3 * np.random.default_rng(seed).standard_normal((3, len(VIRTUAL_NAMES)))
+    travel = np.random.default_rng(seed).uniform(-0.03, 0.06, (10, 3))
+    assert compare(travel, 0.0 * moves, 1e-11, DELTA) < 1e-12
+    assert compare(travel, moves, 1e-11, DELTA) > 1e-3
 
 
 def test_mujoco_refuses_what_the_mechanism_refuses() -> None:

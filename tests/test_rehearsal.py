@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.fit.tool import REPEATABILITY
+from orthoglide.fit.tool_noise import REPEATABILITY
 from orthoglide.klipper import import_printer
 from orthoglide.parameters import Parameter
 from orthoglide.planning.owning import sheet_of

@@ -253,6 +253,15 @@ def test_a_rival_is_said_with_its_own_value_and_sign() -> None:
     assert text in " ".join(summary(verdict).split())
 
 
+def test_the_list_counts_the_readings_of_the_sheet() -> None:
+    files = files_of("explained")
+    result = json.loads(files["result.json"])
+    assert len([s for s in result["next_measurements"] if s["readings"]]) == 2
+    taken = [row for row in csv.DictReader(io.StringIO(files["next_measurements.csv"]))
+             if row["kind"] != "move"]  # fmt: skip
+    assert f"the report proposes {len(taken)} readings" in result["actions"][-1]["words"]
+
+
 def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:
     """A verdict by pattern does not pretend that a size exceeds the noise."""
     verdict = verdict_of("partial")

@@ -13,7 +13,8 @@ from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit import tempered
 from orthoglide.fit.surface import roughness
-from orthoglide.fit.tool import REPEATABILITY, ToolReadings
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import REPEATABILITY
 from orthoglide.geometry import Geometry, moved_onto
 from orthoglide.klipper import import_printer
 from orthoglide.layout import LinearDelta
@@ -124,6 +125,83 @@ def test_a_probe_beside_the_tool_touches_where_the_platform_holds_it(tmp_path: P
     assert left[1] > 1e-5
 
 
+BELOW = 0.04
+
+
+def by_a_longer_tool(errors: dict[str, float]) -> dict[str, list]:
+    """Columns of readings of all kinds, of the independent machine with a tool of twice the length.
+
+    Its frame is where that tool is at zero, which no reading knows: heights, datums and the centre
+    of a ball are nuisances.
+    """
+    rig = DeltaRig(errors=errors, tool=(0.0, 0.0, RIG.tool[2] - BELOW))
+    at, rows = places(40), list[dict[str, object]]()
+    travel = np.array([RIG.inverse(p) for p in at])
+    tip = np.array([rig.pose(s, p)[0] for s, p in zip(travel, at, strict=True)])
+    ball = np.array([0.01, -0.02, 0.3])
+    for k, p in enumerate(tip):
+        other = (k + 7) % len(tip)
+        for kind, value in (("plate", p[2] - 2e-3 * p[0]), ("tcp", p[k % 3] + 0.01),
+                            ("distance", np.linalg.norm(p - tip[other])),
+                            ("ballbar", np.linalg.norm(p - ball))):  # fmt: skip
+            row = {"kind": kind, "setup": kind, "reading_mm": value * 1e3}
+            row["direction"] = "xyz"[k % 3] if kind == "tcp" else ""
+            for j, leg in enumerate("abc"):
+                row[f"travel_{leg}_mm"] = travel[k, j] * 1e3
+                row[f"travel_{leg}2_mm"] = travel[other, j] * 1e3 if kind == "distance" else np.nan
+            rows.append(row)
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
+    """The independent machine carries it: nothing is left; by the machine's own tool much is, but
+    of heights, which a turn lifts by its square.
+    """
+    errors = {"rail_tilt.a.tangential": 6e-3, "mount_tilt.b.a": 8e-3, "joint_offset.c": 5e-4}
+    true, frame, left = MACHINE.with_parameters(errors), by_a_longer_tool(errors), {}
+    for down in (-BELOW * 1e3, 0.0):
+        told = frame | {"beside_z_mm": [down] * len(frame["kind"])}
+        campaign = ToolCampaign.from_frame(told, machine_file=SPEC)
+        (again,) = read(tmp_path, csv_text(tool_rows(campaign, SPEC)))
+        assert isinstance(again, ToolCampaign)
+        assert np.array_equal(again.beside, campaign.beside)
+        factor = ToolReadings.of(again, true)
+        linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
+        factor = factor.about(linear.value, linear.slopes)
+        linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
+        assert np.array_equal(linear.value, factor.predict(true.model, true.values))
+        columns = factor.nuisances(linear.slopes).columns
+        rest = factor.measured - linear.value
+        rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-12)[0]
+        left[down] = {k: np.abs(rest[again.of_kind(k)]).max() for k in set(again.kind)}
+    long, short = left.values()
+    assert max(long.values()) < 1e-8
+    assert short["plate"] < 1e-6
+    assert min(short[kind] for kind in ("tcp", "distance", "ballbar")) > 2e-5
+
+
+def test_slopes_of_readings_beside_and_below_the_tool() -> None:
+    names = ["mount_tilt.b.a", "rail_tilt.a.tangential", "axis_offset.c.radial"]
+    true, frame = MACHINE.with_parameters(dict.fromkeys(names, 4e-3)), by_a_longer_tool({})
+    place = {"beside_x_mm": 12.0, "beside_y_mm": -7.0, "beside_z_mm": -40.0}
+    frame |= {name: [value] * len(frame["kind"]) for name, value in place.items()}
+    factor = ToolReadings.of(ToolCampaign.from_frame(frame, machine_file=SPEC), MACHINE)
+    slopes = factor.linearise(true.model, true.values, names).jacobian
+    for k, name in enumerate(names):
+        up, down = (
+            factor.predict(true.model, true.values | {name: 4e-3 + step}) for step in (1e-5, -1e-5)
+        )
+        assert slopes[:, k] == pytest.approx((up - down) / 2e-5, rel=1e-5, abs=1e-6)
+
+
+def test_a_level_stands_nowhere_beside_the_tool() -> None:
+    frame = {"kind": ["incline"] * 2, "setup": ["p"] * 2, "reading_mrad": [0.0, 0.0],
+             "direction": ["x", "y"], "beside_z_mm": [-40.0, -40.0]}  # fmt: skip
+    frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
+    with pytest.raises(InputError, match="a level shows the same wherever it stands"):
+        ToolCampaign.from_frame(frame, machine_file=SPEC)
+
+
 def turned_meshes(rig: DeltaRig, turns: tuple[float, ...], noise: float = 0.0) -> dict:
     """Columns of one plate touched at the same places, turned on its seat, a setup for each turn.
 
@@ -219,7 +297,7 @@ def test_each_setup_has_one_probe() -> None:
     frame = {"kind": ["plate"] * 2, "setup": ["p"] * 2, "reading_mm": [0.0, 0.0],
              "beside_x_mm": [0.0, 4.0]}  # fmt: skip
     frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
-    with pytest.raises(InputError, match="touched at two places beside the tool"):
+    with pytest.raises(InputError, match="read at two places beside the tool"):
         ToolCampaign.from_frame(frame, machine_file=SPEC)
 
 

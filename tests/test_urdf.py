@@ -12,11 +12,17 @@ import pinocchio as pin
 import pytest
 import yaml
 import yourdfpy
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from orthoglide import urdf
+from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.errors import FileError
-from orthoglide.geometry import LEGS, Geometry, base_from_leg, leg_axes
+from orthoglide.geometry import LEGS, Geometry
+from orthoglide.machine import Machine
+from orthoglide.machine_file import MachineFile
 from orthoglide.urdf import solids
+from tests.test_layout import DELTA, UNEVEN, freely
 
 ROOT = Path(__file__).parents[1]
 NOMINAL = Geometry()
@@ -62,7 +68,7 @@ def closed_configuration(geometry: Geometry, travel: np.ndarray, model: pin.Mode
     p = tcp(geometry, geometry.L + travel)
     q = np.empty(model.nq)
     for leg, n in enumerate(LEGS):
-        _, b, c = leg_axes(leg)
+        _, b, c = geometry.legs[leg].axes.argmax(axis=0)
         bars = np.arcsin(p[c] / geometry.L)
         theta = -np.arcsin(p[b] / (geometry.L * np.cos(bars)))
         values = (travel[leg], theta, bars, -bars, -theta, bars)
@@ -155,7 +161,9 @@ def test_neutral_is_the_closed_machine_at_zero(geometry: Geometry) -> None:
         for part, along in (("carriage", geometry.L + geometry.r), ("platform", geometry.r)):
             pose = poses[f"{n}_{part}"]
             np.testing.assert_allclose(pose[:3, 3], along * np.eye(3)[leg], rtol=0, atol=1e-15)
-            np.testing.assert_allclose(pose[:3, :3], base_from_leg(leg), rtol=0, atol=1e-15)
+            np.testing.assert_allclose(
+                pose[:3, :3], np.roll(np.eye(3), -leg, axis=1), rtol=0, atol=1e-15
+            )
 
 
 @GEOMETRIES
@@ -306,6 +314,21 @@ def constraints_of(robot: urdf.ParallelRobot, model: pin.Model) -> list[pin.Rigi
     return found
 
 
+def open_by(
+    model: pin.Model, data: pin.Data, constraints: list[pin.RigidConstraintModel], q: np.ndarray
+) -> np.ndarray:
+    """How far the loops are open: metres, and radians where axes coincide too."""
+    pin.framesForwardKinematics(model, data, q)
+    rows = []
+    for constraint in constraints:
+        one = data.oMi[constraint.joint1_id] * constraint.joint1_placement
+        other = data.oMi[constraint.joint2_id] * constraint.joint2_placement
+        rows.append(one.translation - other.translation)
+        if constraint.type == pin.ContactType.CONTACT_6D:
+            rows.append(pin.log3(one.rotation.T @ other.rotation))
+    return np.concatenate(rows)
+
+
 @GEOMETRIES
 def test_a_parallel_robot_closes_when_loaded_back(geometry: Geometry, tmp_path: Path) -> None:
     for name, text in urdf.parallel_robot_files(geometry).items():
@@ -321,16 +344,59 @@ def test_a_parallel_robot_closes_when_loaded_back(geometry: Geometry, tmp_path: 
     constraints, data = constraints_of(robot, model), model.createData()
     travel = np.array([0.01, -0.02, 0.03])
     for q in (pin.neutral(model), closed_configuration(geometry, travel, model)):
-        pin.framesForwardKinematics(model, data, q)
-        for loop, constraint in zip(robot.closures, constraints, strict=True):
-            one = data.oMi[constraint.joint1_id] * constraint.joint1_placement
-            other = data.oMi[constraint.joint2_id] * constraint.joint2_placement
-            assert np.abs(one.translation - other.translation).max() < 1e-12
-            assert loop.rows == 3 or np.abs(one.rotation - other.rotation).max() < 1e-12
+        assert np.abs(open_by(model, data, constraints, q)).max() < 1e-12
     jacobian = pin.getConstraintsJacobian(
         model, data, constraints, [c.createData() for c in constraints]
     )
     assert jacobian.shape == (21, model.nv)
+
+
+TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+EVERY = {
+    "delta": DELTA,
+    "uneven delta": UNEVEN,
+    "free legs of a delta": freely(UNEVEN, turn=TURN),
+    "free legs of an Orthoglide": freely(NOMINAL, turn=TURN),
+}
+
+
+@pytest.mark.parametrize("calibrated", [False, True], ids=["nominal", "calibrated"])
+@pytest.mark.parametrize("geometry", EVERY.values(), ids=EVERY)
+def test_any_machine_loaded_back_closes_where_ours_does(
+    geometry: Geometry, calibrated: bool, tmp_path: Path
+) -> None:
+    first, second, third = geometry.leg_names
+    beside = geometry.layout.names.across[2][0]
+    errors = {f"joint_offset.{first}": 3e-4, f"leg_length.{second}": 2e-4,
+              f"axis_offset.{third}.{beside}": 5e-4}  # fmt: skip
+    machine = Machine(MachineFile(geometry=geometry)).with_parameters(errors if calibrated else {})
+    tree = calibrated_urdf(machine) if calibrated else ""
+    for name, text in urdf.parallel_robot_files(geometry, tree).items():
+        (tmp_path / name).write_text(text)
+    robot = urdf.read_parallel_robot(tmp_path)
+    assert robot.motors == tuple(f"{leg}_slide" for leg in geometry.leg_names)
+    model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
+    assert sum(loop.rows for loop in robot.closures) == 21
+    drives = [model.joints[model.getJointId(name)].idx_q for name in robot.motors]
+    passive = np.setdiff1d(np.arange(model.nq), drives)
+    constraints, data = constraints_of(robot, model), model.createData()
+    if not calibrated:
+        assert np.abs(open_by(model, data, constraints, pin.neutral(model))).max() < 1e-12
+    for travel in np.random.default_rng(3).uniform(-0.03, 0.05, (3, 3)):
+        q = pin.neutral(model)
+        q[drives] = travel
+
+        def gap(angles: np.ndarray, q: np.ndarray = q) -> np.ndarray:
+            q[passive] = angles
+            return open_by(model, data, constraints, q)
+
+        found = least_squares(gap, q[passive], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        assert np.abs(found.fun).max() < 1e-10
+        gap(found.x)
+        expected = machine.forward(geometry.zero + travel)
+        for leg in geometry.leg_names:
+            place = data.oMf[model.getFrameId(f"{leg}_tcp")].translation
+            assert np.abs(place - expected).max() < 1e-9
 
 
 BROKEN = {
@@ -340,7 +406,7 @@ BROKEN = {
     "no such motor": ("'y_slide'", "'y_motor'", "no joint"),
     "no list": ("name_mot: [", "name_mot: ", "no list in brackets"),
     "missing": ("closed_loop", "closedloop", "is missing"),
-    "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "replaces joints"),
+    "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "such as x_slide by others"),
 }
 
 

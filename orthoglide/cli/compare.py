@@ -41,7 +41,7 @@ def compare(
 
     For each effect, and for the machine of --machine with all it was identified to have, the six
     parameters of the simplified model are fitted to the general mechanism; what is left is shown
-    at the TCP over the workspace and in the readings of a sweep.
+    at the TCP over the workspace and, on an Orthoglide, in the readings of a sweep.
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
     from orthoglide.report.folder import check_folder
@@ -69,17 +69,17 @@ COMMANDS = (compare,)
 
 def _files(sections: list[tuple[str, tuple[Row, ...]]], figures: dict[str, str]) -> dict[str, str]:
     from orthoglide.comparison.tables import (
-        LEGEND,
-        LIMITS,
         comparison_page,
         csv_table,
+        legend,
         markdown_table,
     )
 
+    every = [row for _, rows in sections for row in rows]
     tables = "".join(f"\n## {name}\n\n{markdown_table(rows)}" for name, rows in sections)
     return {
-        "table.csv": csv_table([row for _, rows in sections for row in rows]),
-        "table.md": f"# {_TITLE}\n\n{LIMITS} {LEGEND}\n{tables}",
+        "table.csv": csv_table(every),
+        "table.md": f"# {_TITLE}\n\n{legend(every)}\n{tables}",
         **{f"figures/{name}.svg": svg for name, svg in figures.items()},
         "compare.html": comparison_page(_TITLE, sections, list(figures.values())),
     }

@@ -69,13 +69,8 @@ def design(
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
     from orthoglide.files import check_new
-    from orthoglide.planning import (
-        design as choose,
-        observability,
-        reading_pool,
-        smallest_effects,
-    )
-    from orthoglide.planning.wording import detectable_rows, index_rows, pair_rows, repeats_row
+    from orthoglide.planning import design as choose, observability
+    from orthoglide.planning.wording import index_rows, pair_rows, repeats_row
 
     exclude(
         "owns", "campaigns", "free", "criterion", "want", "detect", "noise",
@@ -88,10 +83,7 @@ def design(
     if owns:
         _of_owned(machine, owns, count, out, seed, quiet)
         return
-    count = _COUNT if count is None else count
-    most = len(reading_pool(machine.geometry))
-    if count > most:
-        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
+    count = _count(machine, count)
     wanted = opt.quantities("--want", want, machine.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
@@ -107,14 +99,10 @@ def design(
             for name, c in sheets.items()
             for answer in _repeats(machine, c, found.names, wanted, noise, step)
         ]
-        small = []
-        for name, c in sheets.items() if detect else ():
-            step(Step("computing", f"smallest effects: {name}"))
-            small.append((name, smallest_effects(machine, c, noise=noise, seed=seed)))
         lines = [*index_rows([*compared, ("design", found.indices)]), *pair_rows(found)]
         lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
-        for name, detectability in small:
-            lines += ["", f"{name}:", *detectable_rows(detectability, text_width())]
+        if detect:
+            lines += _detectable(machine, sheets, noise, seed, step)
         lines += [] if out is None else [write_sheet(out, found.campaign, machine)]
     seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
     line = f"{len(found.campaign)} readings show {seen}."
@@ -166,6 +154,36 @@ def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
         read = [opt.dial_sheet(p, machine, _OTHERWISE) for p in paths]
         return {c.name: c for c in read}
     return {kind: protocol(kind, machine.geometry) for kind in opt.PROTOCOLS}  # type: ignore[arg-type]
+
+
+def _count(machine: Machine, asked: int | None) -> int:
+    """How many readings to choose, of those that there are."""
+    from orthoglide.planning import reading_pool
+
+    count = _COUNT if asked is None else asked
+    most = len(reading_pool(machine.geometry))
+    if count > most:
+        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
+    return count
+
+
+def _detectable(
+    machine: Machine,
+    sheets: dict[str, Campaign],
+    noise: float | None,
+    seed: int,
+    step: Progress,
+) -> list[str]:
+    """``--detect``: the smallest effects that each sheet finds and names."""
+    from orthoglide.planning import smallest_effects
+    from orthoglide.planning.wording import detectable_rows
+
+    lines = []
+    for name, c in sheets.items():
+        step(Step("computing", f"smallest effects: {name}"))
+        found = smallest_effects(machine, c, noise=noise, seed=seed)
+        lines += ["", f"{name}:", *detectable_rows(found, text_width())]
+    return lines
 
 
 def _repeats(

@@ -49,12 +49,13 @@ def _arguments(metavar: str) -> opt.Decorator:
 
 
 @click.command(context_settings=_NUMBERS)
-@_arguments("RHO_X RHO_Y RHO_Z")
+@_arguments("COMMAND COMMAND COMMAND")
 def forward(**given: Any) -> None:
     """TCP of commands: three joint coordinates in mm, or a CSV of rho_*_mm or travel_*_mm, with
     approach_* where it is known.
 
-    Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0.
+    Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0. Machines
+    of another layout are commanded by travel from mechanical zero, there 0 0 0.
     """
     _run(_forward, **given)
 
@@ -118,25 +119,23 @@ def _run(
         DIRECTION_OF_MOVE,
         MM,
         POINT,
-        RHO,
-        TRAVELLED,
         by_leg,
         columns,
         command_names,
+        of_commands,
     )
     from orthoglide.observations.table import Column, number, read_table
 
     rows = read_table(table)
     machine = opt.load_machine(machine_path, effects_file)
-    legs = machine.geometry.leg_names
     if solve is _forward:
         names, new = command_names(rows, machine.spec), POINT
     else:
-        names, new = POINT, RHO if machine.geometry.dialled else by_leg(TRAVELLED, legs)
+        names, new = POINT, of_commands(machine.geometry.layout.names)
     rows.check_names((*names, *(n for n in rows.names if n not in names)), names)
     given = columns(rows, names, Column(number(MM)))
     travelled = names[0].startswith("travel")
-    arrives = by_leg(APPROACHED, legs)
+    arrives = by_leg(APPROACHED, machine.geometry.leg_names)
     known = set(arrives) <= set(rows.names)
     seen = {"approach": columns(rows, arrives, DIRECTION_OF_MOVE)} if known else {}
     found = solve(machine, given, travelled, rows.fail, seen)

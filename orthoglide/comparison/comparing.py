@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from orthoglide import reduction
 from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.geometry import LEGS, Array, Geometry, axial
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.mechanism.seed import commands
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import Kind, protocol
 from orthoglide.prediction import Conditions
+from orthoglide.reduction.spheres import Mode, intersect_spheres
 from orthoglide.units import ONE
 
 _FIT_STEPS = 20
+_NAN = float("nan")
+_NOWHERE = Difference(_NAN, _NAN, (_NAN,) * 3)
 
 
 @dataclass(frozen=True)
@@ -75,8 +80,21 @@ def cube(geometry: Geometry) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def grid(geometry: Geometry, count: int) -> Array:
+    """TCP points ``(n, 3)`` that fill the workspace evenly, metres: of the Orthoglide the cube with
+    ``count`` points along each axis, of others what the layout says.
+    """
+    points = geometry.layout.points(geometry.L, geometry.r, geometry.stroke, count)
+    if points is not None:
+        return points
+    side = np.linspace(*cube(geometry), count)
+    return np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
+
+
 class Comparison:
-    """A machine's workspace and campaign, set up once to compare many effects."""
+    """A machine's workspace, set up once to compare many effects, and where dials stand on its legs
+    a campaign. The reduction is three spheres, whatever the layout.
+    """
 
     def __init__(
         self,
@@ -89,18 +107,22 @@ class Comparison:
         plain = Machine.of(machine).with_only({})
         pitch = plain.spec.screw_pitch or self.circumstances.pitch
         self.machine = replace(plain, spec=replace(plain.spec, screw_pitch=pitch))
-        if not plain.geometry.dialled:
-            raise InputError(
-                f"the simplified model that is compared here is the Orthoglide's, and this "
-                f"machine's layout is {plain.geometry.layout.kind}: give an Orthoglide's file"
-            )
         self.geometry, self.model = plain.geometry, self.machine.model
-        side = np.linspace(*cube(self.geometry), self.circumstances.points)
-        grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), -1).reshape(-1, 3)
-        self.p = np.tile(grid, (2, 1))
-        self.seen = self.circumstances.twice(reduction.inverse(grid, geometry=self.geometry))
-        self.campaign = self.circumstances.campaign(self.geometry)
-        self.shown = self.model.readings({}, self.campaign)
+        points = grid(self.geometry, self.circumstances.points)
+        self.p = np.tile(points, (2, 1))
+        self.seen = self.circumstances.twice(commands(self.geometry, points))
+        zero = intersect_spheres(self.geometry.centres, self.geometry.L)
+        self.mode: Mode = "machine" if np.abs(zero).max() < SAME else "other"
+
+    @cached_property
+    def campaign(self) -> Campaign:
+        """Of dials on legs: the Orthoglide's alone."""
+        return self.circumstances.campaign(self.geometry)
+
+    @cached_property
+    def shown(self) -> Array:
+        """What it shows of the perfect machine ``(n,)``, metres."""
+        return self.model.readings({}, self.campaign)
 
     def mechanism(
         self, values: Mapping[str, float], seen: Conditions | None = None
@@ -108,21 +130,30 @@ class Comparison:
         """TCP ``(n, 3)`` where it is visited, and the largest turn of the platform, radians."""
         distinct, place = self.model.merged(seen or self.seen, values)
         out = self.model.outputs(values, distinct)
-        skew = out.R - np.swapaxes(out.R, 1, 2)
-        sine = np.linalg.norm(skew[:, [2, 0, 1], [1, 2, 0]], axis=1) / 2
+        sine = np.linalg.norm(axial(out.R), axis=1)
         return out.p[place], float(np.arcsin(np.clip(sine, 0, 1)).max())
 
     def reduced(self, six: Array, seen: Conditions | None = None) -> Array:
         """TCP ``(n, 3)`` of the reduction with offsets and lengths ``six`` ``(6,)``, metres."""
-        rho = (seen or self.seen).command
-        return reduction.forward(rho, six[:3], six[3:], geometry=self.geometry)
+        return intersect_spheres(*self._spheres(six, seen or self.seen), self.mode)
+
+    def _spheres(self, six: Array, seen: Conditions) -> tuple[Array, Array]:
+        """Centres ``(n, leg, 3)``, all bars carried to the TCP, and radii ``(leg,)``, metres."""
+        travel = seen.command - self.geometry.zero + six[:3]
+        centres = self.geometry.centres + travel[..., None] * self.geometry.slides
+        return centres, self.geometry.L + six[3:]
 
     def fit_tcp(self, p: Array) -> Array:
         """Offsets and lengths ``(6,)`` with the least squares of TCP differences, Gauss-Newton."""
         six = np.zeros(6)
         for _ in range(_FIT_STEPS):
-            found, rho = self.reduced(six), self.seen.command
-            slopes = reduction.jacobians(found, rho, six[:3], six[3:], geometry=self.geometry)
+            centres, radii = self._spheres(six, self.seen)
+            found = intersect_spheres(centres, radii, self.mode)
+            # Of each leg |p - c| = L: (p - c) . dp = (p - c) . slide d(offset) + L dL
+            bars = found[:, None] - centres
+            along = np.einsum("nli,li->nl", bars, self.geometry.slides)[:, None]
+            by_leg = np.linalg.inv(bars)
+            slopes = by_leg * along, by_leg * radii
             columns = np.concatenate(slopes, axis=-1).reshape(-1, 6)
             step = np.linalg.lstsq(columns, (p - found).reshape(-1), rcond=None)[0]
             six = six + step
@@ -142,9 +173,8 @@ class Comparison:
         """Compare for parameters ``values``; name and value are for the table."""
         found, rotation = self.mechanism(values)
         six = self.fit_tcp(found)
-        change, best, priors = self.readings(values)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
-        nominal, identified = found - self.p, found - self.reduced(priors.values)
+        nominal, read = found - self.p, self._read(values, found)
         return Row(
             name=name,
             effect=effect.name if effect else "",
@@ -153,12 +183,28 @@ class Comparison:
             nominal=self.difference(nominal),
             translated=self.difference(nominal - nominal.mean(axis=0)),
             fitted=self.difference(found - self.reduced(six)),
-            identified=self.difference(identified - identified.mean(axis=0)),
+            identified=read[0],
             six=tuple(six.tolist()),
             rotation=rotation,
-            reading_change=float(np.sqrt(np.mean(change**2))),
-            reading_rms=float(np.sqrt(np.mean(best.residuals**2))),
-            reading_max=float(np.abs(best.residuals).max()),
+            reading_change=read[1],
+            reading_rms=read[2],
+            reading_max=read[3],
+            legs=self.geometry.leg_names,
+        )
+
+    def _read(
+        self, values: Mapping[str, float], found: Array
+    ) -> tuple[Difference, float, float, float]:
+        """Of a row what comes from readings of dials; nan where none stand on legs."""
+        if not self.geometry.dialled:
+            return _NOWHERE, _NAN, _NAN, _NAN
+        change, best, priors = self.readings(values)
+        identified = found - self.reduced(priors.values)
+        return (
+            self.difference(identified - identified.mean(axis=0)),
+            float(np.sqrt(np.mean(change**2))),
+            float(np.sqrt(np.mean(best.residuals**2))),
+            float(np.abs(best.residuals).max()),
         )
 
     def readings(
@@ -201,19 +247,26 @@ def compare_effects(
     Args:
         machine: dimensions and tolerances, or the path of its file; its identified parameters are
             left out.
-        names: effects, parameters or structured members; all but those of plates where absent.
-            Dials by the campaign's first setup.
+        names: effects, parameters or structured members; where absent all but those of plates, and
+            of dials where none stand on legs. Dials by the campaign's first setup.
         circumstances: see there.
 
     Raises:
-        InputError: for a name that is no effect.
+        InputError: for a name that is no effect, or one of dials where none stand on legs.
     """
     comparison = Comparison(machine, circumstances)
-    plain, setups = comparison.machine, [setup.name for setup in comparison.campaign.setups]
-    every = [name for name, effect in plain.catalogue.items() if not effect.plate]
+    plain, dialled = comparison.machine, comparison.geometry.dialled
+    setups = [setup.name for setup in comparison.campaign.setups] if dialled else []
+    every = [
+        name
+        for name, effect in plain.catalogue.items()
+        if not effect.plate and (dialled or not effect.of_dial)
+    ]
     chosen = plain.catalogue.expand(every if names is None else names, setups[:1])
     rows = []
     for name in chosen:
+        if plain.catalogue.effect_of(name).of_dial and not dialled:
+            raise InputError(f"{name}: dials are set against the legs of an Orthoglide alone")
         value = plain.tolerance(name)
         parts = plain.catalogue.elementary(name, setups)
         rows.append(comparison.row(name, value, {n: w * value for n, w in parts.items()}))
@@ -230,14 +283,12 @@ def compare_machine(
         circumstances: load, warmth, time, pitch and grid of the comparison; usual ones where
             absent.
 
-    Raises:
-        InputError: for a machine that is no Orthoglide.
-
     Returns:
         Row ``"machine"`` first, then one for every parameter that is not zero.
     """
     comparison = Comparison(machine, circumstances)
-    values = {name: value for name, value in machine.values.items() if value}
+    of = machine.catalogue.effect_of
+    values = {name: value for name, value in machine.values.items() if value and not of(name).plate}
     alone = (comparison.row(name, value, {name: value}) for name, value in values.items())
     return (comparison.row("machine", float("nan"), values), *alone)
 
@@ -248,8 +299,8 @@ class Slice:
 
     Attributes:
         normal: base axis across the plane, 0, 1 or 2.
-        p: points ``(n, n, 3)``, metres, the other two axes in their order along rows and columns.
-        difference: the larger of the two visits' ``(n, n)``, metres.
+        p: points ``(n, m, 3)``, metres, the other two axes in their order along rows and columns.
+        difference: the larger of the two visits' ``(n, m)``, metres; nan outside the workspace.
     """
 
     normal: int
@@ -260,22 +311,27 @@ class Slice:
 def slices(
     machine: Machine, points: int = 41, circumstances: Circumstances | None = None
 ) -> tuple[Slice, ...]:
-    """Difference of mechanism and fitted reduction on three planes of the cube.
+    """Difference of mechanism and fitted reduction on three planes of the workspace.
 
     Args:
         machine: with its errors.
-        points: along each side of a plane.
+        points: along each side of a plane, an odd number.
         circumstances: see there.
     """
     comparison = Comparison(machine, circumstances)
     six = comparison.fit_tcp(comparison.mechanism(machine.values)[0])
-    side = np.linspace(*cube(machine.geometry), points)
+    places = grid(machine.geometry, points)
     planes = []
     for normal in range(3):
-        p = np.insert(np.stack(np.meshgrid(side, side, indexing="ij"), -1), normal, 0.0, -1)
-        rho = reduction.inverse(p.reshape(-1, 3), geometry=machine.geometry)
-        seen = comparison.circumstances.twice(rho)
+        # The cube is cut where p = 0, which its grid need not hold.
+        cut = places if machine.geometry.dialled else places[np.abs(places[:, normal]) < SAME]
+        flat = np.delete(cut, normal, axis=1)
+        p = np.stack(np.meshgrid(*map(np.unique, flat.T), indexing="ij"), -1)
+        inside = (p[:, :, None] == np.unique(flat, axis=0)).all(axis=-1).any(axis=-1)
+        p = np.insert(p, normal, 0.0, -1)
+        seen = comparison.circumstances.twice(commands(machine.geometry, p[inside]))
         apart = comparison.mechanism(machine.values, seen)[0] - comparison.reduced(six, seen)
-        size = np.linalg.norm(apart, axis=1).reshape(2, points, points).max(axis=0)
+        size = np.full(p.shape[:2], np.nan)
+        size[inside] = np.linalg.norm(apart, axis=1).reshape(2, -1).max(axis=0)
         planes.append(Slice(normal, p, size))
     return tuple(planes)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from orthoglide.geometry import LEGS
 from orthoglide.units import Unit
 
 TCP_LIMIT = 5e-6
@@ -50,7 +52,9 @@ class Row:
         rotation: largest turn of the platform, radians; the reduction's never turns.
         reading_change: what the effect does to the readings, datums fitted, rms, metres.
         reading_rms: readings with the six parameters and the datums fitted to them, metres.
-        reading_max: the largest of these.
+        reading_max: the largest of these. These three and ``identified`` are nan where no dials
+            stand on legs.
+        legs: their names.
     """
 
     name: str
@@ -66,24 +70,30 @@ class Row:
     reading_change: float
     reading_rms: float
     reading_max: float
+    legs: tuple[str, str, str] = LEGS
+
+    @property
+    def read(self) -> bool:
+        """Whether readings of dials were compared."""
+        return not math.isnan(self.reading_rms)
 
     @property
     def good_enough(self) -> bool:
         """Whether the reduction will do: ``TCP_LIMIT`` and ``READING_LIMIT`` hold after fits."""
-        return self.fitted.max <= TCP_LIMIT and self.reading_rms <= READING_LIMIT
+        return self.fitted.max <= TCP_LIMIT and not self.reading_rms > READING_LIMIT
 
     @property
     def good_up_to(self) -> float:
         """Size of the parameter, SI, up to which the reduction will do, by proportion."""
-        excess = max(self.fitted.max / TCP_LIMIT, self.reading_rms / READING_LIMIT)
+        excess = self.fitted.max / TCP_LIMIT
+        if self.read:
+            excess = max(excess, self.reading_rms / READING_LIMIT)
         return float(abs(self.value) / excess) if excess > 1e-6 else float("inf")
 
     def __str__(self) -> str:
         answer = "will do" if self.good_enough else "will not do"
-        return (
-            f"{self.name:<24} TCP {self.fitted.max * 1e6:8.2f} µm, readings "
-            f"{self.reading_rms * 1e6:8.2f} µm rms: the reduction {answer}"
-        )
+        read = f", readings {self.reading_rms * 1e6:8.2f} µm rms" if self.read else ""
+        return f"{self.name:<24} TCP {self.fitted.max * 1e6:8.2f} µm{read}: the reduction {answer}"
 
 
 def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from html import escape
 
+import numpy as np
+
 from orthoglide.comparison.comparing import Slice
 from orthoglide.comparison.rows import READING_LIMIT, TCP_LIMIT, Difference, Row
 from orthoglide.figures import style
@@ -29,6 +31,15 @@ LEGEND = (
     "enough, by proportion."
 )
 """What the table's columns are."""
+
+_OF_TOOL = (
+    f"The reduction will do where, after its six parameters are fitted, the TCP is nowhere more "
+    f"than {TCP_LIMIT * _UM:g} µm from the mechanism. Readings are not compared: dials are set "
+    f"against the legs of an Orthoglide alone. Lengths in µm, turns of the platform in µrad, "
+    f"places as TCP in mm, all over the workspace; up to: the size at which the reduction stops "
+    f"being enough, by proportion."
+)
+"""The same where no dials stand on legs."""
 
 _STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;"
@@ -65,6 +76,8 @@ def _place(difference: Difference) -> str:
     return "({})".format(", ".join(f"{x * 1e3:.0f}".replace("-0", "0") for x in difference.where))
 
 
+_OF_READINGS = ("readings: change", "six fitted: rms, max", "calibrated TCP: max")
+
 _COLUMNS: dict[str, Callable[[Row], str]] = {
     "effect": lambda row: row.name,
     "size": lambda row: _size(row, row.value, "all"),
@@ -82,7 +95,14 @@ _COLUMNS: dict[str, Callable[[Row], str]] = {
 
 
 def _table(rows: Sequence[Row]) -> dict[str, list[str]]:
-    return {head: [cell(row) for row in rows] for head, cell in _COLUMNS.items()}
+    read = any(row.read for row in rows)
+    shown = {head: cell for head, cell in _COLUMNS.items() if read or head not in _OF_READINGS}
+    return {head: [cell(row) for row in rows] for head, cell in shown.items()}
+
+
+def legend(rows: Sequence[Row]) -> str:
+    """What the tables mean: what "will do" is, and the columns."""
+    return f"{LIMITS} {LEGEND}" if any(row.read for row in rows) else _OF_TOOL
 
 
 def markdown_table(rows: Sequence[Row]) -> str:
@@ -107,26 +127,28 @@ def _record(row: Row) -> dict[str, str]:
         "value": f"{row.value / row.unit.si:.6g}" if alone else "",
         "unit": row.unit.name if alone else "",
     }
-    for name in ("nominal", "translated", "fitted", "identified"):
+    for name in ("nominal", "translated", "fitted", *["identified"] * row.read):
         found: Difference = getattr(row, name)
         record[f"tcp_{name}_mean_mm"] = f"{found.mean * 1e3:.7f}"
         record[f"tcp_{name}_max_mm"] = f"{found.max * 1e3:.7f}"
         for axis, at in zip(LEGS, found.where, strict=True):
             record[f"tcp_{name}_max_at_{axis}_mm"] = f"{at * 1e3:.3f}"
-    six = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in LEGS)
-    lengths = dict(zip(six, row.six, strict=True)) | {
-        "reading_change_rms_mm": row.reading_change,
-        "reading_fitted_rms_mm": row.reading_rms,
-        "reading_fitted_max_mm": row.reading_max,
-    }
+    six = (f"{kind}_{leg}_mm" for kind in ("fitted_offset", "fitted_length") for leg in row.legs)
+    lengths = dict(zip(six, row.six, strict=True))
+    if row.read:
+        lengths |= {
+            "reading_change_rms_mm": row.reading_change,
+            "reading_fitted_rms_mm": row.reading_rms,
+            "reading_fitted_max_mm": row.reading_max,
+        }
     record |= {name: f"{value * 1e3:.7f}" for name, value in lengths.items()}
     record["rotation_max_rad"] = f"{row.rotation:.9f}"
     return record | {"reduction_will_do": "yes" if row.good_enough else "no"}
 
 
 def slice_figure(title: str, planes: Sequence[Slice]) -> str:
-    """Three planes of the cube in SVG, coloured by the difference at the TCP after the fit."""
-    top = max(float(plane.difference.max()) for plane in planes) * _UM
+    """Three planes of the workspace in SVG, coloured by the difference at the TCP after the fit."""
+    top = max(float(np.nanmax(plane.difference)) for plane in planes) * _UM
     with style.applied():
         figure = style.new_figure(9.5, 3.2)
         figure.set_layout_engine("constrained")
@@ -150,7 +172,7 @@ def comparison_page(
     """One self-contained HTML page: tables by heading, then figures (SVG texts)."""
     tables = (html_table(heading, _table(rows), len(rows)) for heading, rows in sections)
     drawings = (f"<figure>{svg[svg.index('<svg') :]}</figure>" for svg in figures)
-    told = f"<p>{escape(f'{LIMITS} {LEGEND}')}</p>"
+    told = f"<p>{escape(legend([row for _, rows in sections for row in rows]))}</p>"
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width">'

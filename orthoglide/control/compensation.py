@@ -13,12 +13,13 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.control.acting import refuse_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.frames import Framed
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
+from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import APPROACHED, POINT, TRAVELLED, by_leg
+from orthoglide.observations.columns import APPROACHED, POINT, TRAVELLED, by_leg, of_commands
 from orthoglide.prediction import Conditions
 
 RESOLUTION = 1e-9
@@ -43,7 +44,8 @@ class Compensation(Framed):
 
     Attributes:
         wanted: TCP points ``(n, 3)``, metres.
-        rho: commands as joint coordinates ``(n, 3)``, metres, rounded.
+        rho: commands ``(n, 3)``, metres, rounded: joint coordinates of the Orthoglide, travel from
+            mechanical zero of other layouts.
         travel: the same as the controller counts them ``(n, 3)``, metres.
         approach: direction in which each drive arrives ``(n, 3)``, +1 or -1.
         predicted: TCP that the commands reach on this machine ``(n, 3)``, metres.
@@ -52,7 +54,7 @@ class Compensation(Framed):
             the best translation over the workspace; from what is known of the parameters.
         place_sigma: the same of that translation ``(3,)``: where the machine as a whole sits.
         independent: whether the parameters were taken for independent.
-        legs: their names.
+        legs: how they are called.
     """
 
     wanted: Array
@@ -64,7 +66,7 @@ class Compensation(Framed):
     shape_sigma: Array
     place_sigma: Array
     independent: bool
-    legs: tuple[str, str, str] = LEGS
+    legs: LegNames = ORTHOGLIDE.names
 
     def __len__(self) -> int:
         return len(self.wanted)
@@ -78,15 +80,17 @@ class Compensation(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """A row a point: the point, the commands both ways counted, how each drive arrives, and
-        what to expect, in millimetres.
+        """A row a point: the point, the commands as the controller counts them (and the
+        Orthoglide's as joint coordinates), how each drive arrives, and what to expect, in
+        millimetres.
         """
+        legs = self.legs.legs
         ends = (self.residual, self.shape, np.full(len(self), self.place), self.accuracy)
         groups: dict[tuple[str, ...], Array] = {
             POINT: self.wanted * 1e3,
-            by_leg("rho_{}_mm", self.legs): self.rho * 1e3,
-            by_leg(TRAVELLED, self.legs): self.travel * 1e3,
-            by_leg(APPROACHED, self.legs): self.approach,
+            of_commands(self.legs): self.rho * 1e3,
+            by_leg(TRAVELLED, legs): self.travel * 1e3,  # the same columns on other layouts
+            by_leg(APPROACHED, legs): self.approach,
             by_leg("sigma_{}_mm"): self.shape_sigma * 1e3,
             _ENDS: np.column_stack([*ends, self.error_before]) * 1e3,
         }
@@ -195,7 +199,7 @@ def compensate(
         machine.forward(nominal, **{**arriving, "approach": _approach(nominal, before)}),
         *_shape_and_place(machine, Conditions.at(rho, **arriving)),
         machine.spec.posterior is None,
-        machine.geometry.leg_names,
+        machine.geometry.layout.names,
     )
 
 

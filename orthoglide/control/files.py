@@ -50,7 +50,7 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 
 
 def commands_text(found: Compensation) -> str:
-    """Commands as CSV: the points, both ways to count the commands, and what to expect."""
+    """Commands as CSV: the points, the commands, and what to expect."""
     shown = [
         [f"{v:+.0f}" if name.startswith("approach") else _digits(v) for v in values]
         for name, values in found.columns.items()

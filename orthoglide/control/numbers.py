@@ -14,8 +14,7 @@ from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
 from orthoglide.effects.wording import by_effect
 from orthoglide.frames import Framed
-from orthoglide.geometry import LEGS
-from orthoglide.layout import LegNames
+from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
@@ -25,7 +24,7 @@ _RULE = (
     "{words}. Enter the new zero once, or add new zero - old zero to every command; never "
     "both."
 ).format
-RULE = _RULE(sum="new zero = old zero - sign x joint_offset:", words="joint offset")
+RULE = _RULE(sum="new zero = old zero - sign x joint offset:", words="joint offset")
 """The sign of a zero, wherever one is given."""
 _RULE_ALONE = _RULE(
     sum="new zero = old zero - sign x offset:",
@@ -213,7 +212,7 @@ class ControllerNumbers(Framed):
             checks=_CHECKS.format(
                 legs=", ".join(self.names.legs),
                 checks="\n".join(_fill(f"- {c}") for c in self.checks)
-                or (_NONE if self.names.legs == LEGS else _fill(_UNDIALLED)),
+                or (_NONE if self.names == ORTHOGLIDE.names else _fill(_UNDIALLED)),
             ),
             alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)),
             rest=_rest(self.beyond),

@@ -22,10 +22,10 @@ _LATERAL = ("lateral_b", "lateral_c")
 def calibrated_urdf(machine: Machine) -> str:
     """URDF text of a calibrated machine; joints and links are those of the nominal one.
 
-    Slide q is the commanded rho - L. Offsets move the slides' origins, tilts their axes, bar
-    lengths the places of the knuckles and of bar 2's tip. A prismatic axis is a unit vector, so a
-    path with slope t is shorter by ``q t^2 / 2`` than ``Machine`` has it. Where a machine has
-    nothing that is constant the text is the nominal one but for its comment.
+    Slide q is the commanded travel from mechanical zero. Offsets move the slides' origins, tilts
+    their axes, bar lengths the places of the knuckles and of bar 2's tip. A prismatic axis is a
+    unit vector, so a path with slope t is shorter by ``q t^2 / 2`` than ``Machine`` has it. Where a
+    machine has nothing that is constant the text is the nominal one but for its comment.
 
     Args:
         machine: calibrated. What URDF cannot hold is left out and named in the comment.
@@ -75,10 +75,11 @@ def _is_constant(effect: Effect, machine: Machine) -> bool:
     if effect.of_dial or effect.needs:
         return False
     length, stroke = machine.geometry.L, machine.geometry.stroke
+    zero = machine.geometry.layout.zero(length)
 
     def moved(motion: Motion, s: float) -> float:
-        command = length + s
-        at = LegConditions(command, length, stroke, None, 0, 0, 0, 0, s, commands=(command,) * 3)
+        command = zero + s
+        at = LegConditions(command, length, stroke, None, 0, 0, 0, 0, s, zero, (command,) * 3)
         return float(motion.basis(at))
 
     for _, motions in effect.motions.values():
@@ -109,11 +110,12 @@ def _moves(machine: Machine) -> list[tuple[dict[str, float], Array]]:
 
 def _comment(machine: Machine) -> str:
     constant, of = held_by_urdf(machine), machine.catalogue.effect_of
+    names = machine.geometry.layout.names
     held = [n for n, v in constant.items() if v]
     left = [n for n, v in machine.values.items() if v and n not in constant]
     misfit = [n for n in held if not of(n).urdf]
     lines = [
-        f"Calibrated: {machine.spec.title}. Slide q is the commanded rho - L.",
+        f"Calibrated: {machine.spec.title}. Slide q is the commanded {names.travel}.",
         "Holds " + (", ".join(held) or "no correction") + ".",
         "Left out, for URDF holds constant geometry only: "
         + (", ".join(by_effect(left)) or "nothing")

@@ -25,7 +25,7 @@ class Candidate:
 
     name: str
     effect: str
-    parameters: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     weights: tuple[Mapping[str, float], ...]
 
     @property

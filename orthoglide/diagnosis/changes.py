@@ -22,7 +22,7 @@ from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Unknown
 from orthoglide.fit.unknowns import one_plate
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, plain_and_campaign
 
 _OPEN = 3.0
 """Tolerances of the machine's other effects: what they are, they are at all visits."""
@@ -97,7 +97,7 @@ def _everything(problem: Problem) -> Problem:
     """
     effects = [effect.name for effect in excited_effects(problem)]
     catalogue = problem.machine.catalogue
-    apart = {name.partition("@")[0] for name in problem.own}  # what is seen to change already
+    apart = {plain_and_campaign(name)[0] for name in problem.own}  # seen to change already
 
     def widened(unknown: Unknown) -> Unknown:
         effect = catalogue.effect_of(unknown.name)

@@ -193,26 +193,8 @@ def _clause(problem: Problem, fault: Fault) -> str:
             )
         case "command":
             return _commanded(problem, fault)
-        case "sign":
-            setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
-            other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
-            return (
-                f"the readings fit with the opposite sign, so the dial counted the other way: look "
-                f"at which way its hand turns and put direction {other} instead of "
-                f"{setup.direction}"
-            )
-        case "label":
-            leg, axis = (LEGS[k] for k in fault.label)
-            return (
-                f"the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
-                f"where it stood, and correct the leg or the direction of the setup"
-            )
-        case "exchanged_labels":
-            return (
-                "the readings of these two fit once they are exchanged, so the two dials or their "
-                "columns were mixed up: check which dial stood where and exchange the setups' "
-                "labels"
-            )
+        case "sign" | "label" | "exchanged_labels":
+            return _mislabelled(problem, fault)
         case "unit":
             factor = min(MISTAKEN, key=lambda f: abs(np.log(f / fault.size)))
             return (
@@ -231,6 +213,29 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"the machine moves it by {fault.size * 1e3:.2g} mm: free the plunger and measure "
                 f"these rows again"
             )
+
+
+def _mislabelled(problem: Problem, fault: Fault) -> str:
+    """As what setup the readings fit: the other way round, of another leg, or of another dial."""
+    if fault.kind == "sign":
+        setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
+        other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
+        return (
+            f"the readings fit with the opposite sign, so the dial counted the other way: look "
+            f"at which way its hand turns and put direction {other} instead of "
+            f"{setup.direction}"
+        )
+    if fault.kind == "label":
+        leg, axis = (LEGS[k] for k in fault.label)
+        return (
+            f"the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
+            f"where it stood, and correct the leg or the direction of the setup"
+        )
+    return (
+        "the readings of these two fit once they are exchanged, so the two dials or their "
+        "columns were mixed up: check which dial stood where and exchange the setups' "
+        "labels"
+    )
 
 
 def _zeroed(problem: Problem, fault: Fault) -> str:

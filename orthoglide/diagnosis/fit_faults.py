@@ -107,18 +107,26 @@ def _misread(
         fault, bonus = hypotheses[k].fault, 0.0
         if fault.kind == "unit":
             bonus = _scattering(means, setups, fault)
-        if _mended(means, fault, after[:, k]) and _says_so(means, hypotheses[k], known):
-            found.append(replace(fault, evidence=float(evidence[k] + bonus)))
+        if not _mended(means, fault, after[:, k]):
+            continue
+        if fault.kind in LABELS:
+            # Wrong labels lead the fit far from where it belongs.
+            chi2 = np.array(_anew(means, hypotheses[k], known))
+            bonus = float(means.evidence(chi2) - evidence[k] - np.log(len(hypotheses)))
+        elif not factor_fits(means, fault.rows, fault.size):
+            continue
+        found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
 
 
-def _says_so(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]) -> bool:
-    """Whether the readings themselves say how large the fault is."""
-    fault = hypothesis.fault
-    if fault.kind not in LABELS:
-        return factor_fits(means, fault.rows, fault.size)
+def _anew(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]) -> float:
+    """What is left where labels are put right and all is identified anew; all that there was where
+    the readings themselves do not say that these are the labels.
+    """
     after = StationMeans.anew(hypothesis.corrected(means.problem), known)
-    return after is not None and hypothesis.leaves_none(means.problem, after)
+    if after is None or not hypothesis.leaves_none(means.problem, after):
+        return means.chi2
+    return after.chi2
 
 
 def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) -> float:

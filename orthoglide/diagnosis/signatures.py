@@ -11,6 +11,7 @@ from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened
 from orthoglide.geometry import Array
+from orthoglide.parameters import Parameter
 
 # A signature that one tolerance lifts less than this above the noise, in all, is not seen.
 _VISIBLE = 0.3
@@ -41,7 +42,7 @@ class Signatures:
     residual: Array
     fitted: Array
     candidates: tuple[Candidate, ...]
-    invisible: tuple[str, ...]
+    invisible: tuple[Parameter, ...]
 
     @property
     def count(self) -> int:

@@ -16,7 +16,8 @@ from orthoglide.diagnosis.repeat_faults import Slips
 from orthoglide.diagnosis.scatter import Scatter, median_scatter
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate
-from orthoglide.fit.tool import ToolReadings, step_of
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import step_of
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import source

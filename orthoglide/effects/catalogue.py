@@ -17,7 +17,7 @@ from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Motion
 from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
-from orthoglide.parameters import Parameter, setup_parts
+from orthoglide.parameters import Parameter, effect_name, setup_parts
 
 OWN = (
     "your own come with --effects-file FILE.py, in Python with Machine.load(FILE, effects=[...]) "
@@ -120,7 +120,7 @@ class Catalogue(Mapping[str, Effect]):
         Raises:
             InputError: where the catalogue has no such effect.
         """
-        effect = name.effect if isinstance(name, Parameter) else name.split("@")[0].split(".")[0]
+        effect = effect_name(name)
         if effect not in self.by_name:
             known = ", ".join(self)
             raise InputError(f"there is no effect {effect!r}: the catalogue has {known} ({OWN})")

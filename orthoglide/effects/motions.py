@@ -26,7 +26,7 @@ class LegConditions:
         warming: kelvin above the campaign's first row.
         force: on the carriage along its own axis under the load, newtons.
         travel: the carriage's true travel from mechanical zero, metres.
-        zero: the command at mechanical zero, metres; ``None``: L, as on the Orthoglide.
+        zero: the command at mechanical zero, metres.
         commands: of all drives, metres.
         built_up: lost motion that builds up over some lengths after the drive turns round, each
             half its approach after a long way; none where nobody knows.
@@ -41,14 +41,14 @@ class LegConditions:
     warming: Any
     force: Any
     travel: Any = None
-    zero: float | None = None
+    zero: float = 0.0
     commands: tuple[Any, ...] = ()
     built_up: tuple[Any, ...] = ()
 
     @property
     def nominal_travel(self) -> Any:
         """Commanded travel from mechanical zero, metres."""
-        return self.command - (self.length if self.zero is None else self.zero)
+        return self.command - self.zero
 
     @property
     def u(self) -> Any:

@@ -179,8 +179,8 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
     size, member = size_words(effect, value), parameter.member
     if member == "cyclic":
         pairs = [
-            f"{a} toward {toward(b, value)} and {toward(c, -value)}"
-            for a, b, c in (("x", "y", "z"), ("y", "z", "x"), ("z", "x", "y"))
+            f"{leg} toward {toward(b, value)} and {toward(c, -value)}"
+            for leg, (b, c) in zip(effect.names.legs, effect.names.across, strict=True)
         ]
         return f"in a threefold pattern ({', '.join(pairs)}), by {size}"
     if member.endswith("symmetric"):

@@ -40,7 +40,7 @@ def draw_causes(causes: Sequence[Cause]) -> Drawing:
     rows: list[tuple[float, str, float, str]] = []
     place = 0.0
     for cause in causes:
-        found = [(cause.name, cause.chosen.probability, style.FIT)]
+        found = [(cause.name, cause.together, style.FIT)]
         found += [(rival.name, rival.probability, style.BAND) for rival in cause.rivals]
         rest = max(1.0 - sum(p for _, p, _ in found), 0.0)
         found.append(("all else together", rest, style.PALETTE["before"]))

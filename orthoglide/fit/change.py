@@ -207,7 +207,7 @@ def summed_of(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Par
 
 def _either_side(problem: Problem, name: str, since: str) -> list[int] | None:
     """Places of the unknowns before and after a change."""
-    places = [k for k, n in enumerate(problem.names) if n.partition("@")[0] == name]
+    places = [k for k, n in enumerate(problem.names) if n.plain == name]
     for one, other in pairwise(places):
         if problem.names[other] == f"{name}@{since}":
             return [one, other]

@@ -31,6 +31,8 @@ from orthoglide.observations import (
     check_given,
     read_readings,
 )
+from orthoglide.parameters import plain_and_campaign
+from orthoglide.threads import on_one_thread
 
 _EXACT = 1e-2  # of the noise; leaves a ten-thousandth of what a free datum takes up
 
@@ -43,6 +45,7 @@ Read = Readings | TcpPoints
 """Readings of any kind."""
 
 
+@on_one_thread
 def identify(
     campaigns: Source | Sequence[Source],
     machine: MachineSource | None = None,
@@ -94,8 +97,8 @@ def identify(
         own=own, priors=priors, noise=noise, bounds=bounds, frame=frame,
     )  # fmt: skip
     for name in problem.own:
-        plain = name.partition("@")[0]
-        if not any(n.plain == plain or n.startswith(f"{plain}.") for n in problem.names):
+        plain, _ = plain_and_campaign(name)
+        if not any(plain in (n.plain, n.effect) for n in problem.names):
             raise InputError(f"{name} is own to each campaign but not free: free it too")
     if weighting == "deviations":
         problem = _anchored(problem)

@@ -212,7 +212,7 @@ def _dials(model: Model, factor: DialReadings, outputs: Any, place: Any, values:
     touched = 12 * campaign.leg[:, None] + np.arange(12)
     flat = (36 * place[:, None] + touched).ravel()
     ends = ca.reshape(ca.vec(outputs[LINES, :])[flat.tolist()], 12, len(campaign))
-    mounting = ca.DM(mountings(campaign, model.geometry.r).T)
+    mounting = ca.DM(mountings(campaign, model.geometry).T)
     by_setup = []
     for setup in campaign.setups:
         own = [n for effect in effects for n in effect.parameters((setup.name,))]

@@ -13,38 +13,31 @@ from orthoglide.fit.loud import loud_dials
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import LOUD
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
-_LOUD = 3.0  # times the noise that is usual of an instrument
+_ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
+_TURNED = (
+    ", and all once more with the plate turned by 60 degrees (turned_deg): what turns with it is "
+    "its own, what does not comes of the machine"
+)
 
 
 def notes(estimate: Estimate) -> tuple[Note, ...]:
     """Notes of a fit: what was noticed on reading, lack of fit, bounds, tolerances, the check."""
     problem, scores = estimate.problem, estimate.scores
-    found = [Note(text, "campaign") for f in problem.factors for text in f.points.warnings]
+    given = [f.points for f in problem.factors]
+    found: list[Note] = []
+    for points in given:
+        file = f"{source(points)}: " if len(given) > 1 else ""
+        found += [Note(file + text, "campaign") for text in points.warnings]
     found += coarse(problem)
-    tool = [f.points for f in problem.points]
-    found += [Note(text, "copies") for text in twice([*problem.campaigns, *tool])]
-    for campaign in (*problem.campaigns, *problem.tool_campaigns):
-        if count := copied(campaign):
-            text = (
-                f"all {count} repeats of {campaign.name} are the same to the last digit as the "
-                f"visit before: if they are copies they say nothing of the noise, so leave them "
-                f"out and declare it"
-            )
-            found.append(Note(text, "copies"))
-    for points in tool:
-        if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
-            text = (
-                f"{_lines(points, lines)}: the same point as before to the last "
-                f"digit: a copy tells nothing that the other does not, so leave it out"
-            )
-            found.append(Note(text, "copies", lines))
+    found += copies(problem)
     told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
     found += [Note(text, "stray") for text in told]
     if estimate.sigma_scale > 1:
@@ -64,18 +57,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
-    for unknown, value, far in zip(
-        problem.unknowns, estimate.x, problem.far(estimate.x), strict=True
-    ):
-        if far:
-            unit = estimate.unit(unknown.name)
-            text = (
-                f"{parameter_words(estimate.problem.machine.catalogue.parameter(unknown.name))} "
-                f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
-                f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
-                f"the tolerance in the machine file"
-            )
-            found.append(Note(text, "tolerance"))
+    found += far_off(estimate)
     check = estimate.check
     if check is not None and not check.second_order:
         text = (
@@ -84,6 +66,45 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         )
         found.append(Note(text, "second_order"))
     return tuple(found)
+
+
+def copies(problem: Problem) -> Iterator[Note]:
+    """Readings that are the same to the last digit as others, and so may be copies of them."""
+    tool = [f.points for f in problem.points]
+    for text in twice([*problem.campaigns, *tool]):
+        yield Note(text, "copies")
+    for campaign in (*problem.campaigns, *problem.tool_campaigns):
+        if count := copied(campaign):
+            text = (
+                f"all {count} repeats of {campaign.name} are the same to the last digit as the "
+                f"visit before: if they are copies they say nothing of the noise, so leave them "
+                f"out and declare it"
+            )
+            yield Note(text, "copies")
+    for points in tool:
+        if isinstance(points, TcpPoints) and (lines := repeated_points(points)):
+            text = (
+                f"{_lines(points, lines)}: the same point as before to the last "
+                f"digit: a copy tells nothing that the other does not, so leave it out"
+            )
+            yield Note(text, "copies", lines)
+
+
+def far_off(estimate: Estimate) -> Iterator[Note]:
+    """Parameters of the base beyond what their tolerances let expect."""
+    problem = estimate.problem
+    for unknown, value, far in zip(
+        problem.unknowns, estimate.x, problem.far(estimate.x), strict=True
+    ):
+        if far:
+            unit = estimate.unit(unknown.name)
+            text = (
+                f"{parameter_words(problem.machine.catalogue.parameter(unknown.name))} "
+                f"({unknown.name}) is {abs(value) / unknown.tolerance:.1f} times its tolerance of "
+                f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it, or correct "
+                f"the tolerance in the machine file"
+            )
+            yield Note(text, "tolerance")
 
 
 def coarse(problem: Problem) -> Iterator[Note]:
@@ -116,14 +137,15 @@ def louder(estimate: Estimate) -> Iterator[Note]:
             continue
         for k, setup in enumerate(factor.points.setups):
             size, kind = factor.loudness(k)
-            if size > _LOUD * kind:
+            if size > _ABOUT * LOUD * kind:
                 unit = "mrad" if setup.kind == "incline" else "mm"
                 plate = ", or the plate's roughness," if setup.kind == "plate" else ""
+                turned = _TURNED if setup.kind == "plate" else ""
                 yield Note(
                     f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
                     f"count as good to {compact(size * 1e3, 2)} {unit}, {compact(size / kind, 2)} "
                     f"times worse than is usual: smaller errors are not seen; something that moved "
-                    f"half way looks like this too, so read some places again at the end",
+                    f"half way looks like this too, so read some places again at the end{turned}",
                     "loud",
                 )
                 if not factor.sided(k):

@@ -15,24 +15,18 @@ from numpy.typing import NDArray
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
 from orthoglide.fit.instrument_frame import centre_of, turned_back
-from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance, shown_step
-from orthoglide.fit.surface import roughness
-from orthoglide.geometry import Array
+from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance
+from orthoglide.fit.tool_noise import LOUD, shown_sigma, usual_sigma
+from orthoglide.geometry import Array, axial
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Instrument
 from orthoglide.observations import ToolCampaign, source
 from orthoglide.prediction import Conditions, LinearRows, Model
 
 Ints = NDArray[np.int64]
 
-REPEATABILITY = {"tcp": 1e-5, "plate": 2e-5, "distance": 5e-5, "ballbar": 5e-6, "incline": 2e-5}
-"""Standard deviation of one reading where nothing is known, metres or radians: a probe's touch and
-a calliper's distance as owners of linear deltas repeat them."""
-
 SCALE_SD, OFFSET_SD = 0.01, 2e-4
 """What is known of a setup of distances: a printed part's shrinkage, the width of its pillars."""
 
-_LEAST = 0.05
 _MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a micrometre
 
 
@@ -78,11 +72,11 @@ class ToolReadings(OfFile):
             place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
             found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
             ball.append(np.zeros(3) if found is None else found)
-        usual = _usual(campaign, machine.spec.instruments, noise)
+        usual = usual_sigma(campaign, machine.spec.instruments, noise)
         sigma, stray = usual, np.zeros(len(campaign))
         if not noise:
             height = p[:, 2] - campaign.reading
-            sigma, stray = _sigma(campaign, machine.spec.instruments, place, height)
+            sigma, stray = shown_sigma(campaign, machine.spec.instruments, usual, place, height)
         return cls(campaign, sigma, usual, place, np.array(ball), stray)
 
     def without_strays(self, machine: Machine) -> ToolReadings:
@@ -129,6 +123,11 @@ class ToolReadings(OfFile):
         each = (repeat_variance([self.points.subset(self.points.of_kind(k))]) for k, _ in kinds)
         found = zip(kinds, each, strict=True)
         return tuple((n, dof) for (_, n), (_, dof) in found if dof >= FEWEST_REPEATS)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether heights of a plate jump from place to place by more than plates are rough."""
+        return bool((self._on_plate & (self.sigma == LOUD * self.usual)).any())
 
     def sided(self, setup: int) -> bool:
         """Whether it is known from which side a setup's places were come to, on every axis; of
@@ -195,7 +194,8 @@ class ToolReadings(OfFile):
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Readings, nuisances apart."""
         out = model.outputs(values, self.conditions())
-        return self._value(out.p, out.R, self._shape(model.catalogue, values))
+        shape = self._shape(model.catalogue, values)
+        return self._value(self._taken(out.p, out.R), out.R, shape)
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
@@ -207,18 +207,19 @@ class ToolReadings(OfFile):
         n = len(self.points)
         jacobian = np.zeros((n, len(names)))
         of_machine = [k for k, name in enumerate(names) if name in set(machine)]
-        jacobian[:, of_machine] = self._derivative(out.p, by_name[:, :12])
+        p = self._taken(out.p, out.R)
+        jacobian[:, of_machine] = self._derivative(p, by_name[:, :12])
         for k, name in enumerate(names):
             if k not in of_machine:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
-        value = self._value(out.p, out.R, self._shape(catalogue, values))
-        touched = out.p[:n] + np.einsum("nij,nj->ni", out.R[:n], self.points.beside)
-        return LinearRows(value, jacobian, np.column_stack([touched, value]))
+        value = self._value(p, out.R, self._shape(catalogue, values))
+        return LinearRows(value, jacobian, np.column_stack([p[:n], value]))
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
         where = self.conditions()
-        slopes, p = model.by_joints(values, where)[:, :12], model.outputs(values, where).p
+        slopes, out = model.by_joints(values, where)[:, :12], model.outputs(values, where)
+        p = self._taken(out.p, out.R)
 
         def moved(joints: Array, functions: Array) -> Array:
             return self._derivative(p, (slopes @ joints)[:, :, None] * functions[:, None])
@@ -264,40 +265,43 @@ class ToolReadings(OfFile):
         axis, sign = self.points.axis, self.points.sign
         found = sign * p[rows, axis]
         of = self.points.of_kind
-        found = np.where(of("plate"), p[:n, 2] + self._lifted(R[:n, 2]), found)
+        found = np.where(of("plate"), p[:n, 2], found)
         found[self.twice] = np.linalg.norm(p[:n][self.twice] - p[n:], axis=1)
         found = np.where(of("ballbar"), np.linalg.norm(p[:n] - self._ball, axis=1), found)
-        turn = 0.5 * (R[:n, [2, 0, 1], [1, 2, 0]] - R[:n, [1, 2, 0], [2, 0, 1]])
+        turn = axial(R[:n])
         return np.asarray(np.where(of("incline"), sign * turn[rows, axis], found) + shape)
 
     def _derivative(self, p: Array, by_name: Array) -> Array:
         """Of the readings ``(n, P)``, by that of places and rotations ``(N, 12, P)``."""
         n, rows = len(self.points), np.arange(len(self.points))
         axis, sign = self.points.axis, self.points.sign
-        of, by_p = self.points.of_kind, by_name[:, :3]
+        of, by_R = self.points.of_kind, by_name[:, 3:].reshape(len(by_name), 3, 3, -1)
+        by_p = self._taken(by_name[:, :3], by_R)
         found = sign[:, None] * by_p[rows, axis]
         plate, ball, level = of("plate"), of("ballbar"), of("incline")
-        by_R = by_name[:n, 3:].reshape(n, 3, 3, -1)
-        found[plate] = (by_p[:n, 2] + self._lifted(by_R[:, 2]))[plate]
+        found[plate] = by_p[:n, 2][plate]
         apart = p[:n][self.twice] - p[n:]
         apart /= np.maximum(np.linalg.norm(apart, axis=1), 1e-9)[:, None]
         found[self.twice] = np.einsum("ni,nip->np", apart, by_p[:n][self.twice] - by_p[n:])
         toward = p[:n] - self._ball
         toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
         found[ball] = np.einsum("ni,nip->np", toward, by_p[:n])[ball]
-        turn = 0.5 * (by_R[:, [2, 0, 1], [1, 2, 0]] - by_R[:, [1, 2, 0], [2, 0, 1]])
-        found[level] = (sign[:, None] * turn[rows, axis])[level]
+        found[level] = (sign[:, None] * axial(by_R[:n])[rows, axis])[level]
         return found
 
-    def _lifted(self, up: Array) -> Array:
-        """How far a tilting platform lifts a probe beside the tool ``(n, ...)``, by the last row of
-        its rotation ``(n, 3, ...)``: about the mean, as a probe is set against the nozzle there.
+    def _taken(self, p: Array, R: Array) -> Array:
+        """Where readings are taken, beside or below the tool, by its places ``(N, 3, ...)`` and
+        rotations ``(N, 3, 3, ...)`` or derivatives of both. Plates' heights are about the mean, as
+        a probe is set against the nozzle there, and no length is known as well as a touch.
         """
-        lifted = np.einsum("nj...,nj->n...", up, self.points.beside)
-        for k in range(len(self.points.setups)):
-            rows = self.setup == k
-            lifted[rows] -= lifted[rows].mean(axis=0)
-        return np.asarray(lifted)
+        beside = self.points.beside
+        if not beside.any():
+            return p
+        swung = np.einsum("nij...,nj->ni...", R, np.concatenate([beside, beside[self.twice]]))
+        for k in np.unique(self.setup[self._on_plate]):
+            rows = np.flatnonzero(self.setup == k)
+            swung[rows, 2] -= swung[rows, 2].mean(axis=0)
+        return np.asarray(p + swung)
 
     @property
     def _ball(self) -> Array:
@@ -325,70 +329,3 @@ class ToolReadings(OfFile):
 def _turn(angle: float) -> Array:
     """By which rows of places ``(n, 2)`` are seen from axes turned counter-clockwise ``(2, 2)``."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
-def _sigma(
-    campaign: ToolCampaign, instruments: Mapping[str, Instrument], place: Array, height: Array
-) -> tuple[Array, Array]:
-    """Noise of each reading ``(n,)``: declared, or as repeats and rough plates show it; and by how
-    much touches stray that no repeat speaks of.
-    """
-    found, stray = np.empty(len(campaign)), np.zeros(len(campaign))
-    for kind in dict.fromkeys(campaign.kind):
-        rows = campaign.of_kind(kind)
-        part, own = campaign.subset(rows), instruments.get(kind, Instrument())
-        found[rows] = _level(kind, own, step_of(part, own), _of_repeats(part))
-    for k, setup in enumerate(campaign.setups):
-        if setup.kind == "plate":
-            rows = campaign.setup == k
-            rough, off = roughness(place[rows], height[rows], campaign.approach[rows])
-            found[rows] = np.maximum(found[rows], rough)
-            stations = campaign.stations[rows]
-            if len(np.unique(stations, axis=0)) == len(stations):
-                stray[rows] = off
-    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found), stray
-
-
-def _usual(
-    campaign: ToolCampaign, instruments: Mapping[str, Instrument], noise: float | None
-) -> Array:
-    """What such instruments scatter by ``(n,)``, with the rounding that readings show."""
-    if noise:
-        return np.full(len(campaign), noise)
-    found = np.empty(len(campaign))
-    for kind in dict.fromkeys(campaign.kind):
-        rows, own = campaign.of_kind(kind), instruments.get(kind, Instrument())
-        found[rows] = _level(kind, own, step_of(campaign.subset(rows), own))
-    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
-
-
-def expected_sigma(campaign: ToolCampaign, instruments: Mapping[str, Instrument]) -> Array:
-    """Noise to reckon with before anything is read ``(n,)``: declared, or of the instruments."""
-    found = np.empty(len(campaign))
-    for kind in dict.fromkeys(campaign.kind):
-        own = instruments.get(kind, Instrument())
-        found[campaign.of_kind(kind)] = _level(kind, own, own.resolution or 0.0)
-    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
-
-
-def _level(kind: str, own: Instrument, step: float, repeats: float = 0.0) -> float:
-    """Noise of a kind: of its instrument, else of repeats where there are enough, else usual; and
-    its rounding.
-    """
-    level = own.repeatability or repeats or REPEATABILITY[kind]
-    return float(np.hypot(level, step / np.sqrt(12)))
-
-
-def step_of(part: ToolCampaign, own: Instrument) -> float:
-    """Step of readings of a kind: declared, or what all of them are multiples of."""
-    return own.resolution or shown_step(part.reading)
-
-
-def _of_repeats(campaign: ToolCampaign) -> float:
-    """Standard deviation of one reading of a kind from repeats; 0 where there are too few, or they
-    are copies, or of a coarse step.
-    """
-    variance, dof = repeat_variance([campaign])
-    if dof < FEWEST_REPEATS or variance == 0:
-        return 0.0
-    return max(float(np.sqrt(variance)), _LEAST * REPEATABILITY[campaign.kind[0]])

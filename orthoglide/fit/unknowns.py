@@ -13,7 +13,7 @@ from orthoglide.fit.problem import Beside, Factor, Problem, Unknown
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.observations import Campaign
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, plain_and_campaign
 
 # Beyond these a machine would not be an Orthoglide: they keep a solver from running away, and a
 # parameter that ends on one is reported.
@@ -58,8 +58,8 @@ def _begins(catalogue: Catalogue, name: Parameter, stem: str, own: Sequence[str]
     if catalogue[name.effect].of_dial:
         return not (catalogue[name.effect].plate and name.member)  # one plate, probed again
     for chosen in own:
-        plain, _, at = chosen.partition("@")
-        if at in ("", stem) and (name == plain or name.startswith(f"{plain}.")):
+        plain, at = plain_and_campaign(chosen)
+        if at in ("", stem) and plain in (name, name.effect):
             return True
     return False
 
@@ -161,9 +161,7 @@ def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -
     present = set(problem.names)
     added: list[Unknown] = []
     for name in names:
-        plain, _, stem = str(name).partition("@")
-        if isinstance(name, Parameter):
-            plain, stem = str(name.plain), name.campaign
+        plain, stem = plain_and_campaign(name)
         for unknown in build_unknowns(problem.machine, problem.factors, [plain], problem.own):
             wanted = not stem or unknown.name.campaign in ("", stem)
             if wanted and unknown.name not in present:
@@ -206,8 +204,8 @@ def one_plate(
 def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Factor]) -> None:
     stems = [s.name for s in sources]
     for name in own:
-        plain, at, stem = name.partition("@")
-        if at and stem not in stems:
+        plain, stem = plain_and_campaign(name)
+        if stem and stem not in stems:
             raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
         _expanded(catalogue, [plain], sources)
 

@@ -276,7 +276,7 @@ def _campaign(name: str, rows: list[dict[str, Any]], turned: float = 0.0) -> Too
     setups: dict[str, ToolSetup] = {}
     for row in rows:
         x, y = row.get("beside", (0.0, 0.0))
-        own = ToolSetup(row["setup"], row["kind"], (float(x), float(y)), turned)
+        own = ToolSetup(row["setup"], row["kind"], (float(x), float(y), 0.0), turned)
         setups.setdefault(own.name, own)
     place, n = {name: k for k, name in enumerate(setups)}, len(rows)
     plates = np.array([row["kind"] == "plate" for row in rows])

@@ -21,12 +21,16 @@ class LegNames:
             way that is.
         held: numbers that the machine's own controller or firmware holds; with the effects that
             these are every identification starts.
+        command: how commands are called, in columns of files.
+        travel: how travel from mechanical zero is called.
     """
 
     legs: tuple[str, str, str]
     across: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
     held: tuple[str, ...]
     ways: tuple[tuple[str, str], tuple[str, str]]
+    command: str = "travel"
+    travel: str = "travel from mechanical zero"
 
     @property
     def every(self) -> frozenset[str]:

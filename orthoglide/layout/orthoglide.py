@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from orthoglide.errors import UnreachableError
 from orthoglide.layout.leg import Array, Leg, LegNames
 
 
@@ -24,6 +25,8 @@ class Orthoglide:
         (("y", "z"), ("z", "x"), ("x", "y")),
         ("zero", "bar_length"),
         (("in", "toward the origin"), ("out", "away from the origin")),
+        command="rho",
+        travel="rho - L",
     )
     hanging: ClassVar[bool] = False
 
@@ -39,6 +42,26 @@ class Orthoglide:
     def zero(self, L: float) -> float:
         """Rho at mechanical zero: L."""
         return L
+
+    def on_axis(self, L: float, leg: int, travel: Array) -> Array:
+        """Commands ``(..., 3)``, metres, that move the TCP of bars of length ``L`` by ``travel``
+        ``(...)``, metres, along a leg's slide (2008, section 2.4).
+
+        Raises:
+            UnreachableError: where the travel is not less than a bar's length.
+        """
+        excess = float(np.max(np.abs(travel), initial=0.0) - L)
+        if excess >= 0:
+            name = self.names.legs[leg]
+            raise UnreachableError(
+                f"legs of {L * 1e3:g} mm cannot follow the TCP {excess * 1e3:g} mm beyond their "
+                f"length along {name}",
+                leg=name,
+                excess=excess,
+            )
+        rho = np.repeat(np.sqrt(L**2 - travel**2)[..., None], 3, axis=-1)
+        rho[..., leg] = L + travel
+        return rho
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
         """A carriage stays on its side of the origin, and within its bars' reach."""

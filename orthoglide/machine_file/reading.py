@@ -27,6 +27,7 @@ from orthoglide.machine_file.model import (
 )
 from orthoglide.machine_file.posterior import posterior_path, read_posterior
 from orthoglide.machine_file.travel import check_travel
+from orthoglide.parameters import effect_name
 from orthoglide.text import brief, shown
 
 
@@ -329,7 +330,7 @@ def _tolerance(document: Document, catalogue: Catalogue) -> dict[str, float]:
 
 def _parameter(document: Document, name: str, catalogue: Catalogue) -> ParameterValue:
     path = ("parameters", name)
-    effect = name.partition(".")[0]
+    effect = effect_name(name)
     allowed = [other for other, entry in catalogue.items() if not entry.of_dial]
     if effect not in allowed:
         told = advice(effect, allowed)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.geometry import LEGS, Array
+from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations.approach import Ints, Moves, derive_approach
 from orthoglide.observations.checks import check_commands
@@ -35,6 +36,11 @@ TRAVELLED, SECOND, APPROACHED = "travel_{}_mm", "travel_{}2_mm", "approach_{}"
 def by_leg(column: str, legs: tuple[str, str, str] = LEGS) -> tuple[str, ...]:
     """The three columns of a quantity that every leg, or base axis, has."""
     return tuple(column.format(leg) for leg in legs)
+
+
+def of_commands(names: LegNames) -> tuple[str, ...]:
+    """The three columns of commands: joint coordinates of the Orthoglide, travel of others."""
+    return by_leg(f"{names.command}_{{}}_mm", names.legs)
 
 
 RHO, TRAVEL = by_leg("rho_{}_mm"), by_leg(TRAVELLED)
@@ -74,12 +80,13 @@ TOOL_COLUMNS: dict[str, Column] = {
     "firmware": Column(label, ""),
     "beside_x_mm": Column(number(MM), 0.0),
     "beside_y_mm": Column(number(MM), 0.0),
+    "beside_z_mm": Column(number(MM), 0.0),
     "turned_deg": Column(number(low=-360, high=360), 0.0),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
 
-BESIDE = ("beside_x_mm", "beside_y_mm")
-"""Where a probe touches a plate, from the tool on the platform."""
+BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
+"""Where a probe touches or a tip stands, from the tool on the platform."""
 
 TURNED = "turned_deg"
 """How far a plate was turned on its seat, counter-clockwise from above."""
@@ -94,7 +101,7 @@ SIGMA_MRAD = Column(positive(MM, TURNS), NAN)
 def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
     """The three columns that hold the commands: joint coordinates or the controller's values."""
     if machine is not None and not machine.geometry.dialled:
-        return by_leg(TRAVELLED, machine.geometry.leg_names)
+        return of_commands(machine.geometry.layout.names)
     if "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from orthoglide.frames import Framed
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
+from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import MAYBE, MAYBE_VECTOR, VECTOR, WHOLE, hold
@@ -25,11 +26,11 @@ from orthoglide.observations.columns import (
     RHO,
     ROW_COLUMNS,
     TRAVEL,
-    TRAVELLED,
     by_leg,
     columns,
     command_names,
     commands,
+    of_commands,
 )
 from orthoglide.observations.table import Column, Table, number, read_table, rows_table
 
@@ -56,7 +57,7 @@ class TcpPoints(Framed):
         file: the file's name as the caller gave it.
         sha256: digest of the file.
         warnings: what was noticed on reading and is no error.
-        legs: names of the machine's legs, by which its commands are called.
+        legs: how the machine's legs and commands are called.
     """
 
     command: Array
@@ -67,7 +68,7 @@ class TcpPoints(Framed):
     file: str = ""
     sha256: str = ""
     warnings: tuple[str, ...] = ()
-    legs: tuple[str, str, str] = LEGS
+    legs: LegNames = ORTHOGLIDE.names
 
     def __post_init__(self) -> None:
         hold(self, self.name, _ARRAYS, "p")
@@ -84,8 +85,7 @@ class TcpPoints(Framed):
     def columns(self) -> dict[str, list[Any]]:
         """A row a point: the command and what was measured, in millimetres."""
         values = np.hstack([self.command, self.p, self.sigma[:, None]]) * 1e3
-        commanded = RHO if self.legs == LEGS else by_leg(TRAVELLED, self.legs)
-        names = (*commanded, *POINT, "sigma_mm")
+        names = (*of_commands(self.legs), *POINT, "sigma_mm")
         return {name: values[:, k].tolist() for k, name in enumerate(names)}
 
     def __repr__(self) -> str:
@@ -138,7 +138,7 @@ def _tcp(table: Table, machine_file: MachineFile | None) -> TcpPoints:
         file=table.file,
         sha256=table.sha256,
         warnings=warnings,
-        legs=machine.geometry.leg_names,
+        legs=machine.geometry.layout.names,
     )
     check_points(points, table.fail)
     return points

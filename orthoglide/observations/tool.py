@@ -32,15 +32,15 @@ class ToolSetup:
     Attributes:
         name: label, unique within its file.
         kind: of its readings.
-        beside: of a plate's, where it is touched: from the point of the tool that is commanded,
-            along x and y of the platform, metres.
+        beside: where it is taken: from the point of the tool that is commanded, along x, y and z
+            of the platform, metres; below it, of a longer tool, z is negative.
         turned: of a plate, how far it was turned on its seat, counter-clockwise from above,
             degrees: its shape turns with it.
     """
 
     name: str
     kind: Kind
-    beside: tuple[float, float] = (0.0, 0.0)
+    beside: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turned: float = 0.0
 
     def __post_init__(self) -> None:
@@ -95,7 +95,7 @@ class ToolCampaign(Recorded):
     @property
     def beside(self) -> Array:
         """Where each reading is taken, from the tool's point on the platform ``(n, 3)``, metres."""
-        return np.array([(*s.beside, 0.0) for s in self.setups]).reshape(-1, 3)[self.setup]
+        return np.array([s.beside for s in self.setups]).reshape(-1, 3)[self.setup]
 
     @property
     def turned_by(self) -> Array:

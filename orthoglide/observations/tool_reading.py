@@ -171,11 +171,11 @@ def _check_firmware(table: Table, machine: MachineFile) -> None:
 def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:
     found: dict[str, ToolSetup] = {}
     labels = table.values("setup", TOOL_COLUMNS["setup"])
-    x, y, turned = (table.values(n, TOOL_COLUMNS[n]) for n in (*BESIDE, TURNED))
-    for row, (name, kind, *beside, turn) in enumerate(
-        zip(labels, kinds, x, y, turned, strict=True)
+    *places, turned = (table.values(n, TOOL_COLUMNS[n]) for n in (*BESIDE, TURNED))
+    for row, (name, kind, beside, turn) in enumerate(
+        zip(labels, kinds, zip(*places, strict=True), turned, strict=True)
     ):
-        own = ToolSetup(name, kind, (beside[0], beside[1]), turn)
+        own = ToolSetup(name, kind, beside, turn)
         first = found.setdefault(name, own)
         if first.kind != kind:
             table.fail(
@@ -183,8 +183,9 @@ def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]
                 "instrument a setup of its own",
                 row,
             )
-        if any(beside) and kind != "plate":
-            table.fail(f"only a plate is touched beside the tool, not a {kind}", row)
+        if any(beside) and kind == "incline":
+            empty = ", ".join(BESIDE)
+            table.fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
         if turn and kind != "plate":
             table.fail(f"only a plate is turned on its seat ({TURNED}), nothing of a {kind}", row)
         if turn != first.turned:
@@ -195,8 +196,8 @@ def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]
             )
         if own != first:
             table.fail(
-                f"setup {name!r} is touched at two places beside the tool: give each probe a setup "
-                f"of its own",
+                f"setup {name!r} is read at two places beside the tool: give each probe or tip a "
+                f"setup of its own",
                 row,
             )
     place = {name: k for k, name in enumerate(found)}

@@ -48,7 +48,7 @@ def tool_rows(campaign: ToolCampaign, machine_file: MachineFile | None = None) -
     needed = {
         "direction": directed.any(),
         "firmware": machine.firmware != "",
-        **dict.fromkeys(BESIDE, campaign.beside.any()),
+        **{name: campaign.beside[:, k].any() for k, name in enumerate(BESIDE)},
         TURNED: campaign.turned_by.any(),
         "time_s": np.isfinite(campaign.time).any(),
         "temperature_C": np.isfinite(campaign.temperature).any(),

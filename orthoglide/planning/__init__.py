@@ -20,6 +20,7 @@ from orthoglide.planning.owning import (
     owned_instruments as owned_instruments,
     sheets_of as sheets_of,
 )
+from orthoglide.planning.parting import parting as parting
 from orthoglide.planning.pool import reading_pool as reading_pool
 from orthoglide.planning.repeats import (
     Repeats as Repeats,

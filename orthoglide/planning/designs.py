@@ -17,6 +17,7 @@ from orthoglide.planning.criteria import Determinant, EffectSeparation
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.observability import Observability, observability
 from orthoglide.planning.pool import reading_pool, sheet
+from orthoglide.threads import on_one_thread
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -81,6 +82,7 @@ class Design:
         return self.campaign._repr_html_()
 
 
+@on_one_thread
 def design(
     machine: Machine,
     free: Sequence[str] | None = None,

@@ -19,6 +19,7 @@ from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, Readings
+from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import foreseen
 from orthoglide.units import Unit
 
@@ -26,6 +27,7 @@ POWER = 0.95
 """Probability with which an effect of the size stated is found, or named."""
 
 _SAME = 1e-3  # sine between signatures that no size of effect would tell apart
+_ALIKE = 2.0  # parameters of one effect found from sizes within this factor share a row
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class SmallestEffect:
         elementary: whether it is a single parameter, no structured member.
     """
 
-    name: str
+    name: Parameter
     effect: str
     tolerance: float
     unit: Unit
@@ -56,7 +58,8 @@ class SmallestEffect:
 
 @dataclass(frozen=True)
 class Detectability(Framed):
-    """What a protocol makes of the whole catalogue; as a table, a row an effect.
+    """What a protocol makes of the whole catalogue; as a table, a row for the parameters of an
+    effect that are found from about the same size.
 
     Attributes:
         smallest: by candidate of one parameter, in the order of the catalogue.
@@ -65,7 +68,7 @@ class Detectability(Framed):
     """
 
     smallest: tuple[SmallestEffect, ...]
-    invisible: tuple[str, ...]
+    invisible: tuple[Parameter, ...]
     threshold: float
     _index = "effect"
 
@@ -82,20 +85,46 @@ class Detectability(Framed):
         return found
 
     @property
+    def alike(self) -> list[list[SmallestEffect]]:
+        """Single parameters of one effect together that are found from about the same size, the
+        easiest first: a further instrument shows parameters that are hard to see, which say nothing
+        of the others.
+        """
+        groups: list[list[SmallestEffect]] = []
+        for members in self.by_effect.values():
+            least = 0.0
+            for one in sorted(members, key=lambda s: s.detectable):
+                if not least or one.detectable > _ALIKE * least:
+                    least = one.detectable
+                    groups.append([])
+                groups[-1].append(one)
+        return groups
+
+    @property
     def columns(self) -> dict[str, list[Any]]:
-        """By effect, in the unit of files, what finds and names each of its parameters."""
-        every = self.by_effect
-        hardest = [max(members, key=lambda s: s.nameable) for members in every.values()]
-        found = [max(s.detectable for s in members) for members in every.values()]
+        """By group of :attr:`alike`, in the unit of files, what finds and names each of it."""
+        every = self.alike
+        hardest = [max(members, key=lambda s: s.nameable) for members in every]
+        found = [max(s.detectable for s in members) for members in every]
         return {
-            "effect": list(every),
+            "effect": [s.effect for s in hardest],
             "unit": [s.unit.name for s in hardest],
             "tolerance": [s.tolerance / s.unit.si for s in hardest],
             "found from": [v / s.unit.si for s, v in zip(hardest, found, strict=True)],
             "named from": [s.nameable / s.unit.si for s in hardest],
             "hardest": [s.name for s in hardest],
             "nearest": [s.nearest for s in hardest],
+            "parameters": [self._parameters(members) for members in every],
         }
+
+    def _parameters(self, members: Sequence[SmallestEffect]) -> str:
+        """Those of one row, without their effect's name; empty where they are all there are."""
+        effect = members[0].effect
+        hidden = sum(name.effect == effect for name in self.invisible)
+        if len(members) == len(self.by_effect[effect]) + hidden:
+            return ""
+        given = [s.name for s in self.by_effect[effect] if s in members]
+        return ", ".join(name.behind for name in given)
 
 
 def smallest_effects(
@@ -145,7 +174,7 @@ def smallest_effects(
         detectable, nameable = _sizes(length[k], float(cosine[k, closest]), threshold)
         found.append(
             SmallestEffect(
-                candidate.name,
+                machine.catalogue.parameter(candidate.name),
                 candidate.effect,
                 tolerance,
                 machine.catalogue[candidate.effect].unit,

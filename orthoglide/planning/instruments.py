@@ -1,133 +1,248 @@
-"""Which other instrument would tell rivals apart, where no dial can be set against the legs."""
+"""Which other instrument would tell rivals apart, where no dial can be set against the legs.
+
+New readings are taken together with those at hand, all linear in the parameters. What one cause of
+its size would show is fitted by its rival of any size, the base, the background and the
+instruments' own nuisances; what is left, in sigmas, beyond what is left of the readings at hand, is
+how far the new ones set the two apart.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from orthoglide.effects.wording import cause_short
-from orthoglide.fit import Estimate
-from orthoglide.fit.tool import REPEATABILITY
+from orthoglide.fit import Problem
+from orthoglide.fit.factors import Block
+from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
 from orthoglide.numerals import compact
-from orthoglide.posterior import Cause, Explanation
-from orthoglide.prediction import Conditions
+from orthoglide.observations.tool import Kind
+from orthoglide.parameters import plain_and_campaign
+from orthoglide.planning.criteria import EffectSeparation
+from orthoglide.planning.owning import tool_sheet
+from orthoglide.posterior import Cause, Explanation, FullPosterior
 
-_DIRECTIONS = 12
-_TELLS = 4.0  # sigmas
-_SHEET = "orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
-_TURN = np.pi / 3  # of a plate on its seat: the lobes of a shape of three come to its hollows
+_TELLS = 3.0
+"""Sigmas: the wrong one of two becomes less likely by a factor of 90, more than the odds between
+members of a credible set."""
+
+_NAMED = 2  # explanations in a sentence; of others their number
+_TURNED = 60.0  # degrees, of a plate on its seat: the lobes of a shape of three come to its hollows
+_LONGER = 0.04  # metres: as much again as a nozzle hangs below the joints of a platform
+_SHEET = "; a sheet for it: orthoglide design --owns {0} --machine machine.toml --out {0}.csv"
+
+Pair = tuple[Explanation, Explanation]
 
 
 @dataclass(frozen=True)
-class InstrumentReadings:
-    """What instruments would read of one explanation over the plate.
+class Instrument:
+    """Readings that could be taken.
 
     Attributes:
-        words: the cause, without its size.
-        distances: between neighbours and opposites on a circle ``(m,)``, metres.
-        turns: of the platform ``(n, 2)`` about x and y, radians.
-        turned: heights with the plate turned, less those as it is ``(n,)``, metres.
+        brief: what they are.
+        how: they are taken.
+        sheet: where there is one.
+        problem: of them alone, in the unknowns of the readings at hand.
     """
 
-    words: str
-    distances: Array
-    turns: Array
-    turned: Array
+    brief: str
+    how: str
+    sheet: str
+    problem: Problem
 
 
-def deciding(
-    fit: Estimate, causes: Sequence[Cause], machine: Machine
-) -> tuple[tuple[str, float], ...]:
-    """What would tell rivals apart, in sentences with the sigmas between the two that differ most.
+@dataclass(frozen=True)
+class Decision:
+    """What an instrument's readings would decide.
 
-    Each rival's machine predicts what an instrument would read on a circle on the plate; what the
-    instrument's own nuisances take up is taken out.
+    Attributes:
+        instrument: that reads.
+        apart: sigmas between each two explanations of one cause, the likelier one first.
+    """
+
+    instrument: Instrument
+    apart: dict[Pair, float]
+
+    def of(self, cause: Cause, *, told: bool) -> list[Pair]:
+        """Pairs of a cause that are told apart, or those that are not, likeliest first."""
+        found = (p for p, sigmas in self.apart.items() if (sigmas >= _TELLS) == told)
+        return sorted((p for p in found if p[0] in cause.explanations), key=_weight, reverse=True)
+
+    @property
+    def probability(self) -> float:
+        """That of two machines, each with a cause as probable as it is, it tells which is which."""
+        return sum(_weight(pair) for pair, sigmas in self.apart.items() if sigmas >= _TELLS)
+
+
+def _weight(pair: Pair) -> float:
+    return pair[0].probability * pair[1].probability
+
+
+def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, float], ...]:
+    """What would tell rivals apart, in sentences with the most sigmas between two of them.
+
+    First stands what decides between the likeliest: the sum of the products of the probabilities
+    of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
+    by that first stands what needs least.
 
     Args:
-        fit: of the readings at hand.
+        known: of the readings at hand.
         causes: that were found, with their rivals.
-        machine: that knows them, and the places found.
     """
-    pairs, found = list[tuple[InstrumentReadings, InstrumentReadings]](), []
-    for cause in causes:
-        chosen = _readings_of(cause.chosen, fit, machine)
-        pairs += [
-            (chosen, _readings_of(other, fit, machine)) for other in (*cause.same, *cause.rivals)
-        ]
-    for kind, what, unit, of in (
-        ("distance", "distances between holes or pillars around the rim and across it, each with "
-         "its own width and the part's shrinkage", "mm", _distances),
-        ("incline", "a level on the platform, read about x and y around the rim", "mrad", _turns),
-        ("plate", "a mesh with the plate turned by 60 degrees on its seat, as a setup of its own "
-         "with 60 under turned_deg (of a printer: a profile of its own, imported with "
-         "--turned NAME=60)",
-         "mm", _turned),
-    ):  # fmt: skip
-        best = max(pairs, key=lambda pair: _apart(of(*pair)), default=None)
-        if best is None:
-            continue
-        apart, sigma = _apart(of(*best)), REPEATABILITY[kind]
-        if apart < _TELLS * sigma:
-            continue
-        one, other = (s.words for s in best)
-        found.append(
-            (
-                f"{what}: it differs by up to {compact(apart * 1e3, 2)} {unit} between two of them "
-                f"({one}; {other}), and one reading repeats to {compact(sigma * 1e3, 2)} {unit} "
-                f"(a sheet for it: {_SHEET.format(kind)})",
-                apart / sigma,
-            )
-        )
-    return tuple(sorted(found, key=lambda item: -item[1]))
-
-
-def _apart(difference: Array) -> float:
-    return float(np.abs(difference).max(initial=0.0))
-
-
-def _distances(one: InstrumentReadings, other: InstrumentReadings) -> Array:
-    """Scale and offset taken out."""
-    apart = one.distances - other.distances
-    columns = np.stack([one.distances, np.ones(len(apart))], axis=1)
-    return np.asarray(apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0])
-
-
-def _turns(one: InstrumentReadings, other: InstrumentReadings) -> Array:
-    """Datums taken out."""
-    apart = one.turns - other.turns
-    return np.asarray(apart - apart.mean(axis=0))
-
-
-def _turned(one: InstrumentReadings, other: InstrumentReadings) -> Array:
-    return one.turned - other.turned
-
-
-def _readings_of(one: Explanation, fit: Estimate, machine: Machine) -> InstrumentReadings:
-    problem, catalogue = fit.problem, one.catalogue
-    points = np.concatenate([p.conditions().command for p in problem.points])
-    radius = 0.9 * float(np.hypot(*machine.forward(points)[:, :2].T).max())
-    angle = np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS
-    ring = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    at = Conditions.at(machine.with_only({}).inverse(ring))
-    out = machine.model.outputs({n: v for n, v in one.machine.items() if v}, at)
-    half, near = _DIRECTIONS // 2, _DIRECTIONS // 6
-    spans = [np.roll(out.p, -k, axis=0) - out.p for k in (near, 2 * near, half)]
-    turn = 0.5 * np.stack(
-        [out.R[:, 2, 1] - out.R[:, 1, 2], out.R[:, 0, 2] - out.R[:, 2, 0]], axis=1
+    pairs = [pair for cause in causes for pair in combinations(_likeliest_first(cause), 2)]
+    if not pairs:
+        return ()
+    several = [
+        Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known.after.problem)
+    ]
+    several.sort(key=lambda one: -round(one.probability, 1))  # of alike ones what needs least
+    return tuple(
+        (_sentence(one, causes, several), max(one.apart.values()))
+        for one in several
+        if one.probability > 0
     )
-    turned = np.zeros(_DIRECTIONS)
+
+
+def _likeliest_first(cause: Cause) -> list[Explanation]:
+    return sorted(cause.explanations, key=lambda one: -one.probability)
+
+
+# -- what could be read ----------------------------------------------------------------------------
+
+
+def _instruments(problem: Problem) -> Iterator[Instrument]:
+    """Those that need least first."""
+    plates = [
+        (int(np.sum(f.setup == s)), k, s, f)
+        for k, f in enumerate(problem.factors)
+        if isinstance(f, ToolReadings)
+        for s, setup in enumerate(f.points.setups)
+        if setup.kind == "plate"
+    ]
+    if plates:
+        yield Instrument(
+            f"a mesh with the plate turned by {_TURNED:.0f} degrees",
+            f" on its seat, as a setup of its own with {_TURNED:.0f} under turned_deg (of a "
+            f"printer: a profile of its own, imported with --turned NAME={_TURNED:.0f})",
+            "",
+            _turned(problem, *max(plates)[1:]),
+        )
+    long = f"{_LONGER * 1e3:.0f}"
+    several: tuple[tuple[Kind, float, str, str, str], ...] = (
+        ("distance", 0.0, "distances between holes or pillars", " around the rim and across it, "
+         "each with its own width and the part's shrinkage", _SHEET.format("distance")),
+        ("incline", 0.0, "a level on the platform", ", read about x and y around the rim",
+         _SHEET.format("incline")),
+        ("distance", _LONGER, f"distances by a tool {long} mm longer", ", a pen or a rod, around "
+         f"the rim and across it, commanded {long} mm higher, as a setup of their own with -{long} "
+         "under beside_z_mm", ""),
+    )  # fmt: skip
+    for kind, longer, brief, how, told in several:
+        sheet = tool_sheet(problem.machine, kind, longer)
+        sigma = expected_sigma(sheet, problem.machine.spec.instruments)
+        factor = replace(ToolReadings.of(sheet, problem.machine), sigma=sigma)
+        unit = "mrad" if kind == "incline" else "mm"
+        known = f"{how}, to {compact(float(sigma[0]) * 1e3, 2)} {unit} each"
+        yield Instrument(brief, known, told, _alone(problem, problem.last, factor))
+
+
+def _turned(problem: Problem, k: int, setup: int, factor: ToolReadings) -> Problem:
+    """One setup's touches of a plate again, with the plate turned on its seat."""
+    rows, own = factor.setup == setup, factor.points.setups[setup]
+    lies = replace(own, turned=own.turned + _TURNED)
+    points = replace(factor.points.subset(rows), setups=(lies,), setup=np.zeros(rows.sum(), int))
+    again = replace(ToolReadings.of(points, problem.machine), sigma=factor.sigma[rows])
+    # Shapes without a name, of one degree as likely along all directions, are so when turned, too.
+    curves, at = problem.curves, problem.factor_rows[k]
+    if curves is not None:
+        curves = Block(curves.columns[at][rows], curves.sd, curves.placement)
+    return _alone(problem, k, again, curves)
+
+
+def _alone(problem: Problem, k: int, factor: ToolReadings, curves: Block | None = None) -> Problem:
+    """Other readings alone, of the machine as it is to a factor of the problem."""
+    return replace(
+        problem,
+        campaigns=(),
+        points=(factor,),
+        unknowns=tuple(replace(u, parts=(u.parts[k],)) for u in problem.unknowns),
+        held=(problem.held[k],),
+        curves=curves,
+    )
+
+
+# -- what it would tell ----------------------------------------------------------------------------
+
+
+def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pair, float]:
+    """Sigmas that new readings set pairs apart by."""
+    problem, fixed = known.after.problem, known.mixture.linear.fixed[: known.about.known]
+    # About the base: what causes do together is of the second order, and differs by what is there.
+    x = np.zeros(len(problem.names))
+    x[: len(known.before.x)] = known.before.x
+    at, then = linearise(problem, x), linearise(new, x)
+    old = np.vstack([known.after.nuisance.project(at.jacobian), known.about.known_rows[0]])
+    more = nuisances(new, then.slopes).project(then.jacobian)
+    base = np.diag(np.where(np.isnan(fixed), known.share, fixed) * problem.tolerance)
+    several = list(dict.fromkeys(one for pair in pairs for one in pair))
+    columns = np.hstack([base, np.stack([_of(one, problem) for one in several], axis=1)])
+    index = np.array([[several.index(one) for one in pair] for pair in pairs])
+
+    def squares(rows: Array) -> Array:
+        shown = rows @ columns
+        information = shown.T @ shown
+        information[: len(base), : len(base)] += np.eye(len(base))
+        return EffectSeparation(information, len(base), index).squares
+
+    gained = squares(np.vstack([old, more])) - squares(old)
+    return dict(zip(pairs, np.sqrt(np.maximum(gained, 0.0)).tolist(), strict=True))
+
+
+def _of(one: Explanation, problem: Problem) -> Array:
+    """A cause of its size in the unknowns ``(P,)``, SI."""
+    setups = [s for f in problem.factors for s in f.setup_names]
+    found = np.zeros(len(problem.names))
     for name, value in one.values.items():
-        effect = catalogue.effect_of(name)
-        if effect.plate:
-            setups = [s for f in problem.factors for s in f.setup_names]
-            shape = effect.shape(catalogue.parameter(name, setups))
-            there, here = angle - _TURN, angle
-            turned += value * (
-                shape(np.cos(there), np.sin(there)) - shape(np.cos(here), np.sin(here))
-            )
-    distances = np.concatenate([np.linalg.norm(s, axis=1) for s in spans])
-    return InstrumentReadings(cause_short(catalogue, one.name), distances, turn, turned)
+        weights = one.catalogue.elementary(name, setups).items()
+        of = {plain_and_campaign(parameter)[0]: w for parameter, w in weights}
+        campaign = one.catalogue.parameter(name, setups).campaign
+        mine = [not campaign or n.campaign in ("", campaign) for n in problem.names]
+        found += value * np.array([of.get(n.plain, 0.0) for n in problem.names]) * mine
+    return found
+
+
+def _sentence(one: Decision, causes: Sequence[Cause], several: Sequence[Decision]) -> str:
+    said = [text for cause in causes for text in _of_cause(one, cause, several)]
+    i = one.instrument
+    return f"{i.brief}{i.how}: {'; '.join(said)}{i.sheet}"
+
+
+def _of_cause(one: Decision, cause: Cause, several: Sequence[Decision]) -> Iterator[str]:
+    """What of a cause it tells, and the likeliest that it does not, with what would."""
+    told, left = one.of(cause, told=True), one.of(cause, told=False)
+    if told:
+        first = told[0][0]
+        rivals = {b: one.apart[a, b] for a, b in told if a is first}
+        named = [_quoted(other) for other in rivals]
+        if len(named) > _NAMED:
+            named[_NAMED:] = [f"{len(named) - _NAMED} more"]
+        listed = " and ".join([", ".join(named[:-1]), named[-1]] if named[1:] else named)
+        least = f"{min(rivals.values()):.0f} sigma or more"
+        yield f"it tells {_quoted(first)} from {listed}, by {least}"
+    if left:
+        a, b = left[0]
+        others = [d.instrument.brief for d in several if d.apart[a, b] >= _TELLS]
+        yield (
+            f"it does not tell {_quoted(a)} from {_quoted(b)}, "
+            f"{f'for that take {others[0]}' if others else 'as none of these does'}"
+        )
+
+
+def _quoted(one: Explanation) -> str:
+    return f'"{cause_short(one.catalogue, one.name)}"'

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.fit import Noise, Problem, assemble, build_problem, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
-from orthoglide.fit.tool import expected_sigma
+from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial

@@ -15,6 +15,7 @@ from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.tool import KINDS, Kind
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
+from orthoglide.threads import on_one_thread
 
 INSTRUMENTS: dict[str, str] = {
     "leg": "dials on the legs",
@@ -86,6 +87,7 @@ class Owned:
         return found
 
 
+@on_one_thread
 def owned_instruments(
     machine: Machine, kinds: Sequence[str], *, count: int | None = None, seed: int = 0
 ) -> Owned:
@@ -124,7 +126,7 @@ def _gain(
 
     def within(found: Detectability, what: str) -> dict[str, str]:
         return {
-            s.name.partition("@")[0]: s.effect
+            s.name.plain: s.effect
             for s in found.smallest
             if s.elementary and s.effect in of_machine and getattr(s, what) <= LARGEST * s.tolerance
         }
@@ -132,7 +134,7 @@ def _gain(
     members: dict[str, set[str]] = {}
     for s in (*before.smallest, *after.smallest):
         if s.elementary:
-            members.setdefault(s.effect, set()).add(s.name.partition("@")[0])
+            members.setdefault(s.effect, set()).add(s.name.plain)
 
     def new(now: dict[str, str], earlier: dict[str, str]) -> tuple[str, ...]:
         """Names, an effect's own where all its parameters are among them."""
@@ -166,20 +168,33 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     if kind == "leg":
         return protocol("sweep", machine.geometry)
     (own,) = (k for k in KINDS if k == kind)
-    points, others, ball = _places(machine, own)
-    axes = np.array(_DIRECTIONS.get(own, (0,)))
+    return tool_sheet(machine, own)
+
+
+def tool_sheet(machine: Machine, kind: Kind, longer: float = 0.0) -> ToolCampaign:
+    """The same of an instrument at the tool.
+
+    Args:
+        machine: as it is believed to be.
+        kind: of readings.
+        longer: by how much the tool is than the machine's, metres; the platform stays so much
+            higher.
+    """
+    up = np.array([0.0, 0.0, longer])
+    points, others, ball = _places(machine, kind, up)
+    axes = np.array(_DIRECTIONS.get(kind, (0,)))
     n = len(points) * len(axes)
     # Of places that circles share, to what files hold: else a second visit would be no repeat.
-    at = np.round(machine.with_only({}).inverse(points), DECIMALS)
+    at = np.round(machine.with_only({}).inverse(points + up), DECIMALS)
     command = np.repeat(at, len(axes), axis=0)
     second = np.full((n, 3), np.nan)
     if others is not None:
-        second = machine.with_only({}).inverse(others)
-    reading = np.linalg.norm(points - ball, axis=1) if own == "ballbar" else np.zeros(n)
+        second = machine.with_only({}).inverse(others + up)
+    reading = np.linalg.norm(points - ball, axis=1) if kind == "ballbar" else np.zeros(n)
     nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
     return ToolCampaign(
         name=kind,
-        setups=(ToolSetup(kind, own),),
+        setups=(ToolSetup(kind, kind, (0.0, 0.0, -longer)),),
         setup=np.zeros(n, dtype=np.int64),
         axis=np.tile(axes, len(points)),
         sign=np.ones(n),
@@ -199,10 +214,12 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     ).in_order()  # fmt: skip
 
 
-def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:
-    """Points ``(n, 3)``, the others of distances, and the centre of a ball."""
+def _places(machine: Machine, kind: Kind, up: Array) -> tuple[Array, Array | None, Array]:
+    """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
+    machine's own tool has to be within reach.
+    """
     ring = _ring()
-    flat = _widest(machine, lambda r: r * ring)
+    flat = _widest(machine, lambda r: r * ring + up)
     if kind == "plate":
         side = np.linspace(-1.0, 1.0, _SIDE)
         grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -214,11 +231,11 @@ def _places(machine: Machine, kind: Kind) -> tuple[Array, Array | None, Array]:
         return flat * ring[ends[:, 0]], flat * ring[ends[:, 1]], np.zeros(3)
     if kind == "incline":
         return np.concatenate([np.zeros((1, 3)), flat * ring]), None, np.zeros(3)
-    up = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else np.zeros(3)
+    high = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else np.zeros(3)
     circles = np.concatenate([ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]])
-    round_ = _widest(machine, lambda r: r * (circles + up))
-    points = round_ * (circles + up)
-    return points, None, round_ * up
+    round_ = _widest(machine, lambda r: r * (circles + high) + up)
+    points = round_ * (circles + high)
+    return points, None, round_ * high
 
 
 def _ring() -> Array:

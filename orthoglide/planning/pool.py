@@ -113,7 +113,7 @@ def reading_pool(
     rows: list[tuple[int, Station]] = []
     for leg in range(3):
         reach = stations(leg, geometry)
-        for axis in ((leg + 1) % 3, (leg + 2) % 3):
+        for axis in map(LEGS.index, geometry.layout.names.across[leg]):
             for gauge in GAUGES:
                 for bar in BARS:
                     setup = dial_at(geometry, leg, axis, gauge, bar)

@@ -27,7 +27,7 @@ from orthoglide.planning.rivals import (
     inseparable_words,
     rival_of,
 )
-from orthoglide.posterior import Cause
+from orthoglide.posterior import Cause, FullPosterior
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "trace", "none"]
@@ -39,7 +39,7 @@ ENOUGH = 6.0
 
 _NEVER = 2.0  # sigmas by the whole pool: rivals that no reading within reach tells apart
 _HINTS = 1.0  # sigmas: less is not worth taking readings for
-_DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
+DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
 _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
@@ -53,8 +53,9 @@ class Suggestion(Framed):
         reason: what they are for and what is to be expected of them, in words.
         aim: ``separate`` rivals, ``narrow`` a weak direction, ``trace`` what nothing explains, or
             ``none`` where nothing helps.
-        gain: for rivals the sigmas between the two least separated; for a direction how many times
-            narrower it gets; nan of what nothing explains.
+        gain: for rivals the sigmas between the two least separated, by another instrument between
+            the two most; for a direction how many times narrower it gets; nan of what nothing
+            explains.
         pool: the readings to choose from; ``None`` where another instrument is what helps.
         chosen: those chosen, with repetitions; none where nothing helps.
     """
@@ -69,6 +70,11 @@ class Suggestion(Framed):
     def campaign(self) -> Campaign | None:
         """The readings without their values; ``None`` where nothing helps."""
         return sheet(self.pool, self.chosen) if self.chosen and self.pool is not None else None
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it says that nothing helps."""
+        return self.aim == "none" and self.gain < DECIDES
 
     def __repr__(self) -> str:
         return f"<Suggestion, {len(self.chosen)} readings: {self.reason}>"
@@ -100,19 +106,17 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
     return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
 
 
-def deciding_instruments(
-    fit: Estimate, causes: Sequence[Cause], machine: Machine
-) -> tuple[Suggestion, ...]:
-    """Instruments at the tool that would decide between rivals, where no dial is set on the legs.
+def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
+    """Instruments at the tool that would decide between rivals, where no dial is set on the legs:
+    first what most probably does.
 
     Args:
-        fit: of the readings at hand.
+        known: of the readings at hand.
         causes: that were found, with their rivals.
-        machine: that knows them, and the places found.
     """
     return tuple(
         Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
-        for reason, gain in deciding(fit, causes, machine)
+        for reason, gain in deciding(known, causes)
     )
 
 
@@ -151,7 +155,7 @@ def next_measurements(
     several = [rival_of(name, found, fit, scale) for name, found in rivals]
     own = rival_of("", fit, fit, scale)
     names = tuple(dict.fromkeys(p for e in (own, *several) for p in e.parts))
-    choice = pool or reading_pool(machine.geometry, load=_usual_load(fit))
+    choice = pool or reading_pool(machine.geometry, load=usual_load(fit))
     at = machine.model.linearised(own.values, choice, names)
     total = fit.problem.noise.typical * scale
     readings = LinearReadings.around(machine, choice, at.jacobian, at.slopes[:, 0], total)
@@ -160,13 +164,14 @@ def next_measurements(
     if every:
         predicted = [machine.model.readings(e.values, choice) for e in several]
         both = readings.with_columns(np.column_stack([at.jacobian, *predicted]))
-        found += _to_separate(machine, both, names, several, every, count)
+        found += to_separate(machine, both, names, several, every, count)
     for direction in weak:
         found.append(_to_narrow(readings, names, own, fit, direction, count))
     return tuple(found)
 
 
-def _usual_load(estimate: Estimate) -> float:
+def usual_load(estimate: Estimate) -> float:
+    """At the TCP over the last campaign, newtons; 0 where none is known."""
     if not estimate.problem.campaigns:
         return 0.0
     load = estimate.problem.campaigns[-1].load
@@ -174,7 +179,7 @@ def _usual_load(estimate: Estimate) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _to_separate(
+def to_separate(
     machine: Machine,
     readings: LinearReadings,
     names: tuple[str, ...],
@@ -212,7 +217,7 @@ def _to_separate(
     more = f" (and {len(least) - 3} further pairs by more)" if len(least) > 3 else ""
     reason = f"{_size(pool, rows)} expected to separate {text}{more}"
     gain = least[0][1]
-    if gain < _DECIDES:
+    if gain < DECIDES:
         reason += ": too little to decide, but the most that so few readings can do"
     return [Suggestion(reason, "separate", gain, pool, rows), *found]
 

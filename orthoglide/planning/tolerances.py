@@ -13,6 +13,7 @@ from orthoglide.frames import Framed, html_table
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.planning.sources import Sources, ToolError
+from orthoglide.threads import on_one_thread
 from orthoglide.units import Unit
 
 LARGEST = 1e3
@@ -105,6 +106,7 @@ class NeededTolerances(Framed):
         return html_table(str(self).partition("\n")[0], self.columns)
 
 
+@on_one_thread
 def needed_tolerances(
     machine: Machine, wanted: float, sheet: Campaign | None = None, noise: float | None = None
 ) -> NeededTolerances:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orthoglide.effects import Catalogue
+from orthoglide.parameters import Parameter
 from orthoglide.planning.designs import Design
 from orthoglide.planning.detectable import Detectability
 from orthoglide.planning.observability import Observability
@@ -60,7 +61,8 @@ def repeats_row(answer: Repeats, catalogue: Catalogue) -> str:
 
 
 def detectable_rows(found: Detectability, width: int) -> list[str]:
-    """A row an effect: the parameter that takes the largest size to be found, and to be named.
+    """A row for the parameters of an effect that are found from about the same size: the largest
+    sizes that one of them takes to be found, and to be named.
 
     Args:
         found: of a sheet.
@@ -80,19 +82,26 @@ def detectable_rows(found: Detectability, width: int) -> list[str]:
     return lines
 
 
-def _by_effect(names: Sequence[str]) -> list[str]:
+def _by_effect(names: Sequence[Parameter]) -> list[str]:
     """Parameters of one effect together: ``encoder_scale (x, y, z)``."""
     groups: dict[str, list[str]] = {}
     for name in names:
-        effect, _, member = name.partition(".")
-        groups.setdefault(effect, []).append(member)
+        groups.setdefault(name.effect, []).append(name.behind)
     return [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
 
 
 def _effect_row(
-    effect: str, unit: str, tolerance: float, found: float, named: float, hardest: str, nearest: str
+    effect: str,
+    unit: str,
+    tolerance: float,
+    found: float,
+    named: float,
+    hardest: Parameter,
+    nearest: str,
+    parameters: str,
 ) -> tuple[str, str]:
-    """Its sizes, and what its hardest parameter is taken for."""
+    """Its sizes, and what its hardest parameter is taken for; which it has, where not all."""
     size = f"{named:.2g}" if np.isfinite(named) else "never"
     sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
-    return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}"
+    of = f" (of {parameters})" if parameters and parameters != hardest.behind else ""
+    return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}{of}"

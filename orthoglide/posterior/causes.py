@@ -12,6 +12,7 @@ from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_words
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
+from orthoglide.parameters import plain_and_campaign
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,8 +50,8 @@ class Explanation:
     @property
     def words(self) -> str:
         """What is wrong, with size and sign, as a clause."""
-        values = dict(self.values)
-        if "@" not in self.name:  # of what campaigns have for themselves: the last one's
+        values, (_, campaign) = dict(self.values), plain_and_campaign(self.name)
+        if not campaign:  # of what campaigns have for themselves: the last one's
             values = {self.catalogue.parameter(n).plain: v for n, v in values.items()}
         return cause_words(self.catalogue, self.name, values)
 
@@ -103,6 +104,11 @@ class Cause:
     def probability(self) -> float:
         """All else that was found given."""
         return self.chosen.probability
+
+    @property
+    def together(self) -> float:
+        """Probability of the chosen one under any of its names, which share it."""
+        return sum(one.probability for one in (self.chosen, *self.same))
 
     @property
     def explanations(self) -> tuple[Explanation, ...]:
@@ -172,11 +178,16 @@ class Located:
         members: most probable first.
         resembling: causes of the catalogue in the same credible set.
         probability: that it is one of the members, all else that was found given.
+        group: of the likeliest explanation, in whose place any of these may be.
+        ruled_out: causes of the catalogue that move what the first member moves, and are none of
+            the set.
     """
 
     members: tuple[Curve, ...]
     resembling: tuple[str, ...]
     probability: float
+    group: int
+    ruled_out: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Located {', '.join(map(repr, self.members))}>"

@@ -13,8 +13,9 @@ from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import linearise, predict
+from orthoglide.fit.least_squares import Linearised, linearise, predict
 from orthoglide.fit.problem import rows_about
+from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
@@ -138,16 +139,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     problem = estimate.problem
     wide = with_everything(problem)
     free = len(problem.unknowns)
-    start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - free)])
-    x = start if at is None else at
-    here = linearise(wide, x)
-    if at is not None:
-        # A dial that magnifies everything found so far would be one coefficient in place of many:
-        # what a dial does that does not stand out is taken at the base fit, where it cannot stand
-        # in for the machine.
-        of_dial = [problem.machine.catalogue.effect_of(n).of_dial for n in wide.names]
-        resting = np.array(of_dial) & (x == 0)
-        here.jacobian[:, resting] = linearise(wide, start).jacobian[:, resting]
+    x, here = _linearised(estimate, wide, at)
     project, sd = estimate.nuisance.project, wide.tolerance
     free_rows, found = curves(wide, x)
     of_dials, dials = curves_of_dials(wide, here.value)
@@ -188,10 +180,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     stations = np.vstack([stations, np.zeros((len(columns) - len(stations), stations.shape[1]))])
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
-    if one_surface(problem):
-        likely = tuple(s for s in SLABS if s <= _LIKELY)
-        rare = 2 * RARE if only_plates(problem) else RARE
-        linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
+    linear = _with_plates(linear, problem)
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
@@ -199,6 +188,32 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         wide, scale, found, causes, reduced, by_name, translations(slopes), rows,
         value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside,
     )  # fmt: skip
+
+
+def _linearised(estimate: Estimate, wide: Problem, at: Array | None) -> tuple[Array, Linearised]:
+    """Where to linearise ``(P,)``, SI, and the readings there."""
+    start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(estimate.x))])
+    if at is None:
+        return start, linearise(wide, start)
+    here = linearise(wide, at)
+    # A dial that magnifies everything found so far would be one coefficient in place of many: what
+    # a dial does that does not stand out is taken at the base fit, where it cannot stand in for the
+    # machine.
+    of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in wide.names]
+    resting = np.array(of_dial) & (at == 0)
+    here.jacobian[:, resting] = linearise(wide, start).jacobian[:, resting]
+    return at, here
+
+
+def _with_plates(linear: Linear, problem: Problem) -> Linear:
+    """The same where a surface is all that was read, or plates have errors without structure."""
+    if one_surface(problem):
+        likely = tuple(s for s in SLABS if s <= _LIKELY)
+        rare = 2 * RARE if only_plates(problem) else RARE
+        linear = replace(linear, slabs=likely, wide=(_QUIET, rare))
+    if any(isinstance(f, ToolReadings) and f.jumps for f in problem.points):
+        linear = replace(linear, rough=-RARE)  # these have been seen
+    return linear
 
 
 def _fixed(problem: Problem, count: int) -> tuple[Array, tuple[Array, Array]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,11 +12,13 @@ from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
 from orthoglide.fit.factors import DialReadings
+from orthoglide.fit.problem import Factor
 from orthoglide.fit.surface import own_shapes
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
+from orthoglide.prediction import Model
 
 _STILL = 1e-6  # metres: less moves no dial
 _CLEAR = 5e-6  # metres: of a move from which it is clear which way it went
@@ -65,27 +68,41 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
 
 def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
     """Rows by the coefficients of all places ``(n, F)`` in their units, places kept."""
-    model = problem.machine.model
-    blocks: dict[str, list[Array]] = {}
-    kept = places_of(problem)
-    turning = any(place.against == "reversal" for place in kept)
-    for k, factor in enumerate(problem.factors):
-        values = problem.values(k, x)
-        by_joints = factor.by_joints(model, values)
-        legs = model.leg_conditions(values, factor.conditions())
-        if isinstance(factor, DialReadings) and turning:
-            half = np.ptp(model.geometry.stroke) / 2
-            after = factor.points.built_up([half * length for length in BUILD_UP.lengths])
-            legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
-        for place in kept:
-            functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
-            column = by_joints(_joints(place), functions)
-            if place.moves_lines and isinstance(factor, DialReadings):
-                column += _touching(place, factor.points)[:, None] * functions
-            blocks.setdefault(place.name, []).append(column)
+    model, kept = problem.machine.model, places_of(problem)
     if not kept:
         return np.zeros((len(problem.measured), 0)), ()
-    return np.hstack([np.concatenate(blocks[p.name]) for p in kept]), kept
+    of_factors = [
+        np.hstack(by_places(factor, model, problem.values(k, x), kept))
+        for k, factor in enumerate(problem.factors)
+    ]
+    return np.vstack(of_factors), kept
+
+
+def by_places(
+    factor: Factor, model: Model, values: Mapping[str, float], several: Sequence[Place]
+) -> list[Array]:
+    """Rows of one factor by the coefficients of each place ``(n, K)`` in their units.
+
+    Args:
+        factor: what is read.
+        model: of the machine.
+        values: parameters where the rows are linear, SI.
+        several: places of the machine.
+    """
+    by_joints = factor.by_joints(model, values)
+    legs = model.leg_conditions(values, factor.conditions())
+    if isinstance(factor, DialReadings) and any(p.against == "reversal" for p in several):
+        half = np.ptp(model.geometry.stroke) / 2
+        after = factor.points.built_up([half * length for length in BUILD_UP.lengths])
+        legs = tuple(replace(c, built_up=tuple(after[:, :, k])) for k, c in enumerate(legs))
+    found = []
+    for place in several:
+        functions = place.unit * np.stack(place.functions(legs[place.leg]), axis=1)
+        rows = by_joints(_joints(place), functions)
+        if place.moves_lines and isinstance(factor, DialReadings):
+            rows += _touching(place, factor.points)[:, None] * functions
+        found.append(rows)
+    return found
 
 
 def plates(problem: Problem) -> tuple[Array, Array]:

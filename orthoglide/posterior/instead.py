@@ -48,9 +48,9 @@ class Alternatives:
         """Mean ``(C,)``, and covariance ``(k, k)`` of some coefficients, with a group in the place
         of one of the best state.
         """
-        return self.mixture.likeliest(self._state(member, other), at)
+        return self.mixture.likeliest(self.state(member, other), at)
 
-    def _state(self, member: int, other: int) -> State:
+    def state(self, member: int, other: int) -> State:
         """The likeliest state with another group in the place of one of the best state."""
         if other == member:
             return self.mixture.best

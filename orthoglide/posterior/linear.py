@@ -79,6 +79,7 @@ class Linear:
         shares: scales that the effects' background may have, in tolerances.
         slabs: those of what stands out.
         wide: share beyond which a background is unlikely, and log of its weight.
+        rough: log of the prior weight of errors that have no structure.
         beyond: what stations show beside all columns: squared, in how many directions, and the
             visits that each has; none where all directions are kept.
     """
@@ -93,6 +94,7 @@ class Linear:
     shares: tuple[float, ...] = SHARES
     slabs: tuple[float, ...] = SLABS
     wide: tuple[float, float] = (max(SHARES), 0.0)
+    rough: float = RARE
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def spike(self, share: float, free_share: float) -> Array:
@@ -165,7 +167,8 @@ class Scale:
         beyond, weight = basis.linear.wide
         alike = 1 + basis.rough**2 * visits
         self.log_z = (
-            RARE * self.rare
+            RARE * (share > 1)
+            + basis.linear.rough * (basis.rough > 0)
             + weight * (share > beyond)
             - 0.5 * (square / alike + count * float(np.log(alike)))
             - 0.5 * float(self.residual @ self.residual)

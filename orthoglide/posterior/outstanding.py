@@ -7,7 +7,7 @@ of causes and places whose probabilities, all else that was found given, sum to 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -219,15 +219,31 @@ class _Reader:
         self, member: int, odds: Sequence[tuple[int, float]], probability: float
     ) -> Located:
         by_name = {p.name: p for p in self.posterior.about.places}
-        return Located(
-            tuple(
-                self._curve(member, k, p, by_name[self.groups[k].name])
-                for k, p in odds
-                if self.groups[k].free
-            ),
-            tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free),
-            probability,
+        members = tuple(
+            self._curve(member, k, p, by_name[self.groups[k].name])
+            for k, p in odds
+            if self.groups[k].free
         )
+        resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free)
+        known = self._causes_at(members[0].place)
+        ruled_out = tuple(name for name in known if name not in resembling)
+        return Located(members, resembling, probability, member, ruled_out)
+
+    def _causes_at(self, place: Place) -> Iterator[str]:
+        """Causes that were weighed and that move what a place moves, or change its dial."""
+        about = self.posterior.about
+        motions, joints = about.problem.machine.catalogue.motions, {j for j, _ in place.joints}
+        for cause in about.candidates:
+            names = [p.plain for p in cause.parameters]
+            if place.of_dial:
+                same = all(p.setup and p.setup == place.setup for p in names)
+            else:
+                moved = [motions[p] for p in names if p in motions]
+                same = len(moved) == len(names) and not place.moves_lines and all(
+                    leg == place.leg and joints & {m.joint for m in own} for leg, own in moved
+                )  # fmt: skip
+            if same:
+                yield cause.name
 
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
         group = self.groups[k]

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from orthoglide.effects import DialReading, Effect
-from orthoglide.geometry import Array, leg_axes
+from orthoglide.geometry import Array, Geometry
 from orthoglide.observations import Campaign
 
 SHARES = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
@@ -55,22 +55,21 @@ BY_GAUGE = 11
 """Place of the dial's position among a mounting's entries."""
 
 
-def mountings(campaign: Campaign, r: float) -> Array:
+def mountings(campaign: Campaign, geometry: Geometry) -> Array:
     """How each row's dial is mounted ``(n, 14)``: shares of the bars, the leg's own axis, the axis
     sensed, the axis the dial turns toward, position, sign, time.
 
     Args:
         campaign: its rows.
-        r: distance from the TCP to the legs' last revolutes, metres.
+        geometry: of the machine.
     """
     table = np.zeros((len(campaign.setups), 14))
     axes = np.eye(3)
     for row, setup in zip(table, campaign.setups, strict=True):
-        a, _, _ = leg_axes(setup.leg)
+        slide, sensed = geometry.slides[setup.leg], axes[setup.axis]
         row[:2] = SHARES[setup.bar]
-        row[2:5], row[5:8] = axes[a], axes[setup.axis]
-        row[8:11] = np.cross(axes[a], axes[setup.axis])
-        row[11], row[12] = setup.gauge + r, setup.sign
+        row[2:5], row[5:8], row[8:11] = slide, sensed, np.cross(slide, sensed)
+        row[11], row[12] = setup.gauge + geometry.r, setup.sign
     rows = table[campaign.setup]
     rows[:, 13] = np.nan_to_num(campaign.time)
     return rows

@@ -284,7 +284,7 @@ class Model:
         dials = dial_values(campaign, values, self.catalogue.of_dials)
         kept = self._prepared.setdefault(campaign, {})
         if "mountings" not in kept:
-            kept["mountings"] = mountings(campaign, self.geometry.r)
+            kept["mountings"] = mountings(campaign, self.geometry)
         return touched, kept["mountings"][rows], dials[rows]
 
     def by_joints(self, values: Mapping[str, float], conditions: Conditions) -> Array:

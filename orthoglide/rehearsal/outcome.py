@@ -16,6 +16,7 @@ from orthoglide.errors import OrthoglideError
 from orthoglide.rehearsal.drawing import Drawn, Scope, draw, kind_of
 from orthoglide.rehearsal.scoring import claims
 from orthoglide.simulation import simulate, simulate_tcp
+from orthoglide.threads import on_one_thread
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Outcome:
         return cls(**values)
 
 
+@on_one_thread
 def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
     """One campaign; a failure is a result like others.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.parameters import plain_and_campaign
 from orthoglide.rehearsal.drawing import Drawn
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def claims(verdict: Verdict, drawn: Drawn) -> tuple[list[str], list[str], list[s
 
 def _is_there(name: str, parameters: Sequence[str], drawn: Drawn) -> bool:
     # A machine is drawn whole: what a file has for itself goes by its plain name.
-    name, *parameters = (n.partition("@")[0] for n in (name, *parameters))
+    name, *parameters = (plain_and_campaign(n)[0] for n in (name, *parameters))
     if drawn.kind.extra == "effect":
         return is_cause(name, parameters, drawn.cause, drawn.catalogue.effect_of(drawn.cause).name)
     least = _BEYOND * drawn.kind.share

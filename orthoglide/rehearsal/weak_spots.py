@@ -11,6 +11,7 @@ from orthoglide.accuracy import tcp_slopes, without_place
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.wording import cause_short, size_words
 from orthoglide.observations import Campaign
+from orthoglide.parameters import Parameter
 from orthoglide.planning import SmallestEffect, smallest_effects
 from orthoglide.rehearsal.drawing import Scope
 from orthoglide.simulation import lacks
@@ -71,7 +72,7 @@ def _not_recorded(scope: Scope, judged: Collection[str]) -> Iterator[WeakSpot]:
         yield WeakSpot((effect.name,), f"not shown, as {lacking}: {_many(effect)}")
 
 
-def _invisible(catalogue: Catalogue, names: Sequence[str]) -> Iterator[WeakSpot]:
+def _invisible(catalogue: Catalogue, names: Sequence[Parameter]) -> Iterator[WeakSpot]:
     for _, members in _by_effect(catalogue, names):
         yield WeakSpot(tuple(members), f"not seen, whatever the size: {_told(catalogue, members)}")
 
@@ -117,19 +118,21 @@ def _same_tool(scope: Scope, one: str, other: str) -> bool:
     return bool(abs(a @ b) >= _SAME_TOOL * np.linalg.norm(a) * np.linalg.norm(b))
 
 
-def _by_effect(catalogue: Catalogue, names: Iterable[str]) -> Iterator[tuple[Effect, list[str]]]:
-    found: dict[str, list[str]] = {}
+def _by_effect(
+    catalogue: Catalogue, names: Iterable[Parameter]
+) -> Iterator[tuple[Effect, list[Parameter]]]:
+    found: dict[str, list[Parameter]] = {}
     for name in names:
-        found.setdefault(catalogue.effect_of(name).name, []).append(name)
+        found.setdefault(name.effect, []).append(name)
     return ((catalogue[effect], members) for effect, members in found.items())
 
 
-def _told(catalogue: Catalogue, names: Sequence[str]) -> str:
+def _told(catalogue: Catalogue, names: Sequence[Parameter]) -> str:
     """Parameters of one effect as a clause: one in words, several by the effect and their tails."""
     if len(names) == 1:
         return cause_short(catalogue, names[0])
     effect = catalogue.effect_of(names[0])
-    tails = ", ".join(n[len(effect.name) + 1 :].partition("@")[0] for n in names)
+    tails = ", ".join(n.plain.behind for n in names)
     return f"{_many(effect)} ({tails})"
 
 

@@ -88,8 +88,8 @@ def finding(result: Result) -> Data:
     """The verdict, how sure it is, the tool's error, what to do, and what speaks against it."""
     after, searches = result.after, result.request.searches
     lacking = not searches and after.sigma_scale > 1
-    first = result.firmware.first if result.firmware else ""
     return {
+        "first": result.firmware.first if result.firmware else "",
         "word": result.word,
         "meaning": sentence(MEANINGS[result.word]),
         "claims": claims(result),
@@ -109,7 +109,7 @@ def finding(result: Result) -> Data:
         "actions": [action_data(action) for action in result.actions],
         "sheet": result.next_sheet is not None,
         "most": MOST,
-        "cautions": [*([first] if first else []), *result.cautions],
+        "cautions": result.cautions,
         "warnings": [sentence(w) for w in result.warnings],
     }
 
@@ -128,8 +128,7 @@ def claims(result: Result) -> list[Claim]:
 
 
 def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
-    names = (cause.chosen, *cause.same)  # share one probability
-    first = _statement(cause.chosen, sum(one.probability for one in names), next(option))
+    first = _statement(cause.chosen, cause.together, next(option))
     same, rivals = (
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)

@@ -84,7 +84,7 @@ def firmware(advice: FirmwareAdvice, found: Corrections, early: str) -> Data:
 
 
 _AIMS = {
-    "separate": "To tell the causes apart",
+    "separate": "To tell apart what these readings cannot",
     "narrow": "To narrow what is hardly seen",
     "trace": "To follow what nothing explains",
 }
@@ -107,8 +107,8 @@ def following(result: Result, sheet: str) -> Data:
     data = base64.b64encode(sheet.encode()).decode()
     return {
         "suggestions": suggestions,
-        "others": [_reason(s.reason) for s in suggested if s.pool is None],
-        "hopeless": [_reason(s.reason) for s in suggested if s.pool is not None and not s.chosen],
+        "others": [_reason(s.reason) for s in suggested if s.pool is None and not s.hopeless],
+        "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
         "hidden": bool(result.after.weak),
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
         "readings": len(proposed or ()),
@@ -124,11 +124,11 @@ def _stations(sheet: Campaign) -> list[dict[str, str]]:
     """Stations of a sheet, each once, with how often it is visited."""
     every = zip(sheet.setup.tolist(), sheet.command.tolist(), sheet.approach.tolist(), strict=True)
     visits = Counter(
-        (k, tuple(rho), tuple(near), label)
-        for (k, rho, near), label in zip(every, sheet.posture, strict=True)
+        (k, tuple(command), tuple(near), label)
+        for (k, command, near), label in zip(every, sheet.posture, strict=True)
     )
     found = []
-    for (k, rho, near, label), times in visits.items():
+    for (k, command, near, label), times in visits.items():
         setup = sheet.setups[k]
         found.append(
             {
@@ -138,7 +138,7 @@ def _stations(sheet: Campaign) -> list[dict[str, str]]:
                 "posture": label,
                 "gauge_mm": f"{setup.gauge * 1e3:.1f}",
                 "bar": str(setup.bar or ""),
-                "rho": ", ".join(f"{value * 1e3:.2f}" for value in rho),
+                "command": ", ".join(f"{value * 1e3:.2f}" for value in command),
                 "side": "".join({1.0: "+", -1.0: "−"}.get(way, "·") for way in near),
                 "times": str(times),
             }

@@ -32,6 +32,7 @@ Data = dict[str, Any]
 Figures = Mapping[str, Drawing]
 
 _MOST_ITEMS = 12
+_MOST_SHAPES = 5  # known causes named as ruled out
 
 _FAULTS = {
     "outlier": "a reading out of line",
@@ -192,10 +193,11 @@ def located(result: Result, figures: Figures) -> Data:
                 for c in one.members
             ],
             "resembling": [result.short(name) for name in one.resembling],
+            "ruled_out": [result.short(name) for name in one.ruled_out],
         }
         for k, one in enumerate(result.located, start=1)
     ]
-    return {"places": found}
+    return {"places": found, "most": _MOST_SHAPES}
 
 
 def budget(result: Result) -> Data:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from orthoglide.diagnosis.changes import Change
     from orthoglide.diagnosis.rest import SetupRest, ToolRest
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
-    from orthoglide.judging import TcpErrors
+    from orthoglide.judging import HoldOut, TcpErrors
+    from orthoglide.planning import Suggestion
     from orthoglide.posterior import BudgetItem, CandidateScore, Cause, Curve, Explanation, Located
     from orthoglide.request import Request
     from orthoglide.result import Result
@@ -57,14 +58,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "nominal": _scores(result.nominal),
         "before": _scores(before.scores),
         "after": _scores(after.scores),
-        "holdout": result.hold_out
-        and {
-            "before_rms_mm": _mm(result.hold_out.before_rms),
-            "after_rms_mm": _mm(result.hold_out.after_rms),
-            **_mrad(
-                before_rms=result.hold_out.before_turn_rms, after_rms=result.hold_out.after_turn_rms
-            ),
-        },
+        "holdout": result.hold_out and _held_out(result.hold_out),
         "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
         "effects": [_cause(cause) for cause in result.effects],
         "located": [
@@ -79,26 +73,10 @@ def _mapping(result: Result) -> dict[str, Any]:
         "blunders": [_blunder(b, b.lines(faulty)) for b in result.blunders],
         "changed": [_change(change) for change in result.changed],
         "weak_directions": [_weak(weak) for weak in after.weak],
-        "cross_check": _check(before.check),
+        "cross_check": before.check and _check(before.check),
         **({} if result.firmware is None else {"firmware": result.firmware.as_dict()}),
-        "next_measurements": [
-            {
-                "reason": s.reason,
-                "aim": s.aim,
-                "gain": number(s.gain, _SHORT),
-                "readings": [dict(row) for row in s.rows],
-            }
-            for s in result.next_measurements
-        ],
-        "left": {
-            "lack_of_fit_p": number(result.left.p_value, _SHORT),
-            "background": number(result.share, _SHORT),
-            "rare_probability": number(result.left.rare, _SHORT),
-            "stopped": result.stopped,
-            "pattern": list(result.pattern),
-            "by_setup": [_rest(rest) for rest in result.rest],
-            "by_instrument": [_rest_of_tool(rest) for rest in result.rest_of_tool],
-        },
+        "next_measurements": [_next(suggestion) for suggestion in result.next_measurements],
+        "left": _left(result),
         "workspace": _workspace(result),
         "tool": {name: error.as_dict() for name, error in result.numbers.expected.items()},
         "actions": [_action(action) for action in result.actions],
@@ -136,6 +114,14 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
             for kind, (sigma, source) in after.problem.noises.items()
         },
         "sigma_scale": number(after.sigma_scale),
+    }
+
+
+def _held_out(held: HoldOut) -> dict[str, Any]:
+    return {
+        "before_rms_mm": _mm(held.before_rms),
+        "after_rms_mm": _mm(held.after_rms),
+        **_mrad(before_rms=held.before_turn_rms, after_rms=held.after_turn_rms),
     }
 
 
@@ -258,6 +244,27 @@ def _action(action: Action) -> dict[str, Any]:
     }
 
 
+def _next(suggestion: Suggestion) -> dict[str, Any]:
+    return {
+        "reason": suggestion.reason,
+        "aim": suggestion.aim,
+        "gain": number(suggestion.gain, _SHORT),
+        "readings": [dict(row) for row in suggestion.rows],
+    }
+
+
+def _left(result: Result) -> dict[str, Any]:
+    return {
+        "lack_of_fit_p": number(result.left.p_value, _SHORT),
+        "background": number(result.share, _SHORT),
+        "rare_probability": number(result.left.rare, _SHORT),
+        "stopped": result.stopped,
+        "pattern": list(result.pattern),
+        "by_setup": [_rest(rest) for rest in result.rest],
+        "by_instrument": [_rest_of_tool(rest) for rest in result.rest_of_tool],
+    }
+
+
 def _rest_of_tool(rest: ToolRest) -> dict[str, Any]:
     return {
         "setup": rest.setup,
@@ -368,18 +375,13 @@ def _weak(weak: WeakDirection) -> dict[str, Any]:
     }
 
 
-def _check(check: CrossCheck | None) -> dict[str, Any] | None:
-    """The cross-check; null where the reduction cannot represent what was asked."""
-    return (
-        None
-        if check is None
-        else {
-            "reduction_max_difference_mm": _mm(check.reduction, _FEW),
-            "linear_system_max_difference_mm": _mm(check.linear, _FEW),
-            "linear_system_rms_difference_mm": _mm(check.linear_size, _FEW),
-            "linear_system_rms_bound_mm": _mm(check.linear_bound, _FEW),
-        }
-    )
+def _check(check: CrossCheck) -> dict[str, Any]:
+    return {
+        "reduction_max_difference_mm": _mm(check.reduction, _FEW),
+        "linear_system_max_difference_mm": _mm(check.linear, _FEW),
+        "linear_system_rms_difference_mm": _mm(check.linear_size, _FEW),
+        "linear_system_rms_bound_mm": _mm(check.linear_bound, _FEW),
+    }
 
 
 def _workspace(result: Result) -> dict[str, Any] | None:

@@ -61,7 +61,7 @@ def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...
     """
     names, L = machine.geometry.leg_names, machine.geometry.L
     leg, axis = names[setup.leg], names[setup.axis]
-    short_link = names[(setup.leg + 2) % 3]
+    _, short_link = machine.geometry.layout.names.across[setup.leg]
     touched = {
         0: "the leg's median line, halfway between its two bars",
         1: f"bar 1, the one on the +{short_link} side",

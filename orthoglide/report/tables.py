@@ -13,6 +13,7 @@ from orthoglide import __version__
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations import Campaign, TcpPoints, ToolCampaign
+from orthoglide.observations.columns import of_commands
 from orthoglide.observations.tool import DIRECTED
 from orthoglide.text import csv_text
 
@@ -29,11 +30,8 @@ _IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _FIGURES) for unit in ("
 
 
 def _places(geometry: Geometry) -> tuple[str, ...]:
-    names = geometry.leg_names
-    counted = "rho" if geometry.dialled else "travel"
-    commands = tuple(f"{counted}_{leg}_mm" for leg in names)
     before = ("campaign", "line", "setup", "leg", "direction", "posture")
-    return (*before, *commands, "gauge_mm", "repeat", "order")
+    return (*before, *of_commands(geometry.layout.names), "gauge_mm", "repeat", "order")
 
 
 def calibrated_machine(result: Result) -> MachineFile:

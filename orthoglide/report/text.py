@@ -128,8 +128,9 @@ def _parameters(result: Result) -> Table:
 def _causes(result: Result) -> Table:
     shown = _table("probability", "cause")
     for cause in result.effects:
-        shown.add_row(hundredths(cause.probability), f"{cause.chosen.words}\n{cause.name}")
-        for rival in (*cause.same, *cause.rivals):
+        names = "\nor ".join(f"{one.words}\n{one.name}" for one in (cause.chosen, *cause.same))
+        shown.add_row(hundredths(cause.together), names)
+        for rival in cause.rivals:
             shown.add_row(hundredths(rival.probability), f"or {rival.words}\n{rival.name}")
     return shown
 

@@ -242,10 +242,11 @@ def _measure(result: Result) -> tuple[bool, list[Action]]:
     if not result.request.searches:
         text = "Look for the cause of what is left: orthoglide close-loop takes the same files"
         return False, [Action("measure", text)] if result.after.sigma_scale > 1 else []
+    sheet = result.next_sheet
     for one in result.next_measurements:
-        if one.chosen and one.aim == "narrow":
-            text = f"Measure more only to know more: the report proposes {len(one.chosen)} readings"
+        if one.aim == "narrow" and sheet is not None:
+            text = f"Measure more only to know more: the report proposes {len(sheet)} readings"
             return False, [Action("measure", text)]
-        if one.chosen or one.pool is None:
+        if not one.hopeless:
             return True, [Action("measure", f"Measure more: {one.reason}")]
     return False, []

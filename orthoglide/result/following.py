@@ -17,9 +17,11 @@ def next_measurements(result: Result) -> tuple[Suggestion, ...]:
 
     geometry, follow = result.request.machine.geometry, not result.stands
     again = tuple(map(planning.repeating, result.rest_of_tool[:follow]))
+    known = result.posterior
+    parts = [s for one in result.located if known for s in planning.parting(known, one)]
     if not geometry.dialled:
-        known = result.after, result.effects, result.machine
-        return (*planning.deciding_instruments(*known), *again)
+        apart = () if known is None else planning.deciding_instruments(known, result.effects)
+        return (*apart, *parts, *again)
     sets = [(c.chosen, *c.rivals) for c in result.effects if c.rivals]
     sets = sets or [tuple(result.alone[:_MOST_RIVALS])]
     rivals = [(e.name, e.machine) for each in sets for e in each]
@@ -28,4 +30,4 @@ def next_measurements(result: Result) -> tuple[Suggestion, ...]:
     more = planning.next_measurements(result.before)
     if result.dials_hold_most:
         again = tuple(planning.tracing(rest, geometry) for rest in result.rest[:follow])
-    return (*again, *apart, *more)
+    return (*again, *apart, *parts, *more)

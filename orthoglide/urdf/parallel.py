@@ -2,7 +2,8 @@
 
 ``robot.urdf`` holds the tree, ``robot.yaml`` what closes it: ``closed_loop``, pairs of frames that
 coincide; ``type`` of each, ``3d`` (origins) or ``6d`` (axes too); ``name_mot``, the joints that are
-driven; ``joint_name`` and ``joint_type``, joints of the tree that stand for others (here none). See
+driven; ``joint_name`` and ``joint_type``, joints of the tree that stand for others, such as
+spherical ones (here none, and none are read: a tree read without them is another machine). See
 github.com/Gepetto/example-parallel-robots and arXiv 2504.04767; the code is our own.
 """
 
@@ -73,8 +74,12 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
     names = _names(urdf, shown(urdf_path))
     found = _Lists(files.decode(files.read_bytes(yaml_path, files.TEXT), yaml_path), yaml_path)
     pairs, kinds, motors = (found.of(key) for key in ("closed_loop", "type", "name_mot"))
-    if found.of("joint_name"):
-        found.fail("joint_name", "replaces joints of the tree, which is not read: put them there")
+    if replaced := found.of("joint_name"):
+        found.fail(
+            "joint_name",
+            f"replaces joints such as {brief(str(replaced[0]))} by others, which is not read: "
+            f"write those joints into {ROBOT_URDF} and leave the list empty",
+        )
     if len(kinds) != len(pairs):
         found.fail("type", f"has {len(kinds)} kinds for {len(pairs)} loops: give one for each")
     loops = []

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.geometry import LEGS, Array, Geometry, base_from_leg
+from orthoglide.geometry import LEGS, Array, Geometry
 
 Vector = tuple[float, float, float]
 
@@ -47,10 +47,9 @@ class Solid:
     material: str
     along: int | None = None
 
-    def in_base(self, leg: int) -> Solid:
-        """The same solid, given in a leg's axes, in the base's."""
-        turn = base_from_leg(leg)
-        along = None if self.along is None else (self.along + leg) % 3
+    def in_base(self, turn: Array) -> Solid:
+        """The same solid in the base's axes; ``turn`` ``(3, 3)`` has its own as columns."""
+        along = None if self.along is None else int(np.argmax(np.abs(turn[:, self.along])))
         return Solid(vector(turn @ self.size), vector(turn @ self.centre), self.material, along)
 
     def mass(self) -> float:
@@ -116,7 +115,7 @@ def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
     middle, length = (near + far) / 2, far - near
     reach = corner - rail + beam
     solids = []
-    for leg in range(3):
+    for leg in geometry.legs:
         one_leg = (
             Solid((length, 0.2 * d, 0.4 * d), (middle, rail, 0.0), "steel"),
             Solid((length, 0.3 * d, 0.7 * d), (middle, rail + 0.25 * d, 0.0), "frame"),
@@ -124,7 +123,7 @@ def base_solids(geometry: Geometry) -> tuple[Solid, ...]:
             Solid((beam, reach, beam), (corner, (corner + rail) / 2, 0.0), "frame"),
             Solid((beam, beam, corner), (corner, corner, corner / 2), "frame"),
         )
-        solids += [solid.in_base(leg) for solid in one_leg]
+        solids += [solid.in_base(leg.axes) for solid in one_leg]
     floor, wide = low - 4 * r, corner + beam / 2 - 1.5 * low
     centre = (corner + beam / 2 + 1.5 * low) / 2
     solids += [

@@ -136,9 +136,9 @@ def to_urdf(geometry: Geometry) -> str:
         geometry: the machine's dimensions; they alone determine the text.
 
     Returns:
-        URDF, in metres, kilograms and radians. Slide q is rho - L, within the stroke. The base
-        has no inertia, as it stands on the floor, and there is no collision geometry: links that
-        share a pivot overlap there.
+        URDF, in metres, kilograms and radians. Slide q is travel from mechanical zero, within the
+        stroke. The base has no inertia, as it stands on the floor, and there is no collision
+        geometry: links that share a pivot overlap there.
     """
     robot = ET.Element("robot", name=geometry.layout.kind)
     for name, (colour, _) in MATERIALS.items():
