@@ -28,6 +28,7 @@ _HALVED = 0.6  # share of the rms of its own setups that a fault may leave
 _APART = 3.0  # log Bayes factor between the best fault and the next one of other setups
 _REPEATS = 4  # degrees of freedom from which the scatter of a setup says something of its unit
 _LARGEST = 10.0  # log Bayes factor that the scatter may add
+_QUIETER = 0.5  # of the variance of others, that a setup in a larger unit may have at most
 _MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
 _VISIBLE = 0.2  # of its square, that the fit leaves of a fault
@@ -109,22 +110,22 @@ def _misread(
             bonus = _scattering(means, setups, fault)
         if not _mended(means, fault, after[:, k]):
             continue
-        if fault.kind in LABELS:
-            # Wrong labels lead the fit far from where it belongs.
-            chi2 = np.array(_anew(means, hypotheses[k], known))
-            bonus = float(means.evidence(chi2) - evidence[k] - np.log(len(hypotheses)))
-        elif not factor_fits(means, fault.rows, fault.size):
-            continue
+        # Wrong readings lead the fit far from where it belongs.
+        left = np.array([np.sum(after[:, k] ** 2), _anew(means, hypotheses[k], known)])
+        bonus += float(np.diff(means.evidence(left))[0])
         found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
 
 
 def _anew(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]) -> float:
-    """What is left where labels are put right and all is identified anew; all that there was where
-    the readings themselves do not say that these are the labels.
+    """What is left where readings are put right and all is identified anew; all that there was
+    where the readings themselves do not say that this is the fault.
     """
+    fault = hypothesis.fault
+    if fault.kind not in LABELS and not factor_fits(means, fault.rows, fault.size):
+        return means.chi2
     after = StationMeans.anew(hypothesis.corrected(means.problem), known)
-    if after is None or not hypothesis.leaves_none(means.problem, after):
+    if after is None or (fault.kind in LABELS and not hypothesis.leaves_none(means.problem, after)):
         return means.chi2
     return after.chi2
 
@@ -135,10 +136,11 @@ def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) ->
     if scatter.dof < _REPEATS:
         return 0.0
     ratio = scatter.chi2 / scatter.dof / noise_scale(means.problem, setups)
-    if factor > 1:
-        return 0.0 if ratio <= 0.5 else -np.inf
-    if ratio < 0.1 / factor**2 or not scatter.repeats(means.problem):
+    if factor > 1 and ratio > _QUIETER:
         return -np.inf
+    if factor < 1 and (ratio < 0.1 / factor**2 or not scatter.repeats(means.problem)):
+        return -np.inf
+    ratio = max(ratio, 1e-12)
     return min(scatter.dof / 2 * float(ratio - 1 - np.log(ratio)), _LARGEST)
 
 
