@@ -21,8 +21,9 @@ from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.loading import load_effects
 from orthoglide.effects.motions import constant, sideways
 from orthoglide.effects.places import dial_places
-from orthoglide.effects.wording import cause_short, cause_words, confirm_words
+from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
 from orthoglide.errors import InputError
+from orthoglide.parameters import Parameter
 from orthoglide.posterior import Explanation
 from orthoglide.prediction import Conditions, Model
 from orthoglide.result.actions import confirm
@@ -367,3 +368,9 @@ def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:
         for place in dial_places(setup, 0, (0.0, 60.0), (0.0, 1e-3), True):
             assert place.effect.name.isidentifier()
             assert setup in place.words
+
+
+def test_a_direction_of_ones_own_effect_is_no_turn() -> None:
+    words = parameter_words(Parameter("carriage_play", "y", "b"))
+    assert words == "carriage play of leg y b"
+    assert parameter_words(Parameter("mount_tilt", "y", "b")).endswith("about its pivots")

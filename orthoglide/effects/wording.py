@@ -107,7 +107,9 @@ def parameter_words(parameter: Parameter) -> str:
     if _sided(CATALOGUE.by_name.get(parameter.effect), parameter.direction):
         way = toward(parameter.direction, 1.0)
         return f"{words} of leg {parameter.leg} toward {way}{where}"
-    tail = {"a": " about its axis", "b": " about its pivots", "sin": ", sine", "cos": ", cosine"}
+    tail = {"sin": ", sine", "cos": ", cosine"}
+    if parameter.effect in CATALOGUE.by_name:  # what an own effect does along b, it alone knows
+        tail |= {"a": " about its axis", "b": " about its pivots"}
     behind = tail.get(parameter.direction, f" {parameter.direction}" if parameter.direction else "")
     return f"{words} of leg {parameter.leg}{behind}{where}"
 
