@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import secrets
 import select
 import stat
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -151,16 +151,15 @@ def write_files(
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
     """
-    waiting, put = dict[Path, str](), list[Path]()
+    waiting, put = dict[Path, Path](), list[Path]()
     try:
         for target, content in contents.items():
             if not overwrite:
                 check_new(target)
             with writing(target):
-                handle, waiting[target] = tempfile.mkstemp(dir=target.parent, prefix=".orthoglide-")
-                with os.fdopen(handle, "wb") as stream:
+                waiting[target] = waiting_name(target)
+                with waiting[target].open("xb") as stream:
                     stream.write(content.encode() if isinstance(content, str) else content)
-                os.chmod(waiting[target], 0o644)  # mkstemp's file is its owner's alone
         with commit():
             for target, name in waiting.items():
                 with writing(target):
@@ -172,10 +171,17 @@ def write_files(
         raise
     finally:
         for name in waiting.values():
-            Path(name).unlink(missing_ok=True)
+            name.unlink(missing_ok=True)
 
 
-def _put(name: str, target: Path, overwrite: bool) -> None:
+def waiting_name(target: Path) -> Path:
+    """Where what is to be ``target`` waits, beside it: known before anything stands there, so an
+    interrupt at any moment finds what to remove.
+    """
+    return target.parent / f".orthoglide-{secrets.token_hex(8)}"
+
+
+def _put(name: Path, target: Path, overwrite: bool) -> None:
     """Give a finished file its name; another process may have taken it a moment ago."""
     if overwrite:
         os.replace(name, target)

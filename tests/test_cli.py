@@ -415,6 +415,29 @@ def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, 
     assert os.listdir(here) == ["experiment2.csv"]
 
 
+@pytest.mark.parametrize("made", ["mkdir", "open"])
+def test_interrupted_the_moment_something_stands(
+    here: Path, monkeypatch: pytest.MonkeyPatch, made: str
+) -> None:
+    """The system had made the folder, or the file, and the signal came before it was noted."""
+    real = getattr(Path, made)
+
+    def interrupt(path: Path, *arguments: Any, **options: Any) -> Any:
+        done = real(path, *arguments, **options)
+        if path.name.startswith(".orthoglide-"):
+            raise KeyboardInterrupt
+        return done
+
+    monkeypatch.setattr(Path, made, interrupt)
+    command = (
+        ["identify", "experiment2.csv", "--out", "out"]
+        if made == "mkdir"
+        else ["design", "--out", "sheet.csv"]
+    )
+    assert run(*command).exit_code == 130
+    assert os.listdir(here) == ["experiment2.csv"]
+
+
 @pytest.mark.parametrize("delay", [0.2, 0.8, 1.1])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_from_outside(here: Path, sent: signal.Signals, delay: float) -> None:

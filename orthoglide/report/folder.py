@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 
 from orthoglide.errors import FileError
-from orthoglide.files import Commit, writing
+from orthoglide.files import Commit, waiting_name, writing
 from orthoglide.text import shown
 
 _REPORT = {
@@ -86,15 +85,15 @@ def write_folder(
     """
     target = check_folder(out, overwrite)
     with writing(out):
-        made = Path(tempfile.mkdtemp(prefix=".orthoglide-", dir=target.parent))
+        made = waiting_name(target)
         try:
+            made.mkdir()
             for name, content in files.items():
                 if ".." in Path(name).parts or Path(name).is_absolute():
                     raise FileError("is no place within the folder", file=shown(name))
                 path = made / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)
-            made.chmod(0o755)  # a temporary folder is its owner's alone
             with commit():
                 _put(made, target, overwrite)
         except BaseException:
