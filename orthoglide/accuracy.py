@@ -48,19 +48,12 @@ def without_place(field: Array) -> Array:
 
 @dataclass(frozen=True, repr=False)
 class Map:
-    """The predicted TCP over a set of commands.
+    """The predicted TCP over a set of commands."""
 
-    Attributes:
-        commands: ``(g, 3)``, metres.
-        nominal: TCP of the machine without errors ``(g, 3)``.
-        p: TCP of the calibrated machine ``(g, 3)``.
-        sigma: standard deviation of each coordinate ``(g, 3)``, best translation removed.
-    """
-
-    commands: Array
-    nominal: Array
-    p: Array
-    sigma: Array
+    commands: Array  # (g, 3), metres
+    nominal: Array  # TCP of the machine without errors (g, 3)
+    p: Array  # TCP of the calibrated machine (g, 3)
+    sigma: Array  # standard deviation of each coordinate (g, 3), best translation removed
 
     @property
     def error(self) -> Array:
@@ -119,19 +112,12 @@ def mean_length(covariance: Array) -> float:
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """Mean distance of the TCP from where it is wanted over the workspace, metres.
+    """Mean distance of the TCP from where it is wanted over the workspace, metres."""
 
-    Attributes:
-        shape: after the best translation.
-        shape_sigma: standard deviation of that.
-        place: length of the translation.
-        place_sigma: standard deviation of that.
-    """
-
-    shape: float
-    shape_sigma: float
-    place: float
-    place_sigma: float
+    shape: float  # after the best translation
+    shape_sigma: float  # standard deviation of that
+    place: float  # length of the translation
+    place_sigma: float  # standard deviation of that
 
     def as_dict(self) -> dict[str, float]:
         """For JSON, millimetres."""

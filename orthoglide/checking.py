@@ -42,25 +42,15 @@ ten parameters, one false in forty."""
 
 @dataclass(frozen=True)
 class Difference:
-    """One parameter in both states, each from its own readings, SI.
+    """One parameter in both states, each from its own readings, SI."""
 
-    Attributes:
-        parameter: its name.
-        before: value in the old state.
-        after: value in the new one.
-        sigma: standard deviation of the difference.
-        unit: of files.
-        changed: whether the difference is beyond what the readings leave open.
-        others: what else may have changed instead, in brackets, or empty.
-    """
-
-    parameter: Parameter
-    before: float
-    after: float
-    sigma: float
-    unit: Unit
-    changed: bool
-    others: str = ""
+    parameter: Parameter  # its name
+    before: float  # value in the old state
+    after: float  # value in the new one
+    sigma: float  # standard deviation of the difference
+    unit: Unit  # of files
+    changed: bool  # whether the difference is beyond what the readings leave open
+    others: str = ""  # what else may have changed instead, in brackets, or empty
 
     @property
     def cells(self) -> tuple[str, ...]:

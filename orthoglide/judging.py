@@ -20,19 +20,13 @@ from orthoglide.prediction import Conditions
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Readings of another campaign, predicted without those scored.
+    """Readings of another campaign, predicted without those scored."""
 
-    Attributes:
-        before_rms: of lengths by the base model, metres; nan where none was read.
-        after_rms: by the extended model.
-        before_turn_rms: of inclinations by the base model, radians; nan where none was read.
-        after_turn_rms: by the extended model.
-    """
-
-    before_rms: float
-    after_rms: float
+    before_rms: float  # of lengths by the base model, metres; nan where none was read
+    after_rms: float  # by the extended model
+    # of inclinations by the base model, radians; nan where none was read
     before_turn_rms: float = float("nan")
-    after_turn_rms: float = float("nan")
+    after_turn_rms: float = float("nan")  # by the extended model
 
     @property
     def before(self) -> ByUnit:
@@ -97,19 +91,12 @@ def _left_out(
 
 @dataclass(frozen=True)
 class TcpErrors:
-    """Errors of three machines at measured points, metres: mean and largest distance.
+    """Errors of three machines at measured points, metres: mean and largest distance."""
 
-    Attributes:
-        nominal: of the machine without errors.
-        before: of the base model.
-        after: of the extended model.
-        inside: share of the coordinates within the 95 % interval stated for ``after``; nan where
-            none is.
-    """
-
-    nominal: tuple[float, float]
-    before: tuple[float, float]
-    after: tuple[float, float]
+    nominal: tuple[float, float]  # of the machine without errors
+    before: tuple[float, float]  # of the base model
+    after: tuple[float, float]  # of the extended model
+    # share of the coordinates within the 95 % interval stated for `after`; nan where none is
     inside: float = float("nan")
 
 

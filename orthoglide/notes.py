@@ -6,15 +6,10 @@ from typing import Any
 
 
 class Note(str):
-    """A sentence for people that programs can tell from others.
+    """A sentence for people that programs can tell from others."""
 
-    Attributes:
-        kind: what it is about, one word.
-        lines: lines of the file in question, where it is about lines.
-    """
-
-    kind: str
-    lines: tuple[int, ...]
+    kind: str  # what it is about, one word
+    lines: tuple[int, ...]  # lines of the file in question, where it is about lines
 
     def __new__(cls, text: str, kind: str, lines: tuple[int, ...] = ()) -> Note:
         """A sentence of a kind."""

@@ -75,15 +75,10 @@ def told_apart(was: float, now: float) -> tuple[str, str]:
 
 
 class ByUnit(NamedTuple):
-    """One figure of readings, of lengths and of inclinations apart: the two never add up.
+    """One figure of readings, of lengths and of inclinations apart: the two never add up."""
 
-    Attributes:
-        length: metres; nan where no length was read.
-        turn: radians; nan where no inclination was read.
-    """
-
-    length: float
-    turn: float
+    length: float  # metres; nan where no length was read
+    turn: float  # radians; nan where no inclination was read
 
     @property
     def shown(self) -> dict[str, float]:

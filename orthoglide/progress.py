@@ -29,17 +29,11 @@ _STAGES: Mapping[Stage, tuple[str, int]] = {
 
 @dataclass(frozen=True)
 class Step:
-    """What begins now.
+    """What begins now."""
 
-    Attributes:
-        stage: of the whole; stages may come again.
-        detail: which of many, such as the name of a candidate.
-        done: per cent of the whole that is done, where it is counted.
-    """
-
-    stage: Stage
-    detail: str = ""
-    done: float | None = None
+    stage: Stage  # of the whole; stages may come again
+    detail: str = ""  # which of many, such as the name of a candidate
+    done: float | None = None  # per cent of the whole that is done, where it is counted
 
     def __str__(self) -> str:
         return f"{_STAGES[self.stage][0]} {self.detail}".strip()

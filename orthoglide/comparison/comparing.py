@@ -32,22 +32,15 @@ class Circumstances:
     The workspace is visited twice: cold, at time zero, every axis arriving in the + direction;
     then warm, at the end, every axis arriving in the - direction. Six constants must do for both.
     Where the machine file gives a stiffness, the load deforms the machine too.
-
-    Attributes:
-        points: of the workspace along each axis.
-        warming: kelvin from the first visit to the second, and over the campaign.
-        duration: seconds from the first visit to the second; the campaign's is its protocol's.
-        load: newtons at the TCP along base -z, always.
-        pitch: of the screws, metres, where the machine file names none.
-        kind: protocol of the campaign.
     """
 
-    points: int = 7
-    warming: float = 5.0
+    points: int = 7  # of the workspace along each axis
+    warming: float = 5.0  # kelvin from the first visit to the second, and over the campaign
+    # seconds from the first visit to the second; the campaign's is its protocol's
     duration: float = 3600.0
-    load: float = 10.0
-    pitch: float = 0.016
-    kind: Kind = "sweep"
+    load: float = 10.0  # newtons at the TCP along base -z, always
+    pitch: float = 0.016  # of the screws, metres, where the machine file names none
+    kind: Kind = "sweep"  # protocol of the campaign
 
     def twice(self, rho: Array) -> Conditions:
         """Conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
@@ -295,17 +288,11 @@ def compare_machine(
 
 @dataclass(frozen=True)
 class Slice:
-    """Difference at the TCP after the fit, on one plane through mechanical zero.
+    """Difference at the TCP after the fit, on one plane through mechanical zero."""
 
-    Attributes:
-        normal: base axis across the plane, 0, 1 or 2.
-        p: points ``(n, m, 3)``, metres, the other two axes in their order along rows and columns.
-        difference: the larger of the two visits' ``(n, m)``, metres; nan outside the workspace.
-    """
-
-    normal: int
-    p: Array
-    difference: Array
+    normal: int  # base axis across the plane, 0, 1 or 2
+    p: Array  # points (n, m, 3), metres, the other two axes in their order along rows and columns
+    difference: Array  # the larger of the two visits' (n, m), metres; nan outside the workspace
 
 
 def slices(

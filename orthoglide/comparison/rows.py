@@ -21,56 +21,35 @@ SAME = 1e-9
 
 @dataclass(frozen=True)
 class Difference:
-    """Distance of two TCPs over the workspace, metres.
+    """Distance of two TCPs over the workspace, metres."""
 
-    Attributes:
-        mean: over all points.
-        max: the largest.
-        where: TCP ``(3,)`` at which it is the largest.
-    """
-
-    mean: float
-    max: float
-    where: tuple[float, float, float]
+    mean: float  # over all points
+    max: float  # the largest
+    where: tuple[float, float, float]  # TCP (3,) at which it is the largest
 
 
 @dataclass(frozen=True)
 class Row:
-    """How far the reduction is from the mechanism with one effect, or with all of a machine.
+    """How far the reduction is from the mechanism with one effect, or with all of a machine."""
 
-    Attributes:
-        name: of the parameter, or ``"machine"``.
-        effect: of the parameter; empty for a machine.
-        unit: in which files show the parameter.
-        value: of the parameter, SI; nan for a machine.
-        nominal: at the TCP, all six parameters of the reduction at zero: what the effect does.
-        translated: the same after the best translation.
-        fitted: with the six parameters fitted to the TCP.
-        identified: with the six fitted to the readings, the machine's tolerances as priors, after
-            the best translation, which leg readings cannot see.
-        six: joint offsets and leg lengths fitted to the TCP, metres.
-        rotation: largest turn of the platform, radians; the reduction's never turns.
-        reading_change: what the effect does to the readings, datums fitted, rms, metres.
-        reading_rms: readings with the six parameters and the datums fitted to them, metres.
-        reading_max: the largest of these. These three and ``identified`` are nan where no dials
-            stand on legs.
-        legs: their names.
-    """
-
-    name: str
-    effect: str
-    unit: Unit
-    value: float
+    name: str  # of the parameter, or `"machine"`
+    effect: str  # of the parameter; empty for a machine
+    unit: Unit  # in which files show the parameter
+    value: float  # of the parameter, SI; nan for a machine
+    # at the TCP, all six parameters of the reduction at zero: what the effect does
     nominal: Difference
-    translated: Difference
-    fitted: Difference
+    translated: Difference  # the same after the best translation
+    fitted: Difference  # with the six parameters fitted to the TCP
+    # with the six fitted to the readings, the machine's tolerances as priors, after the best
+    # translation, which leg readings cannot see
     identified: Difference
-    six: tuple[float, ...]
-    rotation: float
-    reading_change: float
-    reading_rms: float
+    six: tuple[float, ...]  # joint offsets and leg lengths fitted to the TCP, metres
+    rotation: float  # largest turn of the platform, radians; the reduction's never turns
+    reading_change: float  # what the effect does to the readings, datums fitted, rms, metres
+    reading_rms: float  # readings with the six parameters and the datums fitted to them, metres
+    # the largest of these. These three and `identified` are nan where no dials stand on legs.
     reading_max: float
-    legs: tuple[str, str, str] = LEGS
+    legs: tuple[str, str, str] = LEGS  # their names
 
     @property
     def read(self) -> bool:

@@ -16,29 +16,20 @@ Shown = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ZeroCheck:
-    """One dial of the standard protocol, read at Zero and at one other posture.
+    """One dial of the standard protocol, read at Zero and at one other posture."""
 
-    Attributes:
-        drive: whose zero is checked.
-        setup: of the dial in the standard protocol, its ``touched`` leg, direction, and place
-            along the leg in metres.
-        posture: the other posture, ``"max"`` or ``"min"``.
-        at_zero: what the controller shows at Zero once the new zeros are entered, metres.
-        at_posture: the same at the other posture.
-        right: reading there less reading at Zero, with all zeros as they should be, metres.
-        wrong: the same with this drive's zero moved the wrong way.
-    """
-
-    drive: str
+    drive: str  # whose zero is checked
+    # of the dial in the standard protocol, its `touched` leg, direction, and place along the leg in
+    # metres
     setup: str
     touched: str
     direction: str
     gauge: float
-    posture: str
-    at_zero: Shown
-    at_posture: Shown
-    right: float
-    wrong: float
+    posture: str  # the other posture, `"max"` or `"min"`
+    at_zero: Shown  # what the controller shows at Zero once the new zeros are entered, metres
+    at_posture: Shown  # the same at the other posture
+    right: float  # reading there less reading at Zero, with all zeros as they should be, metres
+    wrong: float  # the same with this drive's zero moved the wrong way
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, millimetres."""

@@ -19,19 +19,12 @@ from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_ro
 
 @dataclass(frozen=True, eq=False)
 class PathPoints:
-    """A path as it was read.
+    """A path as it was read."""
 
-    Attributes:
-        p: TCP points ``(n, 3)``, metres, in the order of the rows.
-        line: line of each in the file ``(n,)``, header line 1.
-        file: its name as the caller gave it.
-        warnings: what was noticed and is no error.
-    """
-
-    p: Array
-    line: tuple[int, ...]
-    file: str
-    warnings: tuple[str, ...]
+    p: Array  # TCP points (n, 3), metres, in the order of the rows
+    line: tuple[int, ...]  # line of each in the file (n,), header line 1
+    file: str  # its name as the caller gave it
+    warnings: tuple[str, ...]  # what was noticed and is no error
 
 
 def read_path(path: str | os.PathLike[str]) -> PathPoints:

@@ -16,14 +16,10 @@ _LACKING = (
 
 @dataclass(frozen=True)
 class FirmwareNumbers:
-    """What a firmware takes in the place of zeros.
+    """What a firmware takes in the place of zeros."""
 
-    Attributes:
-        old: its present numbers.
-        found: old and new; ``None`` where the machine keeps no readings of the plate.
-    """
-
-    old: Firmware
+    old: Firmware  # its present numbers
+    # old and new; `None` where the machine keeps no readings of the plate
     found: Corrections | None
 
     @property

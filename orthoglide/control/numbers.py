@@ -38,26 +38,16 @@ class DriveNumbers:
 
     The carriage stands at ``s = (1 + scale) c + offset`` from mechanical zero where the controller
     commands ``c = sign (shown - zero)``; with lost motion B, ``B/2`` behind the last move.
-
-    Attributes:
-        leg: its name.
-        sign: +1 where the controller counts away from the origin, else -1.
-        zero: what it showed at mechanical zero as the machine file says, metres.
-        offset: joint offset, or of zeros alone what they make up for best, metres.
-        scale: relative scale error.
-        backlash: lost motion, metres.
-        bar_length: mean length of the leg's bars, metres.
-        alone: whether the controller takes zeros and nothing else.
     """
 
-    leg: str
-    sign: int
-    zero: float
-    offset: float
-    scale: float
-    backlash: float
-    bar_length: float
-    alone: bool = False
+    leg: str  # its name
+    sign: int  # +1 where the controller counts away from the origin, else -1
+    zero: float  # what it showed at mechanical zero as the machine file says, metres
+    offset: float  # joint offset, or of zeros alone what they make up for best, metres
+    scale: float  # relative scale error
+    backlash: float  # lost motion, metres
+    bar_length: float  # mean length of the leg's bars, metres
+    alone: bool = False  # whether the controller takes zeros and nothing else
 
     @property
     def new_zero(self) -> float:

@@ -57,29 +57,20 @@ MEANINGS = ("sign", "unit", "label", "exchanged_labels")
 
 @dataclass(frozen=True)
 class Blunder:
-    """A fault of the data.
+    """A fault of the data."""
 
-    Attributes:
-        kind: outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, unit, stuck
-            or scatter.
-        rows: campaign and row within it; of a knocked stand the rows after the knock, of dials set
-            to zero anew at each repeat those after the first.
-        setups: names of the setups concerned.
-        message: which file, which lines, what it looks like, what to do.
-        improvement: fall of chi2 once it is known, the faults found before it set aside.
-        rms_with: of the residuals with it, metres.
-        rms_without: of the residuals without it, metres.
-        commands: of a wrong command the drives that it may be of, the likeliest first, and how
-            much more each was told than is written, metres.
-    """
-
+    # outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, unit, stuck or scatter
     kind: Kind
+    # campaign and row within it; of a knocked stand the rows after the knock, of dials set to zero
+    # anew at each repeat those after the first
     rows: tuple[tuple[int, int], ...]
-    setups: tuple[str, ...]
-    message: str
-    improvement: float
-    rms_with: float
-    rms_without: float
+    setups: tuple[str, ...]  # names of the setups concerned
+    message: str  # which file, which lines, what it looks like, what to do
+    improvement: float  # fall of chi2 once it is known, the faults found before it set aside
+    rms_with: float  # of the residuals with it, metres
+    rms_without: float  # of the residuals without it, metres
+    # of a wrong command the drives that it may be of, the likeliest first, and how much more each
+    # was told than is written, metres
     commands: tuple[tuple[int, float], ...] = ()
 
     @property
@@ -98,14 +89,11 @@ class Blunder:
 
 @dataclass(frozen=True)
 class Findings:
-    """What is wrong with readings before any cause is looked for.
+    """What is wrong with readings before any cause is looked for."""
 
-    Attributes:
-        blunders: stuck dials first, then outliers and knocks that repeats show, then the rest.
-        changes: parameters of the machine that changed between campaigns, values included.
-    """
-
+    # stuck dials first, then outliers and knocks that repeats show, then the rest
     blunders: tuple[Blunder, ...]
+    # parameters of the machine that changed between campaigns, values included
     changes: tuple[Change, ...]
 
 

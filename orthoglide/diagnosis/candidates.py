@@ -14,18 +14,12 @@ from orthoglide.parameters import Parameter
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may be added to the model.
+    """A cause that may be added to the model."""
 
-    Attributes:
-        name: ``axis_tilt.y.z``, ``axis_tilt.cyclic``, an effect's own, or ``screw_error.x``.
-        effect: name of its effect.
-        parameters: what is freed if it is added, as ``with_free`` takes it.
-        weights: of the elementary unknowns, one mapping for each of ``parameters``.
-    """
-
-    name: str
-    effect: str
-    parameters: tuple[Parameter, ...]
+    name: str  # `axis_tilt.y.z`, `axis_tilt.cyclic`, an effect's own, or `screw_error.x`
+    effect: str  # name of its effect
+    parameters: tuple[Parameter, ...]  # what is freed if it is added, as `with_free` takes it
+    # of the elementary unknowns, one mapping for each of `parameters`
     weights: tuple[Mapping[str, float], ...]
 
     @property

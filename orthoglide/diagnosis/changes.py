@@ -44,15 +44,10 @@ def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
 
 @dataclass(frozen=True)
 class Changes:
-    """What changed between campaigns.
+    """What changed between campaigns."""
 
-    Attributes:
-        changes: by how much, the most decisive first.
-        found: what they were told from.
-    """
-
-    changes: tuple[Change, ...]
-    found: Changed
+    changes: tuple[Change, ...]  # by how much, the most decisive first
+    found: Changed  # what they were told from
 
 
 def likeliest_changes(means: StationMeans) -> Changes | None:

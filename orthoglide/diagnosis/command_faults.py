@@ -43,19 +43,12 @@ _APART = 3.0  # log Bayes factor from which one drive is likelier than another
 
 @dataclass(frozen=True)
 class _Scores:
-    """All postures ``H`` and drives at one fit.
+    """All postures ``H`` and drives at one fit."""
 
-    Attributes:
-        posture: of each reading ``(n,)``.
-        square: of a metre in the station means, past the fit ``(H, 3)``.
-        along: of this in the residual ``(H, 3)``.
-        left: share of its square that the fit does not imitate ``(H, 3)``.
-    """
-
-    posture: Rows
-    square: Array
-    along: Array
-    left: Array
+    posture: Rows  # of each reading (n,)
+    square: Array  # of a metre in the station means, past the fit (H, 3)
+    along: Array  # of this in the residual (H, 3)
+    left: Array  # share of its square that the fit does not imitate (H, 3)
 
     @classmethod
     def of(cls, means: StationMeans, posture: Rows) -> _Scores:

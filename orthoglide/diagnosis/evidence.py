@@ -22,19 +22,13 @@ from orthoglide.geometry import Array
 
 @dataclass(frozen=True)
 class Scoring:
-    """Candidates prepared for many residuals at once.
+    """Candidates prepared for many residuals at once."""
 
-    Attributes:
-        candidates: ``C`` of them.
-        basis: for each, orthonormal columns ``(m, size)`` of its signature.
-        shrink: for each, what the prior leaves of the squared length along them ``(size,)``.
-        occam: for each, log det(S^T S + 1).
-    """
-
-    candidates: tuple[Candidate, ...]
-    basis: tuple[Array, ...]
+    candidates: tuple[Candidate, ...]  # `C` of them
+    basis: tuple[Array, ...]  # for each, orthonormal columns (m, size) of its signature
+    # for each, what the prior leaves of the squared length along them (size,)
     shrink: tuple[Array, ...]
-    occam: Array
+    occam: Array  # for each, log det(S^T S + 1)
 
     @classmethod
     def of(cls, signatures: Signatures, chosen: Sequence[Candidate]) -> Scoring:
@@ -71,15 +65,10 @@ def _decomposed(signature: Array) -> tuple[Array, Array, float]:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two causes that act together.
+    """Two causes that act together."""
 
-    Attributes:
-        members: places of the candidates.
-        evidence: log Bayes factor of both against none, linearised.
-    """
-
-    members: tuple[int, int]
-    evidence: float
+    members: tuple[int, int]  # places of the candidates
+    evidence: float  # log Bayes factor of both against none, linearised
 
 
 def best_pairs(scoring: Scoring, residuals: Array) -> tuple[Pair, ...]:

@@ -35,29 +35,20 @@ _SHOWN = 12  # lines that a message lists one by one
 
 @dataclass(frozen=True)
 class Fault:
-    """A hypothesis about the data.
+    """A hypothesis about the data."""
 
-    Attributes:
-        kind: of the fault.
-        rows: stacked readings that are spoilt, in the order they were taken; for a knocked stand
-            those after the knock, of dials set to zero anew those after the first repeat.
-        setups: numbered over all campaigns.
-        size: of an outlier or a knock, metres; a unit's factor.
-        sizes: of dials set to zero anew, each of :func:`datums` less that of the first repeat,
-            metres.
-        evidence: log Bayes factor in its favour, the number of its like discounted.
-        label: of a wrong label the leg and axis that fit.
-        commands: of a wrong command the drives that it may be of, the likeliest first, and how
-            much more each was told than is written, metres.
-    """
-
-    kind: Kind
+    kind: Kind  # of the fault
+    # stacked readings that are spoilt, in the order they were taken; for a knocked stand those
+    # after the knock, of dials set to zero anew those after the first repeat
     rows: Rows
-    setups: tuple[int, ...]
-    size: float = 0.0
-    evidence: float = 0.0
-    label: tuple[int, int] = (0, 0)
+    setups: tuple[int, ...]  # numbered over all campaigns
+    size: float = 0.0  # of an outlier or a knock, metres; a unit's factor
+    evidence: float = 0.0  # log Bayes factor in its favour, the number of its like discounted
+    label: tuple[int, int] = (0, 0)  # of a wrong label the leg and axis that fit
+    # of a wrong command the drives that it may be of, the likeliest first, and how much more each
+    # was told than is written, metres
     commands: tuple[tuple[int, float], ...] = ()
+    # of dials set to zero anew, each of `datums` less that of the first repeat, metres
     sizes: tuple[float, ...] = ()
 
     @property

@@ -26,16 +26,11 @@ _FACTOR = 0.15  # relative error of a fault's factor that the readings themselve
 
 @dataclass(frozen=True)
 class Misreading:
-    """A hypothesis that readings of whole setups mean something else.
+    """A hypothesis that readings of whole setups mean something else."""
 
-    Attributes:
-        fault: without evidence.
-        change: what the residual changes by once it is put right, ``(n,)`` metres.
-        labels: setups by number as they should be labelled; none where the readings are changed.
-    """
-
-    fault: Fault
-    change: Array
+    fault: Fault  # without evidence
+    change: Array  # what the residual changes by once it is put right, (n,) metres
+    # setups by number as they should be labelled; none where the readings are changed
     labels: Mapping[int, Setup] = field(default_factory=dict)
 
     def corrected(self, problem: Problem) -> Problem:

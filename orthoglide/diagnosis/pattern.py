@@ -65,13 +65,9 @@ def _f_test(k: Array | float, degrees: Array | float, ratio: Array | float) -> A
 
 @dataclass(frozen=True)
 class _Rest:
-    """What a fit leaves, whitened and past what was fitted.
+    """What a fit leaves, whitened and past what was fitted."""
 
-    Attributes:
-        estimate: the fit.
-    """
-
-    estimate: Estimate
+    estimate: Estimate  # the fit
 
     @property
     def problem(self) -> Problem:

@@ -126,21 +126,13 @@ _Place = tuple[Kind | Literal["trend", "anew"], int]
 
 @dataclass(frozen=True)
 class Slips:
-    """A search for slips in one setup.
+    """A search for slips in one setup."""
 
-    Attributes:
-        scatter: of the setup.
-        scale: squared scatter of all readings, whitened.
-        step: of the instrument, metres or radians.
-        count: of readings, any of which may have slipped.
-        habit: whether most dials of the campaign were set to zero anew at each repeat.
-    """
-
-    scatter: Scatter
-    scale: float
-    step: float
-    count: int
-    habit: bool = False
+    scatter: Scatter  # of the setup
+    scale: float  # squared scatter of all readings, whitened
+    step: float  # of the instrument, metres or radians
+    count: int  # of readings, any of which may have slipped
+    habit: bool = False  # whether most dials of the campaign were set to zero anew at each repeat
 
     def columns(self, item: _Place) -> Array:
         """What it would show of the setup's readings ``(k, c)``."""

@@ -22,27 +22,16 @@ _PLACES = 3  # at which most is left
 
 @dataclass(frozen=True, eq=False)
 class SetupRest:
-    """What a fit leaves of one mounting of a dial.
+    """What a fit leaves of one mounting of a dial."""
 
-    Attributes:
-        setup: its name.
-        leg: 0, 1 or 2: that it touches.
-        axis: 0, 1 or 2: base axis along which it reads.
-        share: of everything left, in squares of the noise.
-        rms: root mean square of it, metres.
-        most: largest mean over one station along +axis, metres, with its sign.
-        command: at that station ``(3,)``, metres.
-        posture: label of that station; may be empty.
-    """
-
-    setup: str
-    leg: int
-    axis: int
-    share: float
-    rms: float
-    most: float
-    command: Array
-    posture: str
+    setup: str  # its name
+    leg: int  # 0, 1 or 2: that it touches
+    axis: int  # 0, 1 or 2: base axis along which it reads
+    share: float  # of everything left, in squares of the noise
+    rms: float  # root mean square of it, metres
+    most: float  # largest mean over one station along +axis, metres, with its sign
+    command: Array  # at that station (3,), metres
+    posture: str  # label of that station; may be empty
 
 
 def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
@@ -75,26 +64,16 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
 
 @dataclass(frozen=True, eq=False)
 class ToolRest:
-    """What a fit leaves of one mounting of an instrument at the tool, along one axis if it has any.
+    """What a fit leaves of one mounting of an instrument at the tool, along its axis if any."""
 
-    Attributes:
-        setup: its name.
-        reads: what is read, in words.
-        unit: in which people read it.
-        share: of everything left, in squares of the noise.
-        rms: root mean square of it, metres or radians.
-        most: largest mean over one station along +axis, with its sign.
-        posture: label of that station; may be empty.
-        where: places of the nominal tool at which most is left, most first, in millimetres.
-    """
-
-    setup: str
-    reads: str
-    unit: str
-    share: float
-    rms: float
-    most: float
-    posture: str
+    setup: str  # its name
+    reads: str  # what is read, in words
+    unit: str  # in which people read it
+    share: float  # of everything left, in squares of the noise
+    rms: float  # root mean square of it, metres or radians
+    most: float  # largest mean over one station along +axis, with its sign
+    posture: str  # label of that station; may be empty
+    # places of the nominal tool at which most is left, most first, in millimetres
     where: tuple[str, ...]
 
 

@@ -29,29 +29,17 @@ _PRIOR_DOF = 10.0  # weight of the noise of all setups against the scatter withi
 
 @dataclass(frozen=True)
 class Scatter:
-    """A setup's readings about their stations' means, whitened, in the order they were taken.
+    """A setup's readings about their stations' means, whitened, in the order they were taken."""
 
-    Attributes:
-        setup: numbered over all campaigns.
-        rows: stacked ``(k,)``.
-        weight: 1 / sigma ``(k,)``.
-        station: of each ``(k,)``, numbered within the setup.
-        repeat: of each ``(k,)``, as the campaign numbers them.
-        read: whitened readings less the fit ``(k,)``.
-        trend: whitened powers of time 1 to 3 ``(k, 3)``.
-        fitted: whitened residuals of the fit to all readings ``(k,)``.
-        found: orthonormal columns of what was found already, past the means ``(k, q)``.
-    """
-
-    setup: int
-    rows: Rows
-    weight: Array
-    station: Rows
-    repeat: Rows
-    read: Array
-    trend: Array
-    fitted: Array
-    found: Array
+    setup: int  # numbered over all campaigns
+    rows: Rows  # stacked (k,)
+    weight: Array  # 1 / sigma (k,)
+    station: Rows  # of each (k,), numbered within the setup
+    repeat: Rows  # of each (k,), as the campaign numbers them
+    read: Array  # whitened readings less the fit (k,)
+    trend: Array  # whitened powers of time 1 to 3 (k, 3)
+    fitted: Array  # whitened residuals of the fit to all readings (k,)
+    found: Array  # orthonormal columns of what was found already, past the means (k, q)
 
     @classmethod
     def of(cls, estimate: Estimate, setup: int) -> Scatter:

@@ -23,25 +23,16 @@ class Signatures:
 
     All vectors are whitened by the noise and projected past datums, placements and everything the
     fit has freed, with its priors: rows are the augmented readings ``(m,)``.
-
-    Attributes:
-        estimate: the fit around which effects are linearised.
-        names: elementary unknowns beyond the fit ``(E,)``.
-        tolerance: of these ``(E,)``, SI.
-        columns: signatures ``(m, E)``, a unit of SI.
-        residual: what the fit leaves ``(m,)``.
-        fitted: orthonormal columns of what is projected out ``(m, q)``.
-        candidates: all that are made of these.
-        invisible: names that these readings cannot show, whatever their size within reason.
     """
 
-    estimate: Estimate
-    names: tuple[str, ...]
-    tolerance: Array
-    columns: Array
-    residual: Array
-    fitted: Array
-    candidates: tuple[Candidate, ...]
+    estimate: Estimate  # the fit around which effects are linearised
+    names: tuple[str, ...]  # elementary unknowns beyond the fit (E,)
+    tolerance: Array  # of these (E,), SI
+    columns: Array  # signatures (m, E), a unit of SI
+    residual: Array  # what the fit leaves (m,)
+    fitted: Array  # orthonormal columns of what is projected out (m, q)
+    candidates: tuple[Candidate, ...]  # all that are made of these
+    # names that these readings cannot show, whatever their size within reason
     invisible: tuple[Parameter, ...]
 
     @property

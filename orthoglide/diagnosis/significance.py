@@ -25,19 +25,14 @@ BACKGROUND = 0.02
 
 @dataclass(frozen=True)
 class Left:
-    """Whether a fit leaves anything beyond the noise, whatever its shape.
+    """Whether a fit leaves anything beyond the noise, whatever its shape."""
 
-    Attributes:
-        p_value: of as much being left by noise alone.
-        rare: probability that the machine is beyond its tolerances altogether, or that stations
-            have errors without structure.
-        shaped: ``p_value`` where probed plates may have shapes that no effect names.
-        untold: ``p_value`` where what may stand out counts that is not likely enough to be told.
-    """
-
-    p_value: float
+    p_value: float  # of as much being left by noise alone
+    # probability that the machine is beyond its tolerances altogether, or that stations have errors
+    # without structure
     rare: float = 0.0
-    shaped: float = 0.0
+    shaped: float = 0.0  # `p_value` where probed plates may have shapes that no effect names
+    # `p_value` where what may stand out counts that is not likely enough to be told
     untold: float = 0.0
 
 

@@ -33,17 +33,11 @@ def orthonormal(columns: Array) -> Array:
 
 @dataclass(frozen=True)
 class Explained:
-    """A residual with the effects that explain it best.
+    """A residual with the effects that explain it best."""
 
-    Attributes:
-        score: log evidence but for a constant.
-        left: chi2 of the station means past the effects.
-        places: of the effects among the candidates.
-    """
-
-    score: float
-    left: float
-    places: tuple[int, ...]
+    score: float  # log evidence but for a constant
+    left: float  # chi2 of the station means past the effects
+    places: tuple[int, ...]  # of the effects among the candidates
 
 
 @dataclass(frozen=True)
@@ -53,20 +47,13 @@ class StationMeans:
     Vectors ``(g,)`` have a place for each of ``G`` stations and for what is known before. What the
     fit explains is projected out as ``x - left (right^T x)``, so that nothing of stations times
     readings is ever held.
-
-    Attributes:
-        signatures: with ``columns`` ``(g, E)`` and ``residual`` ``(g,)`` as station means.
-        seen: stations with a reading that counts ``(G,)``.
-        left: ``(g, q)``.
-        right: ``(g, q)``.
-        dof: what noise alone makes of the residual's square.
     """
 
-    signatures: Signatures
-    seen: NDArray[np.bool_]
-    left: Array
-    right: Array
-    dof: float
+    signatures: Signatures  # with `columns` (g, E) and `residual` (g,) as station means
+    seen: NDArray[np.bool_]  # stations with a reading that counts (G,)
+    left: Array  # (g, q)
+    right: Array  # (g, q)
+    dof: float  # what noise alone makes of the residual's square
 
     @classmethod
     def of(cls, signatures: Signatures, known: Sequence[Fault] = ()) -> StationMeans:

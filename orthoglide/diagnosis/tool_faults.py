@@ -60,21 +60,13 @@ def check_repeats(estimate: Estimate) -> None:
 
 @dataclass(frozen=True)
 class _Setup:
-    """Readings of one setup, ``m`` of the ``n`` of a file.
+    """Readings of one setup, ``m`` of the ``n`` of a file."""
 
-    Attributes:
-        factor: the file's.
-        setup: its number.
-        slopes: of the fit ``(n, 4)``.
-        left: of the fit ``(n,)``.
-        own: what the machine file says of the instrument.
-    """
-
-    factor: ToolReadings
-    setup: int
-    slopes: Array
-    left: Array
-    own: Instrument
+    factor: ToolReadings  # the file's
+    setup: int  # its number
+    slopes: Array  # of the fit (n, 4)
+    left: Array  # of the fit (n,)
+    own: Instrument  # what the machine file says of the instrument
 
     def fault(self) -> Iterator[str]:
         """What the repeats contradict, in words, if anything."""

@@ -28,14 +28,10 @@ OWN = (
 
 @dataclass(frozen=True, repr=False)
 class Catalogue(Mapping[str, Effect]):
-    """Effects by name, in the order of tables. Immutable; equal where the effects are.
+    """Effects by name, in the order of tables. Immutable; equal where the effects are."""
 
-    Attributes:
-        effects: one entry a physical cause.
-        legs: names of legs and directions, of the layout that they belong to.
-    """
-
-    effects: tuple[Effect, ...]
+    effects: tuple[Effect, ...]  # one entry a physical cause
+    # names of legs and directions, of the layout that they belong to
     legs: LegNames = Orthoglide.names
 
     def __post_init__(self) -> None:

@@ -22,19 +22,14 @@ _ROOM = 1.25
 
 @dataclass(frozen=True)
 class Kernel:
-    """A Gaussian process of unit variance over [-1, 1].
+    """A Gaussian process of unit variance over [-1, 1]."""
 
-    Attributes:
-        length: correlation length, over half the variable's range.
-        waves: number of eigenfunctions.
-        rough: share of the variance that has steps and corners, Ornstein-Uhlenbeck; the rest is
-            smooth, Matern 3/2.
-        line: whether a straight line is one more function, which eigenfunctions draw badly.
-    """
-
-    length: float
-    waves: int
+    length: float  # correlation length, over half the variable's range
+    waves: int  # number of eigenfunctions
+    # share of the variance that has steps and corners, Ornstein-Uhlenbeck; the rest is smooth,
+    # Matern 3/2
     rough: float = 0.0
+    # whether a straight line is one more function, which eigenfunctions draw badly
     line: bool = False
 
     @property
@@ -75,13 +70,9 @@ class Level:
 
 @dataclass(frozen=True)
 class BuildUp:
-    """What builds up over some lengths after a drive turns round, each for itself.
+    """What builds up over some lengths after a drive turns round, each for itself."""
 
-    Attributes:
-        lengths: over half the stroke.
-    """
-
-    lengths: tuple[float, ...]
+    lengths: tuple[float, ...]  # over half the stroke
 
     @property
     def count(self) -> int:

@@ -14,35 +14,21 @@ SIDES = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b a
 
 @dataclass(frozen=True)
 class LegConditions:
-    """The conditions of one leg when a reading was taken.
+    """The conditions of one leg when a reading was taken."""
 
-    Attributes:
-        command: of the leg's own drive, metres; on the Orthoglide rho (2008, eq. 2).
-        length: nominal bar length L, metres.
-        stroke: travel limits from mechanical zero, metres.
-        pitch: of the drive's screw, metres; ``None`` where unknown.
-        approach: direction of the drive's last move, +1 or -1; 0 where unknown.
-        time: seconds since the campaign began.
-        warming: kelvin above the campaign's first row.
-        force: on the carriage along its own axis under the load, newtons.
-        travel: the carriage's true travel from mechanical zero, metres.
-        zero: the command at mechanical zero, metres.
-        commands: of all drives, metres.
-        built_up: lost motion that builds up over some lengths after the drive turns round, each
-            half its approach after a long way; none where nobody knows.
-    """
-
-    command: Any
-    length: float
-    stroke: tuple[float, float]
-    pitch: float | None
-    approach: Any
-    time: Any
-    warming: Any
-    force: Any
-    travel: Any = None
-    zero: float = 0.0
-    commands: tuple[Any, ...] = ()
+    command: Any  # of the leg's own drive, metres; on the Orthoglide rho (2008, eq. 2).
+    length: float  # nominal bar length L, metres
+    stroke: tuple[float, float]  # travel limits from mechanical zero, metres
+    pitch: float | None  # of the drive's screw, metres; `None` where unknown
+    approach: Any  # direction of the drive's last move, +1 or -1; 0 where unknown
+    time: Any  # seconds since the campaign began
+    warming: Any  # kelvin above the campaign's first row
+    force: Any  # on the carriage along its own axis under the load, newtons
+    travel: Any = None  # the carriage's true travel from mechanical zero, metres
+    zero: float = 0.0  # the command at mechanical zero, metres
+    commands: tuple[Any, ...] = ()  # of all drives, metres
+    # lost motion that builds up over some lengths after the drive turns round, each half its
+    # approach after a long way; none where nobody knows
     built_up: tuple[Any, ...] = ()
 
     @property
@@ -59,17 +45,11 @@ class LegConditions:
 
 @dataclass(frozen=True)
 class DialReading:
-    """A reading on its way from the touched line to the number shown.
+    """A reading on its way from the touched line to the number shown."""
 
-    Attributes:
-        shown: the reading so far, metres.
-        across: the coordinate toward which the dial turns about the leg, with the dial's sign.
-        time: seconds since the campaign began.
-    """
-
-    shown: Any
-    across: Any
-    time: Any
+    shown: Any  # the reading so far, metres
+    across: Any  # the coordinate toward which the dial turns about the leg, with the dial's sign
+    time: Any  # seconds since the campaign began
 
 
 Basis = Callable[[LegConditions], Any]

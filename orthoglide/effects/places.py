@@ -30,35 +30,21 @@ Functions = Kernel | BuildUp | Level
 
 @dataclass(frozen=True)
 class Place:
-    """Where the machine may move as nothing in the catalogue does.
+    """Where the machine may move as nothing in the catalogue does."""
 
-    Attributes:
-        part: of the leg.
-        leg: 0, 1 or 2; -1 of all dials together.
-        joints: virtual joints that move, each with its share.
-        direction: that it moves in or turns about, as a letter of the base; empty for none.
-        against: what it depends on.
-        by: the drive whose command it depends on, with ``against`` ``"command"``.
-        variable: in [-1, 1], of the leg's conditions.
-        kernel: how smooth it is.
-        unit: standard deviation to expect of a place that is wrong, SI.
-        span: first and last of its variable, seconds or metres; ``None``: the stroke.
-        setup: the dial's mounting; empty where it is all of them, or no dial.
-        names: of legs and directions.
-    """
-
-    part: Part
-    leg: int
-    joints: Joints
-    direction: str
-    against: Against
-    by: int
-    variable: Callable[[LegConditions], Any]
-    kernel: Functions
-    unit: float
+    part: Part  # of the leg
+    leg: int  # 0, 1 or 2; -1 of all dials together
+    joints: Joints  # virtual joints that move, each with its share
+    direction: str  # that it moves in or turns about, as a letter of the base; empty for none
+    against: Against  # what it depends on
+    by: int  # the drive whose command it depends on, with `against` `"command"`
+    variable: Callable[[LegConditions], Any]  # in [-1, 1], of the leg's conditions
+    kernel: Functions  # how smooth it is
+    unit: float  # standard deviation to expect of a place that is wrong, SI
+    # first and last of its variable, seconds or metres; `None`: the stroke
     span: Range | None = None
-    setup: str = ""
-    names: LegNames = Orthoglide.names
+    setup: str = ""  # the dial's mounting; empty where it is all of them, or no dial
+    names: LegNames = Orthoglide.names  # of legs and directions
 
     @property
     def name(self) -> str:
@@ -238,17 +224,11 @@ _UM = 1e-6
 
 @dataclass(frozen=True)
 class Session:
-    """The time in which something was measured.
+    """The time in which something was measured."""
 
-    Attributes:
-        start: first second.
-        end: last second.
-        leg: whose dials were read; ``None``: of the whole campaign.
-    """
-
-    start: float
-    end: float
-    leg: int | None = None
+    start: float  # first second
+    end: float  # last second
+    leg: int | None = None  # whose dials were read; `None`: of the whole campaign
 
 
 def places(

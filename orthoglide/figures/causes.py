@@ -65,23 +65,14 @@ def draw_causes(causes: Sequence[Cause]) -> Drawing:
 
 @dataclass(frozen=True)
 class Pattern:
-    """One setup: what is left without a cause, and what each rival makes of it; mm or mrad.
+    """One setup: what is left without a cause, and what each rival makes of it; mm or mrad."""
 
-    Attributes:
-        mounting: the setup.
-        x: by station.
-        side: of the approach of the touched leg's own axis, by station.
-        left: mean of what is left, by station.
-        noise: two sigmas of that mean.
-        curves: what the causes predict, by station.
-    """
-
-    mounting: Mounting
-    x: Array
-    side: Array
-    left: Array
-    noise: Array
-    curves: tuple[Array, ...]
+    mounting: Mounting  # the setup
+    x: Array  # by station
+    side: Array  # of the approach of the touched leg's own axis, by station
+    left: Array  # mean of what is left, by station
+    noise: Array  # two sigmas of that mean
+    curves: tuple[Array, ...]  # what the causes predict, by station
 
     @property
     def sides(self) -> list[float]:

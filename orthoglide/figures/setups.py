@@ -20,25 +20,15 @@ _MOVES = 1e-3  # metres of travel from which a setup is drawn over it
 
 @dataclass(frozen=True)
 class Mounting:
-    """One setup.
+    """One setup."""
 
-    Attributes:
-        name: of the setup, its campaign before it where there are several.
-        title: name, leg and direction.
-        label: of the scale across.
-        rows: of all readings ``(m,)``.
-        x: travel of the touched leg's carriage in millimetres, or place in the file ``(m,)``.
-        side: of the approach of that leg's own axis ``(m,)``.
-        unit: in which people read it.
-    """
-
-    name: str
-    title: str
-    label: str
-    rows: NDArray[np.intp]
-    x: Array
-    side: Array
-    unit: str
+    name: str  # of the setup, its campaign before it where there are several
+    title: str  # name, leg and direction
+    label: str  # of the scale across
+    rows: NDArray[np.intp]  # of all readings (m,)
+    x: Array  # travel of the touched leg's carriage in millimetres, or place in the file (m,)
+    side: Array  # of the approach of that leg's own axis (m,)
+    unit: str  # in which people read it
 
 
 def mountings(problem: Problem) -> Iterator[Mounting]:

@@ -43,22 +43,15 @@ LABEL = -0.195  # of the axes: where the small multiples carry the name of their
 
 @dataclass(frozen=True)
 class Drawing:
-    """One figure.
+    """One figure."""
 
-    Attributes:
-        name: of its file.
-        title: what it shows, in a phrase.
-        svg: the text of its file.
-        panels: places ``(x, y, width, height)`` in units of the SVG that a page may show by
-            themselves, in the order of the axes; empty for a figure that stays whole.
-        axes: how many axes each panel holds.
-    """
-
-    name: str
-    title: str
-    svg: str
+    name: str  # of its file
+    title: str  # what it shows, in a phrase
+    svg: str  # the text of its file
+    # places (x, y, width, height) in units of the SVG that a page may show by themselves, in the
+    # order of the axes; empty for a figure that stays whole
     panels: tuple[tuple[float, float, float, float], ...] = ()
-    axes: int = 1
+    axes: int = 1  # how many axes each panel holds
 
     def _repr_svg_(self) -> str:
         return self.svg

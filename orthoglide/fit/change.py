@@ -22,35 +22,22 @@ SIGNIFICANT = 3.0
 
 @dataclass(frozen=True, repr=False)
 class Change:
-    """A parameter of the machine that is not what it was in an earlier file.
+    """A parameter of the machine that is not what it was in an earlier file."""
 
-    Attributes:
-        parameter: the most probable one.
-        members: all parameters whose change these readings cannot tell from its, itself first.
-        since: name of the first campaign after the change; empty since an earlier calibration.
-        between: files, or names, of the last one before and the first after the change.
-        evidence: log Bayes factor in its favour, the number of its like discounted.
-        catalogue: that the parameters belong to.
-        before: value before the change, SI.
-        after: value after the change, SI.
-        sigma: standard deviation of the difference, SI.
-        sigma_after: standard deviation of the value after the change, SI.
-        sizes: by how much each of ``members`` would have changed, SI.
-        unseen: by how much it may have been off before unseen, a standard deviation, SI.
-    """
-
-    parameter: Parameter
+    parameter: Parameter  # the most probable one
+    # all parameters whose change these readings cannot tell from its, itself first
     members: tuple[Parameter, ...]
-    since: str
+    since: str  # name of the first campaign after the change; empty since an earlier calibration
+    # files, or names, of the last one before and the first after the change
     between: tuple[str, str]
-    evidence: float
-    catalogue: Catalogue
-    before: float = float("nan")
-    after: float = float("nan")
-    sigma: float = float("nan")
-    sigma_after: float = float("nan")
-    sizes: tuple[float, ...] = ()
-    unseen: float = 0.0
+    evidence: float  # log Bayes factor in its favour, the number of its like discounted
+    catalogue: Catalogue  # that the parameters belong to
+    before: float = float("nan")  # value before the change, SI
+    after: float = float("nan")  # value after the change, SI
+    sigma: float = float("nan")  # standard deviation of the difference, SI
+    sigma_after: float = float("nan")  # standard deviation of the value after the change, SI
+    sizes: tuple[float, ...] = ()  # by how much each of `members` would have changed, SI
+    unseen: float = 0.0  # by how much it may have been off before unseen, a standard deviation, SI
 
     def __repr__(self) -> str:
         return f"<Change of {self.parameter}: {self.message}>"

@@ -38,44 +38,27 @@ _LIKELY = -np.log(np.array(WIDTHS) * np.sum(1 / np.array(WIDTHS)))
 
 @dataclass(frozen=True)
 class Found:
-    """What changed, most decisive first.
+    """What changed, most decisive first."""
 
-    Attributes:
-        places: of the hypotheses.
-        evidence: log Bayes factor of each against the set without it ``(k,)``.
-        sizes: of each, in units of its column ``(k,)``.
-        sigmas: of these, the others of the set given only as they are known ``(k,)``.
-        instead: for each, it and the hypotheses that could stand in its place, with their sizes.
-        weight: log odds of the set against no change.
-    """
-
-    places: tuple[int, ...]
-    evidence: Array
-    sizes: Array
-    sigmas: Array
+    places: tuple[int, ...]  # of the hypotheses
+    evidence: Array  # log Bayes factor of each against the set without it (k,)
+    sizes: Array  # of each, in units of its column (k,)
+    sigmas: Array  # of these, the others of the set given only as they are known (k,)
+    # for each, it and the hypotheses that could stand in its place, with their sizes
     instead: tuple[dict[int, float], ...]
-    weight: float
+    weight: float  # log odds of the set against no change
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Columns of what may have changed, past everything else that is open.
+    """Columns of what may have changed, past everything else that is open."""
 
-    Attributes:
-        inner: their products, each at its tolerance ``(c, c)``.
-        met: of these and the residual ``(c,)``.
-        cost: log odds against each ``(c,)``.
-        chi2: square of the residual.
-        dof: what noise alone makes of it.
-        floor: least chi2 a degree of freedom.
-    """
-
-    inner: Array
-    met: Array
-    cost: Array
-    chi2: float
-    dof: float
-    floor: float = 1.0
+    inner: Array  # their products, each at its tolerance (c, c)
+    met: Array  # of these and the residual (c,)
+    cost: Array  # log odds against each (c,)
+    chi2: float  # square of the residual
+    dof: float  # what noise alone makes of it
+    floor: float = 1.0  # least chi2 a degree of freedom
 
     def found(self) -> Found | None:
         """The set of changes that the readings speak for most; ``None`` where for none."""

@@ -30,19 +30,12 @@ _ODDS = 3.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """A parameter that may have changed.
+    """A parameter that may have changed."""
 
-    Attributes:
-        parameter: with the campaign from which it has another value, or none.
-        since: first row after the change.
-        weights: of a tolerance of it, by unknown of the problem, SI.
-        tolerance: SI.
-    """
-
-    parameter: Parameter
-    since: int
-    weights: Mapping[Parameter, float]
-    tolerance: float
+    parameter: Parameter  # with the campaign from which it has another value, or none
+    since: int  # first row after the change
+    weights: Mapping[Parameter, float]  # of a tolerance of it, by unknown of the problem, SI
+    tolerance: float  # SI
 
 
 def may_change(
@@ -69,17 +62,11 @@ def may_change(
 
 @dataclass(frozen=True)
 class Moved:
-    """One change, and what could have changed in its place.
+    """One change, and what could have changed in its place."""
 
-    Attributes:
-        sizes: by how much each would have, SI, the change itself first.
-        sigma: standard deviation of its size, SI.
-        evidence: log Bayes factor in its favour, the others given.
-    """
-
-    sizes: Mapping[Parameter, float]
-    sigma: float
-    evidence: float
+    sizes: Mapping[Parameter, float]  # by how much each would have, SI, the change itself first
+    sigma: float  # standard deviation of its size, SI
+    evidence: float  # log Bayes factor in its favour, the others given
 
     @property
     def parameter(self) -> Parameter:
@@ -89,17 +76,11 @@ class Moved:
 
 @dataclass(frozen=True)
 class Changed:
-    """What changed, all at once.
+    """What changed, all at once."""
 
-    Attributes:
-        moved: the most decisive change first.
-        weight: log odds of all of them against none.
-        about: the readings about the machine that so changed.
-    """
-
-    moved: tuple[Moved, ...]
-    weight: float
-    about: Linear
+    moved: tuple[Moved, ...]  # the most decisive change first
+    weight: float  # log odds of all of them against none
+    about: Linear  # the readings about the machine that so changed
 
 
 def what_changed(
@@ -158,29 +139,17 @@ def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate])
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """The readings about one point, whitened and past datums and placements.
+    """The readings about one point, whitened and past datums and placements."""
 
-    Attributes:
-        problem: what was and what stays.
-        candidates: what may have changed, ``c`` of them.
-        columns: readings by a tolerance of each ``(m, c)``.
-        residual: readings less what is known foretells, unchanged ``(m,)``.
-        open_to: readings by what is known no better, in its standard deviations ``(m, P)``.
-        root: of the covariance of what is known, in tolerances ``(P, P)``.
-        known: its mean, in tolerances ``(P,)``.
-        nuisance: datums and placements.
-        floor: least chi2 a degree of freedom.
-    """
-
-    problem: Problem
-    candidates: Sequence[Candidate]
-    columns: Array
-    residual: Array
-    open_to: Array
-    root: Array
-    known: Array
-    nuisance: Nuisances
-    floor: float
+    problem: Problem  # what was and what stays
+    candidates: Sequence[Candidate]  # what may have changed, `c` of them
+    columns: Array  # readings by a tolerance of each (m, c)
+    residual: Array  # readings less what is known foretells, unchanged (m,)
+    open_to: Array  # readings by what is known no better, in its standard deviations (m, P)
+    root: Array  # of the covariance of what is known, in tolerances (P, P)
+    known: Array  # its mean, in tolerances (P,)
+    nuisance: Nuisances  # datums and placements
+    floor: float  # least chi2 a degree of freedom
 
     @classmethod
     def about(

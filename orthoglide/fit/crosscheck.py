@@ -22,21 +22,15 @@ _SIX = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """How far the independent derivations are apart, metres.
+    """How far the independent derivations are apart, metres."""
 
-    Attributes:
-        reduction: parameters, mechanism against the reduction's nonlinear fit, largest difference.
-        linear: fitted readings, mechanism against system (11), largest difference.
-        linear_bound: what second-order terms allow of ``linear``, root mean square over the noise.
-        linear_size: the same norm of the difference itself.
-        linear_values: parameters that the linear system gives ``(P,)``.
-    """
-
+    # parameters, mechanism against the reduction's nonlinear fit, largest difference
     reduction: float
-    linear: float
+    linear: float  # fitted readings, mechanism against system (11), largest difference
+    # what second-order terms allow of `linear`, root mean square over the noise
     linear_bound: float
-    linear_size: float
-    linear_values: Array
+    linear_size: float  # the same norm of the difference itself
+    linear_values: Array  # parameters that the linear system gives (P,)
 
     @property
     def second_order(self) -> bool:

@@ -45,28 +45,18 @@ follows, to the rows ``(n, K)`` by each."""
 
 @dataclass(frozen=True)
 class Block:
-    """Nuisances of one factor.
+    """Nuisances of one factor."""
 
-    Attributes:
-        columns: derivative of its rows by them ``(n, k)``.
-        sd: standard deviation about zero ``(k,)``; infinite where nothing is known.
-        placement: which of them are where a dial stands ``(k,)``.
-    """
-
-    columns: Array
-    sd: Array
-    placement: NDArray[np.bool_]
+    columns: Array  # derivative of its rows by them (n, k)
+    sd: Array  # standard deviation about zero (k,); infinite where nothing is known
+    placement: NDArray[np.bool_]  # which of them are where a dial stands (k,)
 
 
 @dataclass(frozen=True)
 class OfFile:
-    """Readings of one file, a row each.
+    """Readings of one file, a row each."""
 
-    Attributes:
-        points: the readings.
-    """
-
-    points: Recorded
+    points: Recorded  # the readings
 
     @property
     def name(self) -> str:
@@ -106,14 +96,10 @@ class OfFile:
 
 @dataclass(frozen=True)
 class DialReadings(OfFile):
-    """Readings of dials on the legs: one campaign.
-
-    Attributes:
-        placement: standard deviation of a dial's place along its leg, metres; 0: exact.
-    """
+    """Readings of dials on the legs: one campaign."""
 
     points: Campaign
-    placement: float = 0.0
+    placement: float = 0.0  # standard deviation of a dial's place along its leg, metres; 0: exact
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Mountings of which an instrument's effect has parameters."""
@@ -152,15 +138,11 @@ class DialReadings(OfFile):
 
 @dataclass(frozen=True)
 class TcpReadings:
-    """Coordinates of the TCP by a tracker or a measuring machine, in its own frame.
+    """Coordinates of the TCP by a tracker or a measuring machine, in its own frame."""
 
-    Attributes:
-        points: the points; coordinates that are missing are no rows.
-        frame: how the instrument's frame may differ from the machine's: not at all, by a
-            translation, or by a translation and a small turn.
-    """
-
-    points: TcpPoints
+    points: TcpPoints  # the points; coordinates that are missing are no rows
+    # how the instrument's frame may differ from the machine's: not at all, by a translation, or by
+    # a translation and a small turn
     frame: Frame = "rigid"
 
     @property

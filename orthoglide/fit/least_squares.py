@@ -21,19 +21,12 @@ from orthoglide.geometry import Array
 
 @dataclass(frozen=True, repr=False)
 class Linearised:
-    """Predicted rows around one point.
+    """Predicted rows around one point."""
 
-    Attributes:
-        x: unknowns ``(P,)``, SI.
-        value: rows ``(n,)``, nuisances apart, metres.
-        jacobian: ``(n, P)``.
-        slopes: for each factor, what its nuisances need to know of the pose.
-    """
-
-    x: Array
-    value: Array
-    jacobian: Array
-    slopes: tuple[Array, ...]
+    x: Array  # unknowns (P,), SI
+    value: Array  # rows (n,), nuisances apart, metres
+    jacobian: Array  # (n, P)
+    slopes: tuple[Array, ...]  # for each factor, what its nuisances need to know of the pose
 
 
 def linearise(problem: Problem, x: Array) -> Linearised:
@@ -71,19 +64,12 @@ def whitened(weighing: Weighing, basis: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True, repr=False)
 class Nuisances:
-    """Columns that the rows contain besides the model.
+    """Columns that the rows contain besides the model."""
 
-    Attributes:
-        columns: ``(n, k)``, factor by factor.
-        precision: about zero ``(k,)``: 0 where nothing is known of one.
-        placement: which of them are where a dial stands ``(k,)``.
-        weighing: the noise of the rows.
-    """
-
-    columns: Array
-    precision: Array
-    placement: NDArray[np.bool_]
-    weighing: Weighing
+    columns: Array  # (n, k), factor by factor
+    precision: Array  # about zero (k,): 0 where nothing is known of one
+    placement: NDArray[np.bool_]  # which of them are where a dial stands (k,)
+    weighing: Weighing  # the noise of the rows
 
     @cached_property
     def augmented(self) -> Array:
@@ -149,21 +135,13 @@ def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
 
 @dataclass(frozen=True)
 class Normal:
-    """Projected and whitened problem at one point.
+    """Projected and whitened problem at one point."""
 
-    Attributes:
-        residual: ``(n + k,)``, dimensionless.
-        jacobian: ``(n + k, P)``, a unit of SI.
-        prior: rows of what is known before ``(q, P)``.
-        target: what these should give ``(q,)``.
-        x: ``(P,)``.
-    """
-
-    residual: Array
-    jacobian: Array
-    prior: Array
-    target: Array
-    x: Array
+    residual: Array  # (n + k,), dimensionless
+    jacobian: Array  # (n + k, P), a unit of SI
+    prior: Array  # rows of what is known before (q, P)
+    target: Array  # what these should give (q,)
+    x: Array  # (P,)
 
     @property
     def chi2(self) -> float:

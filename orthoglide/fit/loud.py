@@ -28,19 +28,12 @@ _TIMES = 1.2  # the noise declared: less is not worth a word
 
 @dataclass(frozen=True)
 class _Repeats:
-    """Repeats of a setup, about what the fit explains.
+    """Repeats of a setup, about what the fit explains."""
 
-    Attributes:
-        where: its file and setup, for people.
-        apart: each less the visit before ``(k,)``, metres.
-        sigma: standard deviation of one reading as declared, rounding counted, metres.
-        step: of the dial, metres.
-    """
-
-    where: str
-    apart: Array
-    sigma: float
-    step: float
+    where: str  # its file and setup, for people
+    apart: Array  # each less the visit before (k,), metres
+    sigma: float  # standard deviation of one reading as declared, rounding counted, metres
+    step: float  # of the dial, metres
 
 
 def loud_dials(estimate: Estimate) -> Iterator[Note]:

@@ -45,17 +45,11 @@ _EXPANDED = 64
 
 @dataclass(frozen=True)
 class NlpResult:
-    """What the solver says; to be checked, not believed.
+    """What the solver says; to be checked, not believed."""
 
-    Attributes:
-        x: unknowns ``(P,)``, SI.
-        closure: largest closure residual left, metres or radians.
-        iterations: of IPOPT.
-    """
-
-    x: Array
-    closure: float
-    iterations: int
+    x: Array  # unknowns (P,), SI
+    closure: float  # largest closure residual left, metres or radians
+    iterations: int  # of IPOPT
 
 
 @dataclass(frozen=True)

@@ -37,26 +37,19 @@ FEWEST_REPEATS = 6  # degrees of freedom below which repeats say too little of t
 
 @dataclass(frozen=True, repr=False)
 class Noise:
-    """Standard deviation of every reading.
+    """Standard deviation of every reading."""
 
-    Attributes:
-        sigma: by campaign, each ``(n,)``, metres: what averaging repeats reduces.
-        typical: one figure for a single reading of a length, metres, all counted; radians where
-            nothing but inclinations was read.
-        source: where it comes from.
-        common: by campaign, each ``(n,)``, metres: standard deviation of what a dial rounds away
-            alike at every visit to a station; 0 where the scatter spreads the rounding out.
-        step: by campaign, each ``(n,)``, metres: of every reading's dial.
-        resolution: the commonest of the steps, which ``typical`` counts, metres.
-        dof: degrees of freedom behind ``typical``; infinite where it was not estimated.
-    """
-
-    sigma: tuple[Array, ...]
+    sigma: tuple[Array, ...]  # by campaign, each (n,), metres: what averaging repeats reduces
+    # one figure for a single reading of a length, metres, all counted; radians where nothing but
+    # inclinations was read
     typical: float
-    source: NoiseSource
+    source: NoiseSource  # where it comes from
+    # by campaign, each (n,), metres: standard deviation of what a dial rounds away alike at every
+    # visit to a station; 0 where the scatter spreads the rounding out
     common: tuple[Array, ...]
-    step: tuple[Array, ...]
-    resolution: float
+    step: tuple[Array, ...]  # by campaign, each (n,), metres: of every reading's dial
+    resolution: float  # the commonest of the steps, which `typical` counts, metres
+    # degrees of freedom behind `typical`; infinite where it was not estimated
     dof: float = float("inf")
 
     def of(self, rows: Sequence[NDArray[Any]]) -> Noise:
@@ -70,21 +63,13 @@ class Noise:
 
 @dataclass(frozen=True)
 class _Level:
-    """What one reading scatters by.
+    """What one reading scatters by."""
 
-    Attributes:
-        total: standard deviation, rounding to ``step`` counted, metres.
-        step: of the dials that it was found for, metres.
-        source: where it comes from.
-        dof: degrees of freedom behind it.
-        rows_count: whether ``sigma_mm`` of the rows goes before.
-    """
-
-    total: float
-    step: float
-    source: NoiseSource
-    dof: float = float("inf")
-    rows_count: bool = True
+    total: float  # standard deviation, rounding to `step` counted, metres
+    step: float  # of the dials that it was found for, metres
+    source: NoiseSource  # where it comes from
+    dof: float = float("inf")  # degrees of freedom behind it
+    rows_count: bool = True  # whether `sigma_mm` of the rows goes before
 
     def at(self, step: Array) -> Array:
         """The same of dials of other steps; what is declared is told of every reading."""

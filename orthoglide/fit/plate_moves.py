@@ -27,21 +27,13 @@ _FEWEST = 4  # touches, of which a plane leaves one
 
 @dataclass(frozen=True)
 class PlateMove:
-    """A plate that lies elsewhere than at the visit before, at equal commands.
+    """A plate that lies elsewhere than at the visit before, at equal commands."""
 
-    Attributes:
-        setup: that touched it.
-        higher: by how much its middle is, metres.
-        rise: by how much more its rim is, where it is most, metres.
-        toward: where that is, degrees from x toward y.
-        sigma: of both, from the noise of the touches, metres.
-    """
-
-    setup: str
-    higher: float
-    rise: float
-    toward: float
-    sigma: tuple[float, float]
+    setup: str  # that touched it
+    higher: float  # by how much its middle is, metres
+    rise: float  # by how much more its rim is, where it is most, metres
+    toward: float  # where that is, degrees from x toward y
+    sigma: tuple[float, float]  # of both, from the noise of the touches, metres
 
     @property
     def is_higher(self) -> bool:

@@ -38,23 +38,15 @@ as the background of other effects that a machine with nothing wrong is allowed.
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number to identify.
+    """One number to identify."""
 
-    Attributes:
-        name: as reported; what campaigns have for themselves carries the first one's name.
-        parts: for each factor, the weights of the elementary parameters that it sets.
-        tolerance: standard deviation to expect, SI.
-        start: SI.
-        bound: the value stays within plus and minus this, SI.
-        width: how many tolerances wide its prior is.
-    """
-
-    name: Parameter
+    name: Parameter  # as reported; what campaigns have for themselves carries the first one's name
+    # for each factor, the weights of the elementary parameters that it sets
     parts: tuple[Mapping[str, float], ...]
-    tolerance: float
-    start: float
-    bound: float
-    width: float = 1.0
+    tolerance: float  # standard deviation to expect, SI
+    start: float  # SI
+    bound: float  # the value stays within plus and minus this, SI
+    width: float = 1.0  # how many tolerances wide its prior is
 
 
 def rows_about(
@@ -97,34 +89,24 @@ class Problem:
 
     Minimised is the sum of the squares of its factors: dial readings, TCP points, the tolerances
     as priors, and what an earlier calibration says.
-
-    Attributes:
-        machine: nominal dimensions, tolerances, and the parameters that are held.
-        campaigns: dial readings.
-        unknowns: what is free, ``P`` of them.
-        noise: of the dial readings.
-        priors: whether tolerances act as priors about zero.
-        held: for each factor, parameters that are not free, SI.
-        placement: standard deviation of a dial's place along its leg, metres; 0: exact.
-        own: what has a value of its own in each campaign, free or not yet: effects and
-            parameters; with ``@`` and a file's stem, from that campaign on.
-        points: readings of the tool: TCP points and what instruments at the tool say.
-        earlier: what an earlier calibration says.
-        prior: rows and target ``|W x - t|^2`` in place of the tolerances and what was earlier.
-        curves: rows by what stands out and has no parameters: free functions, as nuisances.
     """
 
-    machine: Machine
-    campaigns: tuple[Campaign, ...]
-    unknowns: tuple[Unknown, ...]
-    noise: Noise
-    priors: bool
-    held: tuple[Mapping[str, float], ...]
-    placement: float
+    machine: Machine  # nominal dimensions, tolerances, and the parameters that are held
+    campaigns: tuple[Campaign, ...]  # dial readings
+    unknowns: tuple[Unknown, ...]  # what is free, `P` of them
+    noise: Noise  # of the dial readings
+    priors: bool  # whether tolerances act as priors about zero
+    held: tuple[Mapping[str, float], ...]  # for each factor, parameters that are not free, SI
+    placement: float  # standard deviation of a dial's place along its leg, metres; 0: exact
+    # what has a value of its own in each campaign, free or not yet: effects and parameters; with
+    # `@` and a file's stem, from that campaign on
     own: tuple[str, ...] = ()
+    # readings of the tool: TCP points and what instruments at the tool say
     points: tuple[Beside, ...] = ()
-    earlier: Posterior | None = None
+    earlier: Posterior | None = None  # what an earlier calibration says
+    # rows and target `|W x - t|^2` in place of the tolerances and what was earlier
     prior: tuple[Array, Array] | None = None
+    # rows by what stands out and has no parameters: free functions, as nuisances
     curves: Block | None = None
 
     @cached_property

@@ -32,19 +32,12 @@ _MOST = 1e3  # times quieter, from which the figure says nothing more
 
 
 class _Part(NamedTuple):
-    """Readings of one instrument.
+    """Readings of one instrument."""
 
-    Attributes:
-        where: its file and setup, for people.
-        rows: of all readings ``(m,)``.
-        told: where the noise comes from, in words; empty of the usual figure.
-        declare: where it may be declared.
-    """
-
-    where: str
-    rows: NDArray[np.intp]
-    told: str
-    declare: str
+    where: str  # its file and setup, for people
+    rows: NDArray[np.intp]  # of all readings (m,)
+    told: str  # where the noise comes from, in words; empty of the usual figure
+    declare: str  # where it may be declared
 
 
 def quieter(estimate: Estimate) -> tuple[Note, ...]:

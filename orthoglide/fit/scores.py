@@ -18,34 +18,23 @@ LACK_OF_FIT = 0.01
 
 @dataclass(frozen=True)
 class Scores:
-    """Figures of one fit; metres where not dimensionless and not said otherwise.
+    """Figures of one fit; metres where not dimensionless and not said otherwise."""
 
-    Attributes:
-        rms: root mean square of the residuals of lengths, datums fitted; nan where none was read.
-        deviation_rms: the papers' figure: residuals of the averaged deviations from each setup's
-            first posture; nan where no dial was read.
-        max: largest residual of a length.
-        chi2: of the data and their nuisances.
-        prior_chi2: of what is known before.
-        dof: degrees of freedom: rows, less datums, less what the data determine of the unknowns.
-        lack_of_fit_p: probability of a chi2 this large were the model complete.
-        cv_rms: residuals of stations left out, lengths, datum refitted; nan where none can be.
-        turn_rms: as ``rms`` of inclinations, radians; nan where none was read.
-        turn_max: as ``max``.
-        turn_cv_rms: as ``cv_rms``.
-    """
-
+    # root mean square of the residuals of lengths, datums fitted; nan where none was read
     rms: float
+    # the papers' figure: residuals of the averaged deviations from each setup's first posture; nan
+    # where no dial was read
     deviation_rms: float
-    max: float
-    chi2: float
-    prior_chi2: float
+    max: float  # largest residual of a length
+    chi2: float  # of the data and their nuisances
+    prior_chi2: float  # of what is known before
+    # degrees of freedom: rows, less datums, less what the data determine of the unknowns
     dof: float
-    lack_of_fit_p: float
-    cv_rms: float
-    turn_rms: float = float("nan")
-    turn_max: float = float("nan")
-    turn_cv_rms: float = float("nan")
+    lack_of_fit_p: float  # probability of a chi2 this large were the model complete
+    cv_rms: float  # residuals of stations left out, lengths, datum refitted; nan where none can be
+    turn_rms: float = float("nan")  # as `rms` of inclinations, radians; nan where none was read
+    turn_max: float = float("nan")  # as `max`
+    turn_cv_rms: float = float("nan")  # as `cv_rms`
 
     @property
     def left(self) -> ByUnit:

@@ -32,26 +32,19 @@ _MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a 
 
 @dataclass(frozen=True)
 class ToolReadings(OfFile):
-    """Readings of the tool's instruments.
-
-    Attributes:
-        sigma: standard deviation of each ``(n,)``, metres or radians.
-        usual: the same as declared, or as is usual of such instruments ``(n,)``.
-        place: on the plates over their largest measured radius ``(n, 2)``, along their own axes,
-            which turn with them; of the nominal machine, which is near enough.
-        ball: centre of each setup's ball ``(setups, 3)``, metres, about which it is fitted.
-        stray: by how much single touches of a plate are above the surface of all others ``(n,)``,
-            metres; 0 of those that are not.
-        left_out: strays that are none of these readings, each in a sentence.
-    """
+    """Readings of the tool's instruments."""
 
     points: ToolCampaign
-    sigma: Array
-    usual: Array
+    sigma: Array  # standard deviation of each (n,), metres or radians
+    usual: Array  # the same as declared, or as is usual of such instruments (n,)
+    # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
+    # them; of the nominal machine, which is near enough
     place: Array
-    ball: Array
+    ball: Array  # centre of each setup's ball (setups, 3), metres, about which it is fitted
+    # by how much single touches of a plate are above the surface of all others (n,), metres; 0 of
+    # those that are not
     stray: Array
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # strays that are none of these readings, each in a sentence
 
     @classmethod
     def of(

@@ -17,20 +17,14 @@ _SHARE = 0.05
 
 @dataclass(frozen=True)
 class WeakDirection:
-    """Unknowns that the readings cannot tell apart.
+    """Unknowns that the readings cannot tell apart."""
 
-    Attributes:
-        parameters: their shares along the direction; squares sum to one.
-        sigma: how far the readings alone leave the machine free along it, in ``unit``;
-            infinite where nothing is seen.
-        sigma_with_priors: the same with the tolerances as priors; equal without priors.
-        unit: of both.
-    """
-
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float]  # their shares along the direction; squares sum to one
+    # how far the readings alone leave the machine free along it, in `unit`; infinite where nothing
+    # is seen
     sigma: float
-    sigma_with_priors: float
-    unit: str
+    sigma_with_priors: float  # the same with the tolerances as priors; equal without priors
+    unit: str  # of both
 
     def __str__(self) -> str:
         names = " and ".join(self.parameters)

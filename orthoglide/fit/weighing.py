@@ -23,17 +23,11 @@ from orthoglide.observations.arrays import numbered
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Weighing:
-    """The inverse root of the covariance of rows.
+    """The inverse root of the covariance of rows."""
 
-    Attributes:
-        sigma: of each row, what averaging reduces ``(n,)``, metres.
-        common: of each row, what its station has in common ``(n,)``, metres; one figure a station.
-        station: of each row ``(n,)``.
-    """
-
-    sigma: Array
-    common: Array
-    station: NDArray[np.int64]
+    sigma: Array  # of each row, what averaging reduces (n,), metres
+    common: Array  # of each row, what its station has in common (n,), metres; one figure a station
+    station: NDArray[np.int64]  # of each row (n,)
 
     def part(self, rows: NDArray[Any]) -> Weighing:
         """Of some rows, by indices or booleans ``(n,)``."""

@@ -24,42 +24,25 @@ own heights and meshes, which are probed warm and cold, a tenth of a millimetre 
 
 @dataclass(frozen=True)
 class _Surface:
-    """What touches alone say of the plate, and of the radius and two angles past a plane.
+    """What touches alone say of the plate, and of the radius and two angles past a plane."""
 
-    Attributes:
-        name: of the campaign.
-        plane: height (metres) and slopes of what was touched, by the present numbers ``(3,)``.
-        reach: most that a touch is away from the centre, metres.
-        change: of the firmware's radius (metres) and angles (radians) ``(3,)``.
-        spread: their covariance over the variance of a touch ``(3, 3)``.
-        sigma: of a touch, metres.
-        rim: most that a radius one metre larger bends the surface, metres.
-        turned: how far the plate was turned on its seat, degrees.
-    """
-
-    name: str
-    plane: Array
-    reach: float
-    change: Array
-    spread: Array
-    sigma: float
-    rim: float
-    turned: float
+    name: str  # of the campaign
+    plane: Array  # height (metres) and slopes of what was touched, by the present numbers (3,)
+    reach: float  # most that a touch is away from the centre, metres
+    change: Array  # of the firmware's radius (metres) and angles (radians) (3,)
+    spread: Array  # their covariance over the variance of a touch (3, 3)
+    sigma: float  # of a touch, metres
+    rim: float  # most that a radius one metre larger bends the surface, metres
+    turned: float  # how far the plate was turned on its seat, degrees
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two campaigns that are not of one plate and one set of numbers.
+    """Two campaigns that are not of one plate and one set of numbers."""
 
-    Attributes:
-        name: of the one that does not fit in.
-        other: of the first that it does not go with.
-        note: both, and what to do.
-    """
-
-    name: str
-    other: str
-    note: Note
+    name: str  # of the one that does not fit in
+    other: str  # of the first that it does not go with
+    note: Note  # both, and what to do
 
 
 def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iterator[Disagreement]:

@@ -26,21 +26,13 @@ _DEEPEST = 8  # files that include one another
 
 @dataclass(frozen=True)
 class Config:
-    """The file, with those that it includes.
+    """The file, with those that it includes."""
 
-    Attributes:
-        file: its name.
-        sha256: its digest.
-        sections: by name, in the order of the file.
-        missing: files that it includes and that are not beside it.
-        notes: what it says twice, and differently.
-    """
-
-    file: str
-    sha256: str
-    sections: dict[str, Section]
-    missing: tuple[str, ...]
-    notes: tuple[Note, ...]
+    file: str  # its name
+    sha256: str  # its digest
+    sections: dict[str, Section]  # by name, in the order of the file
+    missing: tuple[str, ...]  # files that it includes and that are not beside it
+    notes: tuple[Note, ...]  # what it says twice, and differently
 
     def section(self, name: str) -> Section:
         """A section that must be there.

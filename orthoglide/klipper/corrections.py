@@ -20,20 +20,14 @@ WHERE = (
 
 @dataclass(frozen=True)
 class Corrections:
-    """New numbers for the firmware.
+    """New numbers for the firmware."""
 
-    Attributes:
-        old: its present numbers.
-        new: those that bring the calibrated machine nearest to where it is told to be.
-        height: error to expect of height over the plate ``(before, after)``, metres, rms: what is
-            known, and how far it is not.
-        sideways: the same along the plate, past a shift and a turn of everything.
-    """
-
-    old: Firmware
-    new: Firmware
+    old: Firmware  # its present numbers
+    new: Firmware  # those that bring the calibrated machine nearest to where it is told to be
+    # error to expect of height over the plate (before, after), metres, rms: what is known, and how
+    # far it is not
     height: tuple[float, float]
-    sideways: tuple[float, float]
+    sideways: tuple[float, float]  # the same along the plate, past a shift and a turn of everything
 
     @property
     def rows(self) -> list[tuple[str, str, str]]:

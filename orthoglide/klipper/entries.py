@@ -28,18 +28,12 @@ class Entry:
 
 @dataclass
 class Section:
-    """One section.
+    """One section."""
 
-    Attributes:
-        name: between the brackets.
-        header: where it stands.
-        entries: values by key, lower case.
-        elsewhere: where else a key may stand: a file that is not here; empty where there is none.
-    """
-
-    name: str
-    header: Entry
-    entries: dict[str, Entry] = field(default_factory=dict)
+    name: str  # between the brackets
+    header: Entry  # where it stands
+    entries: dict[str, Entry] = field(default_factory=dict)  # values by key, lower case
+    # where else a key may stand: a file that is not here; empty where there is none
     elsewhere: str = ""
 
     def __contains__(self, key: str) -> bool:

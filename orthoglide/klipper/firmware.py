@@ -29,20 +29,13 @@ _STEPS = 30
 
 @dataclass(frozen=True)
 class Firmware:
-    """The numbers of ``[printer]`` and ``[stepper_*]``.
+    """The numbers of ``[printer]`` and ``[stepper_*]``."""
 
-    Attributes:
-        delta_radius: horizontal distance from nozzle to tower joints with the nozzle in the centre,
-            metres.
-        angle: of the towers, degrees.
-        arm: length of the arms, metres.
-        endstop: height of the nozzle in the centre with this carriage at its endstop, metres.
-    """
-
+    # horizontal distance from nozzle to tower joints with the nozzle in the centre, metres
     delta_radius: float
-    angle: Triple
-    arm: Triple
-    endstop: Triple
+    angle: Triple  # of the towers, degrees
+    arm: Triple  # length of the arms, metres
+    endstop: Triple  # height of the nozzle in the centre with this carriage at its endstop, metres
 
     @property
     def at_endstop(self) -> Array:

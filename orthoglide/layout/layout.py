@@ -8,13 +8,9 @@ from orthoglide.layout.leg import Array, Leg, LegNames
 
 
 class Layout(Protocol):
-    """Where three legs stand. Immutable, compared by value.
+    """Where three legs stand. Immutable, compared by value."""
 
-    Attributes:
-        kind: its name in machine files.
-    """
-
-    kind: ClassVar[str]
+    kind: ClassVar[str]  # its name in machine files
 
     @property
     def names(self) -> LegNames:

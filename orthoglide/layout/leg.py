@@ -12,25 +12,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LegNames:
-    """How the legs of a layout and the directions across them are called.
+    """How the legs of a layout and the directions across them are called."""
 
-    Attributes:
-        legs: the three legs.
-        across: for each leg the names of its directions b and c, as parameters carry them.
-        ways: in words where a carriage stands that went too far down and up its slide, and which
-            way that is.
-        held: numbers that the machine's own controller or firmware holds; with the effects that
-            these are every identification starts.
-        command: how commands are called, in columns of files.
-        travel: how travel from mechanical zero is called.
-    """
-
-    legs: tuple[str, str, str]
+    legs: tuple[str, str, str]  # the three legs
+    # for each leg the names of its directions b and c, as parameters carry them
     across: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
+    # numbers that the machine's own controller or firmware holds; with the effects that these are
+    # every identification starts
     held: tuple[str, ...]
+    # in words where a carriage stands that went too far down and up its slide, and which way that
+    # is
     ways: tuple[tuple[str, str], tuple[str, str]]
-    command: str = "travel"
-    travel: str = "travel from mechanical zero"
+    command: str = "travel"  # how commands are called, in columns of files
+    travel: str = "travel from mechanical zero"  # how travel from mechanical zero is called
 
     @property
     def every(self) -> frozenset[str]:
@@ -58,19 +52,13 @@ class LegNames:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A leg of the nominal machine at mechanical zero, its tool at the origin.
+    """A leg of the nominal machine at mechanical zero, its tool at the origin."""
 
-    Attributes:
-        name: of the leg.
-        carriage: the carriage's joint ``(3,)``, base frame, metres.
-        platform: the platform's joint ``(3,)``, from the tool, base frame, metres.
-        axes: rotation ``(3, 3)`` with the leg's axes as columns, right-handed: a, its slide; b, the
-            pivots of its parallelogram; c, its short links. Its bars lie across c.
-    """
-
-    name: str
-    carriage: Array
-    platform: Array
+    name: str  # of the leg
+    carriage: Array  # the carriage's joint (3,), base frame, metres
+    platform: Array  # the platform's joint (3,), from the tool, base frame, metres
+    # rotation (3, 3) with the leg's axes as columns, right-handed: a, its slide; b, the pivots of
+    # its parallelogram; c, its short links. Its bars lie across c.
     axes: Array
 
     @property

@@ -49,14 +49,10 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Controller:
-    """How the controller counts: travel from mechanical zero = sign (shown - zero), by axis.
+    """How the controller counts: travel from mechanical zero = sign (shown - zero), by axis."""
 
-    Attributes:
-        zero: what it shows at mechanical zero, metres.
-        sign: +1 where it counts away from the origin, -1 where toward it.
-    """
-
-    zero: Triple = (0.0, 0.0, 0.0)
+    zero: Triple = (0.0, 0.0, 0.0)  # what it shows at mechanical zero, metres
+    # +1 where it counts away from the origin, -1 where toward it
     sign: tuple[int, int, int] = (1, 1, 1)
 
     def to_rho(self, travel: ArrayLike, geometry: Geometry) -> Array:
@@ -72,15 +68,10 @@ class Controller:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """Elastic constants, where they are known.
+    """Elastic constants, where they are known."""
 
-    Attributes:
-        torsion: torsional stiffness of a leg, N m/rad.
-        bar: axial stiffness of a bar, N/m.
-    """
-
-    torsion: float | None = None
-    bar: float | None = None
+    torsion: float | None = None  # torsional stiffness of a leg, N m/rad
+    bar: float | None = None  # axial stiffness of a bar, N/m
 
 
 @dataclass(frozen=True)

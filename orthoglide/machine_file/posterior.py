@@ -21,20 +21,14 @@ _CONTENT = ("names", "mean", "covariance", "sha256")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Posterior:
-    """What is known of parameters, as a Gaussian.
+    """What is known of parameters, as a Gaussian."""
 
-    Attributes:
-        names: of the parameters, ``P`` of them.
-        mean: ``(P,)``, SI.
-        covariance: ``(P, P)``, SI.
-        alone: variance of each as the readings have it were it off as far as its tolerance lets
-            expect, all others as they are ``(P,)``, SI: that most are small says little of one
-            that the readings did not see; 0 of what is as free already, ``None`` of all.
-    """
-
-    names: tuple[str, ...]
-    mean: Array
-    covariance: Array
+    names: tuple[str, ...]  # of the parameters, `P` of them
+    mean: Array  # (P,), SI
+    covariance: Array  # (P, P), SI
+    # variance of each as the readings have it were it off as far as its tolerance lets expect, all
+    # others as they are (P,), SI: that most are small says little of one that the readings did not
+    # see; 0 of what is as free already, `None` of all
     alone: Array | None = None
 
     def __post_init__(self) -> None:

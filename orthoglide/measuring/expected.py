@@ -31,19 +31,12 @@ _DATUM = 1e-2  # metres: where a dial may stand at its first reading
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What the readings of a sheet are likely to be.
+    """What the readings of a sheet are likely to be."""
 
-    Attributes:
-        sheet: the readings to take.
-        linear: by everything in the catalogue, in tolerances.
-        nominal: of the machine as it is believed to be ``(n,)``, metres.
-        covariance: of all readings ``(n, n)``, square metres.
-    """
-
-    sheet: Campaign
-    linear: LinearReadings
-    nominal: Array
-    covariance: Array
+    sheet: Campaign  # the readings to take
+    linear: LinearReadings  # by everything in the catalogue, in tolerances
+    nominal: Array  # of the machine as it is believed to be (n,), metres
+    covariance: Array  # of all readings (n, n), square metres
 
     @classmethod
     def of(cls, sheet: Campaign, machine: Machine) -> Self:

@@ -53,17 +53,11 @@ _SHEETS = 6
 
 @dataclass(frozen=True)
 class Next:
-    """What to do after a verdict.
+    """What to do after a verdict."""
 
-    Attributes:
-        reason: a sentence.
-        sheet: to read; ``None`` where no further reading is worth it.
-        settled: whether the verdict is.
-    """
-
-    reason: str
-    sheet: Campaign | None = None
-    settled: bool = False
+    reason: str  # a sentence
+    sheet: Campaign | None = None  # to read; `None` where no further reading is worth it
+    settled: bool = False  # whether the verdict is
 
 
 def opening(machine: Machine, number: int = 0) -> Campaign:

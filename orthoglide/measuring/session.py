@@ -38,42 +38,26 @@ class _Undone(Exception):
 
 @dataclass(frozen=True)
 class End:
-    """What measuring came to.
+    """What measuring came to."""
 
-    Attributes:
-        verdict: of all readings.
-        settled: whether it is.
-        reason: why no more is asked for, a clause.
-        readings: that were taken.
-    """
-
-    verdict: Verdict
-    settled: bool
-    reason: str
-    readings: int
+    verdict: Verdict  # of all readings
+    settled: bool  # whether it is
+    reason: str  # why no more is asked for, a clause
+    readings: int  # that were taken
 
 
 @dataclass(eq=False)
 class Session:
-    """One campaign being measured; what its file holds is all that it goes by.
+    """One campaign being measured; what its file holds is all that it goes by."""
 
-    Attributes:
-        machine: as its file has it.
-        record: the campaign file.
-        ask: puts a question and returns what is typed; ``EOFError`` at the end of input.
-        tell: says something.
-        sheet: to read first; the program's own where absent.
-        most: readings after which no more are asked for.
-        clock: seconds; only differences count.
-    """
-
-    machine: Machine
-    record: Record
+    machine: Machine  # as its file has it
+    record: Record  # the campaign file
+    # puts a question and returns what is typed; `EOFError` at the end of input
     ask: Callable[[str], str]
-    tell: Callable[[str], None]
-    sheet: Campaign | None = None
-    most: int = MOST
-    clock: Callable[[], float] = time.time
+    tell: Callable[[str], None]  # says something
+    sheet: Campaign | None = None  # to read first; the program's own where absent
+    most: int = MOST  # readings after which no more are asked for
+    clock: Callable[[], float] = time.time  # seconds; only differences count
     _began: float = field(default=0.0, init=False)
     _at: int = field(default=0, init=False)  # rows of the file that were gone through
     _live: bool = field(default=False, init=False)  # whether the last row was given just now

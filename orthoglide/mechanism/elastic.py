@@ -59,25 +59,15 @@ def relief_warnings(angles: Array, legs: Sequence[str] = LEGS) -> tuple[str, ...
 
 @dataclass(frozen=True)
 class Deformation:
-    """What the machine fights against: how far its parts give, and what that costs.
+    """What the machine fights against: how far its parts give, and what that costs."""
 
-    Attributes:
-        relief: angles of the relief joints ``(..., leg, joint)``, radians.
-        stretch: elastic growth of the bars ``(..., leg, bar)``, metres.
-        tension: pull in the bars ``(..., leg, bar)``, newtons.
-        moment: torsional moment in the legs ``(..., leg)``, N m.
-        drive: force on each carriage along its axis ``(..., leg)``, newtons.
-        energy: of the springs ``(..., leg, spring)``, joules; the order is ``SPRINGS``.
-        legs: their names.
-    """
-
-    relief: Array
-    stretch: Array
-    tension: Array
-    moment: Array
-    drive: Array
-    energy: Array
-    legs: Sequence[str] = LEGS
+    relief: Array  # angles of the relief joints (..., leg, joint), radians
+    stretch: Array  # elastic growth of the bars (..., leg, bar), metres
+    tension: Array  # pull in the bars (..., leg, bar), newtons
+    moment: Array  # torsional moment in the legs (..., leg), N m
+    drive: Array  # force on each carriage along its axis (..., leg), newtons
+    energy: Array  # of the springs (..., leg, spring), joules; the order is `SPRINGS`
+    legs: Sequence[str] = LEGS  # their names
 
     @property
     def total(self) -> Array:

@@ -40,23 +40,20 @@ STRETCH = tuple(
 class ElasticFunctions:
     """CasADi functions; an unknown is ``[free joints (21); tensions (6) in TENSION newtons]``, a
     condition ``[drives (3); virtual (30); load; compliance of a bar; torsional stiffness]``, SI.
-
-    Attributes:
-        residual: (unknown, condition) -> ``(27,)``: closure residual, then how far each tension is
-            from balance, in TENSION newtons plus the metres that this stretches the bar.
-        close: (guess, condition) -> unknown at equilibrium, the residual that is left, and the side
-            as of the plain closure.
-        outputs: (unknown, condition) -> ``(48,)``, as of the plain closure.
-        tangent: (unknown, condition) -> outputs and their total derivative ``(48, 34)`` by
-            ``[drives; virtual; load]`` along equilibria.
-        force: (unknown, condition) -> ``(33,)``: generalised forces with which the machine pushes
-            against the drives and virtual joints, newtons and newton metres.
     """
 
+    # (unknown, condition) -> (27,): closure residual, then how far each tension is from balance, in
+    # TENSION newtons plus the metres that this stretches the bar
     residual: Any
+    # (guess, condition) -> unknown at equilibrium, the residual that is left, and the side as of
+    # the plain closure
     close: Any
-    outputs: Any
+    outputs: Any  # (unknown, condition) -> (48,), as of the plain closure
+    # (unknown, condition) -> outputs and their total derivative (48, 34) by `[drives; virtual;
+    # load]` along equilibria
     tangent: Any
+    # (unknown, condition) -> (33,): generalised forces with which the machine pushes against the
+    # drives and virtual joints, newtons and newton metres
     force: Any
 
 

@@ -25,25 +25,20 @@ OUTPUTS = 48
 
 @dataclass(frozen=True)
 class ClosureFunctions:
-    """CasADi functions of one tree: ``n`` free joints, 3 drives, ``m`` virtual joints.
+    """CasADi functions of one tree: ``n`` free joints, 3 drives, ``m`` virtual joints."""
 
-    Attributes:
-        residual: (free, [drive; virtual]) -> ``(n,)`` closure residual, metres and sines of angles.
-        close: (guess, [drive; virtual]) -> free joints that close the loops (Newton), the
-            residual that is left, and the side.
-        outputs: (free, [drive; virtual]) -> ``(48,)``, see ``TCP``, ``ROTATION``, ``LINES``.
-        tangent: (free, [drive; virtual]) -> outputs and their total derivative ``(48, 3 + m)``
-            with the loops kept closed.
-        side: (free, [drive; virtual]) -> a number that is negative in the machine's own assembly
-            mode, positive in the other and 0 where they meet, without a scale; and the sum of the
-            squares of the free joints' angles: Newton's method that jumped ends many turns away,
-            and not always with its bars parallel.
-    """
-
-    residual: Any
+    residual: Any  # (free, [drive; virtual]) -> (n,) closure residual, metres and sines of angles
+    # (guess, [drive; virtual]) -> free joints that close the loops (Newton), the residual that is
+    # left, and the side
     close: Any
-    outputs: Any
+    outputs: Any  # (free, [drive; virtual]) -> (48,), see `TCP`, `ROTATION`, `LINES`
+    # (free, [drive; virtual]) -> outputs and their total derivative (48, 3 + m) with the loops kept
+    # closed
     tangent: Any
+    # (free, [drive; virtual]) -> a number that is negative in the machine's own assembly mode,
+    # positive in the other and 0 where they meet, without a scale; and the sum of the squares of
+    # the free joints' angles: Newton's method that jumped ends many turns away, and not always with
+    # its bars parallel
     side: Any
 
 

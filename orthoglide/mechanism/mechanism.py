@@ -26,21 +26,13 @@ _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the othe
 
 @dataclass(frozen=True)
 class Posture:
-    """One closed posture.
+    """One closed posture."""
 
-    Attributes:
-        q: joints of the tree ``(nq,)``, metres and radians.
-        p: TCP ``(3,)``, metres.
-        R: rotation of the platform ``(3, 3)``.
-        residual: closure residual by loop.
-        iterations: Newton steps taken.
-    """
-
-    q: Array
-    p: Array
-    R: Array
-    residual: dict[str, float]
-    iterations: int
+    q: Array  # joints of the tree (nq,), metres and radians
+    p: Array  # TCP (3,), metres
+    R: Array  # rotation of the platform (3, 3)
+    residual: dict[str, float]  # closure residual by loop
+    iterations: int  # Newton steps taken
 
 
 class Mechanism:

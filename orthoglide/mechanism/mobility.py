@@ -15,24 +15,16 @@ _RANK_TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class Mobility:
-    """How the PRPaR machine is constrained at one posture.
+    """How the PRPaR machine is constrained at one posture."""
 
-    Attributes:
-        joints: joints of the tree, drives included.
-        rows: closure rows.
-        rank: independent ones among them.
-        mobility: degrees of freedom, ``joints - rank``.
-        redundant: conditions that the others imply, ``rows - rank``: where the machine is
-            overconstrained and errors of the parts strain it.
-        by_loop: rank of each loop's rows alone.
-    """
-
-    joints: int
-    rows: int
-    rank: int
-    mobility: int
+    joints: int  # joints of the tree, drives included
+    rows: int  # closure rows
+    rank: int  # independent ones among them
+    mobility: int  # degrees of freedom, `joints - rank`
+    # conditions that the others imply, `rows - rank`: where the machine is overconstrained and
+    # errors of the parts strain it
     redundant: int
-    by_loop: dict[str, int]
+    by_loop: dict[str, int]  # rank of each loop's rows alone
 
     def __str__(self) -> str:
         pa = [rank for name, rank in self.by_loop.items() if "parallelogram" in name]
@@ -48,18 +40,13 @@ class Mobility:
 
 @dataclass(frozen=True)
 class Conditioning:
-    """How far a posture is from a singularity.
+    """How far a posture is from a singularity."""
 
-    Attributes:
-        closure: condition number of the closure's square Jacobian (relief joints freed).
-        velocity: condition number of dp/drho; 1 at the isotropic posture.
-        transmission: singular values of dp/drho, smallest first. The smallest is 0 where a leg
-            is stretched across its drive (serial singularity); the largest grows without bound
-            where the three legs lie in one plane (parallel singularity).
-    """
-
-    closure: float
-    velocity: float
+    closure: float  # condition number of the closure's square Jacobian (relief joints freed)
+    velocity: float  # condition number of dp/drho; 1 at the isotropic posture
+    # singular values of dp/drho, smallest first. The smallest is 0 where a leg is stretched across
+    # its drive (serial singularity); the largest grows without bound where the three legs lie in
+    # one plane (parallel singularity).
     transmission: tuple[float, float, float]
 
     @property

@@ -62,25 +62,15 @@ RELIEF_NAMES: tuple[str, ...] = ("relief_bar", "relief_link")
 
 @dataclass(frozen=True)
 class Tree:
-    """A Pinocchio model of the three legs with its joints sorted by who moves them.
+    """A Pinocchio model of the three legs with its joints sorted by who moves them."""
 
-    Attributes:
-        geometry: the nominal dimensions.
-        model: the tree. Never changed after it is built.
-        loops: the closures, naming frames of the model.
-        drive: positions in q of the drives, ``(3,)``, by leg.
-        passive: positions of the passive joints, ``(15,)``, five a leg.
-        relief: positions of the relief joints, ``(6,)`` or empty.
-        virtual: positions of the virtual joints, ``(30,)``, ten a leg, or empty.
-    """
-
-    geometry: Geometry
-    model: pin.Model
-    loops: tuple[Closure, ...]
-    drive: NDArray[np.intp]
-    passive: NDArray[np.intp]
-    relief: NDArray[np.intp]
-    virtual: NDArray[np.intp]
+    geometry: Geometry  # the nominal dimensions
+    model: pin.Model  # the tree. Never changed after it is built.
+    loops: tuple[Closure, ...]  # the closures, naming frames of the model
+    drive: NDArray[np.intp]  # positions in q of the drives, (3,), by leg
+    passive: NDArray[np.intp]  # positions of the passive joints, (15,), five a leg
+    relief: NDArray[np.intp]  # positions of the relief joints, (6,) or empty
+    virtual: NDArray[np.intp]  # positions of the virtual joints, (30,), ten a leg, or empty
 
     @property
     def tool(self) -> str:

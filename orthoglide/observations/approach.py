@@ -25,16 +25,13 @@ OVERSHOOT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """Commands that the machine goes through without a reading being taken.
+    """Commands that the machine goes through without a reading being taken."""
 
-    Attributes:
-        command: joint coordinates ``(m, 3)``, metres, r removed.
-        order: place in the sequence that readings and moves share ``(m,)``.
-        line: line in the file ``(m,)``, header line 1.
-    """
-
+    # joint coordinates (m, 3), metres, r removed
     command: Array = field(default_factory=lambda: np.empty((0, 3)))
+    # place in the sequence that readings and moves share (m,)
     order: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    # line in the file (m,), header line 1
     line: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:

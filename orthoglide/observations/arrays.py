@@ -15,17 +15,11 @@ from orthoglide.observations.approach import Ints
 
 
 class Kind(NamedTuple):
-    """What an array holds.
+    """What an array holds."""
 
-    Attributes:
-        of: its type of numbers.
-        shape: of one entry.
-        empty: whether an entry may be nan.
-    """
-
-    of: type = np.float64
-    shape: tuple[int, ...] = ()
-    empty: bool = False
+    of: type = np.float64  # its type of numbers
+    shape: tuple[int, ...] = ()  # of one entry
+    empty: bool = False  # whether an entry may be nan
 
 
 WHOLE, NUMBER, MAYBE = Kind(np.int64), Kind(), Kind(empty=True)

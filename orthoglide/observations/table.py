@@ -27,35 +27,24 @@ _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Column:
-    """What a column holds.
+    """What a column holds."""
 
-    Attributes:
-        parse: turns a cell into its value (SI), or raises ValueError with what would be right.
-        empty: value of an empty cell, and of every row where the column is absent; None: the
-            column must be there and filled in.
-    """
-
+    # turns a cell into its value (SI), or raises ValueError with what would be right
     parse: Callable[[str], Any]
+    # value of an empty cell, and of every row where the column is absent; None: the column must be
+    # there and filled in
     empty: Any = None
 
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text by column, with the line each row stands on.
+    """Cells of text by column, with the line each row stands on."""
 
-    Attributes:
-        names: the header.
-        rows: cells, one list a row, as many as names.
-        lines: line of each row, the header being line 1.
-        file: name for errors.
-        sha256: digest of the file, or ``""``.
-    """
-
-    names: tuple[str, ...]
-    rows: tuple[list[str], ...]
-    lines: tuple[int, ...]
-    file: str
-    sha256: str = ""
+    names: tuple[str, ...]  # the header
+    rows: tuple[list[str], ...]  # cells, one list a row, as many as names
+    lines: tuple[int, ...]  # line of each row, the header being line 1
+    file: str  # name for errors
+    sha256: str = ""  # digest of the file, or `""`
 
     def fail(self, message: str, row: int | None = None) -> NoReturn:
         """Refuses the table, for a row of it where one is to blame."""

@@ -21,13 +21,9 @@ _WORST = 150  # pairs that a discriminating step looks at: those told apart leas
 
 @dataclass(frozen=True)
 class Criterion(ABC):
-    """A criterion with what is known so far.
+    """A criterion with what is known so far."""
 
-    Attributes:
-        information: on all columns of the readings ``(P, P)``, priors in it.
-    """
-
-    information: Array
+    information: Array  # on all columns of the readings (P, P), priors in it
 
     @property
     @abstractmethod
@@ -70,13 +66,9 @@ class Determinant(Criterion):
 
 @dataclass(frozen=True)
 class LeastVariance(Criterion):
-    """The variance along one direction, as small as can be.
+    """The variance along one direction, as small as can be."""
 
-    Attributes:
-        direction: ``(P,)``.
-    """
-
-    direction: Array
+    direction: Array  # (P,)
 
     @property
     def variance(self) -> float:
@@ -103,16 +95,11 @@ class RivalSeparation(Criterion):
     The last columns of the readings are what each rival predicts of them. For an ordered pair
     (a, b), a true and b fitted, a step raises the expected chi2 of b by
     ``(d (x_a - x_b) expected)^2 / (s2 + d C_b d')``.
-
-    Attributes:
-        spread: covariance of the unknowns under each rival before any step ``(K, P, P)``.
-        pairs: of rivals ``(q, 2)``; both ways round count.
-        enough: chi2 beyond which no more is wanted.
     """
 
-    spread: Array
-    pairs: Array
-    enough: float = np.inf
+    spread: Array  # covariance of the unknowns under each rival before any step (K, P, P)
+    pairs: Array  # of rivals (q, 2); both ways round count
+    enough: float = np.inf  # chi2 beyond which no more is wanted
 
     @classmethod
     def between(cls, spread: Array, pairs: Array, enough: float = np.inf) -> Self:
@@ -177,14 +164,10 @@ class EffectSeparation(Criterion):
     With the Gram matrix G of the signatures past the base, a pair is
     ``min(G_ii, G_jj) - G_ij^2 / max(G_ii, G_jj)`` apart: the chi2 of one at tolerance when the
     other is fitted to it.
-
-    Attributes:
-        base: how many of the unknowns, the first ones, are fitted anyway.
-        pairs: of effects ``(q, 2)``, counted from the first beyond the base; equal: against none.
     """
 
-    base: int
-    pairs: Array
+    base: int  # how many of the unknowns, the first ones, are fitted anyway
+    pairs: Array  # of effects (q, 2), counted from the first beyond the base; equal: against none
 
     @property
     def gram(self) -> Array:

@@ -30,17 +30,11 @@ _LOOSE = 100.0  # tolerances: priors that keep a determinant finite and otherwis
 
 @dataclass(frozen=True)
 class Pair:
-    """Two effects at their tolerance; ``other`` is empty where one stands against none.
+    """Two effects at their tolerance; ``other`` is empty where one stands against none."""
 
-    Attributes:
-        one: parameter.
-        other: parameter.
-        sigmas: between them, zeros and lengths, datums and the other's size fitted.
-    """
-
-    one: str
-    other: str
-    sigmas: float
+    one: str  # parameter
+    other: str  # parameter
+    sigmas: float  # between them, zeros and lengths, datums and the other's size fitted
 
 
 @dataclass(frozen=True)

@@ -32,44 +32,32 @@ _ALIKE = 2.0  # parameters of one effect found from sizes within this factor sha
 
 @dataclass(frozen=True)
 class SmallestEffect:
-    """What a protocol makes of one candidate.
+    """What a protocol makes of one candidate."""
 
-    Attributes:
-        name: of the candidate.
-        effect: name of its effect.
-        tolerance: of its parameter, SI.
-        unit: of its parameter in files.
-        detectable: size that is found with 95 % probability, SI.
-        nameable: size at which no other effect fits as well, with 95 % probability, SI; infinite
-            where one always does.
-        nearest: candidate of another effect that is hardest to tell from it; empty: there is none.
-        elementary: whether it is a single parameter, no structured member.
-    """
-
-    name: Parameter
-    effect: str
-    tolerance: float
-    unit: Unit
-    detectable: float
+    name: Parameter  # of the candidate
+    effect: str  # name of its effect
+    tolerance: float  # of its parameter, SI
+    unit: Unit  # of its parameter in files
+    detectable: float  # size that is found with 95 % probability, SI
+    # size at which no other effect fits as well, with 95 % probability, SI; infinite where one
+    # always does
     nameable: float
+    # candidate of another effect that is hardest to tell from it; empty: there is none
     nearest: str
-    elementary: bool
+    elementary: bool  # whether it is a single parameter, no structured member
 
 
 @dataclass(frozen=True)
 class Detectability(Framed):
     """What a protocol makes of the whole catalogue; as a table, a row for the parameters of an
     effect that are found from about the same size.
-
-    Attributes:
-        smallest: by candidate of one parameter, in the order of the catalogue.
-        invisible: parameters that these readings cannot show, whatever their size within reason.
-        threshold: evidence that noise alone exceeds with the probability asked for.
     """
 
+    # by candidate of one parameter, in the order of the catalogue
     smallest: tuple[SmallestEffect, ...]
+    # parameters that these readings cannot show, whatever their size within reason
     invisible: tuple[Parameter, ...]
-    threshold: float
+    threshold: float  # evidence that noise alone exceeds with the probability asked for
     _index = "effect"
 
     def __repr__(self) -> str:

@@ -42,31 +42,20 @@ Pair = tuple[Explanation, Explanation]
 
 @dataclass(frozen=True)
 class Instrument:
-    """Readings that could be taken.
+    """Readings that could be taken."""
 
-    Attributes:
-        brief: what they are.
-        how: they are taken.
-        sheet: where there is one.
-        problem: of them alone, in the unknowns of the readings at hand.
-    """
-
-    brief: str
-    how: str
-    sheet: str
-    problem: Problem
+    brief: str  # what they are
+    how: str  # they are taken
+    sheet: str  # where there is one
+    problem: Problem  # of them alone, in the unknowns of the readings at hand
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What an instrument's readings would decide.
+    """What an instrument's readings would decide."""
 
-    Attributes:
-        instrument: that reads.
-        apart: sigmas between each two explanations of one cause, the likelier one first.
-    """
-
-    instrument: Instrument
+    instrument: Instrument  # that reads
+    # sigmas between each two explanations of one cause, the likelier one first
     apart: dict[Pair, float]
 
     def of(self, cause: Cause, *, told: bool) -> list[Pair]:

@@ -32,17 +32,12 @@ _LEAST = 0.1  # of a reading's sigma: what is left of it besides the rounding th
 
 @dataclass(frozen=True)
 class Steps:
-    """Readings that can be taken next.
+    """Readings that can be taken next."""
 
-    Attributes:
-        rows: of the campaign ``(k, 2)``; the first is -1 where the mounting stands already.
-        columns: ``d`` ``(k, P)``.
-        variance: ``s2`` ``(k,)``, square metres.
-    """
-
+    # of the campaign (k, 2); the first is -1 where the mounting stands already
     rows: NDArray[np.int64]
-    columns: Array
-    variance: Array
+    columns: Array  # `d` (k, P)
+    variance: Array  # `s2` (k,), square metres
 
     @property
     def opening(self) -> NDArray[np.bool_]:
@@ -61,23 +56,14 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class LinearReadings:
-    """Readings of a campaign or a pool, with their derivatives and what they scatter by.
+    """Readings of a campaign or a pool, with their derivatives and what they scatter by."""
 
-    Attributes:
-        campaign: without readings.
-        columns: derivative of each reading ``(n, P)`` by whatever is asked for.
-        slope: by the dial's place ``(n,)``.
-        sigma: standard deviation of one visit ``(n,)``, metres.
-        common: of the rounding that all visits to a station share, metres.
-        placement: of the dial's place along the leg, metres.
-    """
-
-    campaign: Campaign
-    columns: Array
-    slope: Array
-    sigma: Array
-    common: float
-    placement: float
+    campaign: Campaign  # without readings
+    columns: Array  # derivative of each reading (n, P) by whatever is asked for
+    slope: Array  # by the dial's place (n,)
+    sigma: Array  # standard deviation of one visit (n,), metres
+    common: float  # of the rounding that all visits to a station share, metres
+    placement: float  # of the dial's place along the leg, metres
 
     @classmethod
     def of(

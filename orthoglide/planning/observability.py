@@ -27,15 +27,11 @@ _NOTHING = 1e-9  # of the largest singular value: rounding
 
 @dataclass(frozen=True)
 class Observability:
-    """Indices of one campaign for some unknowns.
+    """Indices of one campaign for some unknowns."""
 
-    Attributes:
-        readings: how many.
-        singular: singular values ``(m,)``, largest first, sigmas a tolerance; 0 where a
-            combination of the unknowns is not seen at all.
-    """
-
-    readings: int
+    readings: int  # how many
+    # singular values (m,), largest first, sigmas a tolerance; 0 where a combination of the unknowns
+    # is not seen at all
     singular: tuple[float, ...]
 
     @property

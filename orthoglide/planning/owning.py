@@ -36,16 +36,11 @@ _DIRECTIONS: dict[Kind, tuple[int, ...]] = {"tcp": (0, 1, 2), "incline": (0, 1)}
 
 @dataclass(frozen=True)
 class Gain:
-    """What an instrument would add to those that one owns.
+    """What an instrument would add to those that one owns."""
 
-    Attributes:
-        kind: of its readings.
-        shown: effects or parameters found within three tolerances, and not yet.
-        named: those found already that could be told from all other effects, and not yet.
-    """
-
-    kind: str
-    shown: tuple[str, ...]
+    kind: str  # of its readings
+    shown: tuple[str, ...]  # effects or parameters found within three tolerances, and not yet
+    # those found already that could be told from all other effects, and not yet
     named: tuple[str, ...]
 
     def __str__(self) -> str:

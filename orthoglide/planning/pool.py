@@ -30,19 +30,12 @@ _GRID = 9  # decimals of a metre that fit on a sheet
 
 
 class Station(NamedTuple):
-    """A command and the side it is reached from, as one leg's dials see it.
+    """A command and the side it is reached from, as one leg's dials see it."""
 
-    Attributes:
-        label: for people.
-        command: rho ``(3,)``, metres.
-        p: nominal TCP ``(3,)``, metres.
-        approach: +1 or -1, the last move of all three axes.
-    """
-
-    label: str
-    command: Array
-    p: Array
-    approach: int
+    label: str  # for people
+    command: Array  # rho (3,), metres
+    p: Array  # nominal TCP (3,), metres
+    approach: int  # +1 or -1, the last move of all three axes
 
 
 def stations(leg: int, geometry: Geometry) -> list[Station]:

@@ -25,21 +25,15 @@ _REST = 1e-3  # of a reading's sigma: keeps the limit of many repeats finite
 
 @dataclass(frozen=True)
 class Repeats:
-    """An answer to "how often".
+    """An answer to "how often"."""
 
-    Attributes:
-        what: parameter, or ``"TCP"``: root mean square over the workspace and its three axes, best
-            translation removed.
-        wanted: standard deviation, SI.
-        repeats: visits to every station; ``None`` where no number is enough.
-        sigma: with that many; with one visit where none is enough.
-        floor: what is left with any number of repeats: rounding, placement, and what is not seen.
-    """
-
+    # parameter, or `"TCP"`: root mean square over the workspace and its three axes, best
+    # translation removed
     what: str
-    wanted: float
-    repeats: int | None
-    sigma: float
+    wanted: float  # standard deviation, SI
+    repeats: int | None  # visits to every station; `None` where no number is enough
+    sigma: float  # with that many; with one visit where none is enough
+    # what is left with any number of repeats: rounding, placement, and what is not seen
     floor: float
 
 

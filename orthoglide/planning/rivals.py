@@ -24,21 +24,13 @@ _GRID = 3
 
 @dataclass(frozen=True)
 class Rival:
-    """One way to explain the readings at hand.
+    """One way to explain the readings at hand."""
 
-    Attributes:
-        name: of the cause.
-        values: parameters of the machine, SI.
-        parts: elementary parameters of the machine that its unknowns set.
-        weights: of these for each unknown ``(E, P)``.
-        covariance: of the unknowns ``(P, P)``, SI, tolerances as priors.
-    """
-
-    name: str
-    values: Values
-    parts: tuple[str, ...]
-    weights: Array
-    covariance: Array
+    name: str  # of the cause
+    values: Values  # parameters of the machine, SI
+    parts: tuple[str, ...]  # elementary parameters of the machine that its unknowns set
+    weights: Array  # of these for each unknown (E, P)
+    covariance: Array  # of the unknowns (P, P), SI, tolerances as priors
 
     def weights_of(self, names: Sequence[str]) -> Array:
         """Weights of elementary parameters for each unknown ``(n, P)``; 0 where none sets one."""

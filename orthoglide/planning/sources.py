@@ -25,17 +25,11 @@ from orthoglide.posterior import with_everything
 
 @dataclass(frozen=True, eq=False)
 class ToolError:
-    """The tool's error by its sources at one scale of the tolerances.
+    """The tool's error by its sources at one scale of the tolerances."""
 
-    Attributes:
-        field: of each machine parameter, in the scaled tolerances ``(g, 3, P)``, metres.
-        read: of each of the readings and the dials' own parameters ``(g, 3, m)``, metres.
-        effects: of the parameters.
-    """
-
-    field: Array
-    read: Array
-    effects: tuple[str, ...]
+    field: Array  # of each machine parameter, in the scaled tolerances (g, 3, P), metres
+    read: Array  # of each of the readings and the dials' own parameters (g, 3, m), metres
+    effects: tuple[str, ...]  # of the parameters
 
     @property
     def by_effect(self) -> dict[str, float]:
@@ -65,17 +59,11 @@ class ToolError:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What makes the tool's error.
+    """What makes the tool's error."""
 
-    Attributes:
-        slopes: TCP's shape by machine parameter in its tolerance ``(g, 3, P)``, metres.
-        effects: of the parameters.
-        rows: whitened readings by these and by the dials' own ``(m, P + D)``; none without a
-            calibration.
-    """
-
-    slopes: Array
-    effects: tuple[str, ...]
+    slopes: Array  # TCP's shape by machine parameter in its tolerance (g, 3, P), metres
+    effects: tuple[str, ...]  # of the parameters
+    # whitened readings by these and by the dials' own (m, P + D); none without a calibration
     rows: Array | None
 
     @classmethod

@@ -25,46 +25,28 @@ _WHY = "by side of approach, load, warmth or time alone, or by a screw pitch tha
 
 @dataclass(frozen=True)
 class NeededTolerance:
-    """One effect in the budget of tolerances, SI.
+    """One effect in the budget of tolerances, SI."""
 
-    Attributes:
-        effect: its name.
-        tolerance: of the machine file.
-        share: of the tool's error, as a share of its variance, all tolerances scaled alike.
-        scaled: tolerance needed if all are scaled alike.
-        equal: tolerance needed if all effects make the same share of the tool's error.
-        unit: of its parameters in files.
-    """
-
-    effect: str
-    tolerance: float
-    share: float
-    scaled: float
-    equal: float
-    unit: Unit
+    effect: str  # its name
+    tolerance: float  # of the machine file
+    share: float  # of the tool's error, as a share of its variance, all tolerances scaled alike
+    scaled: float  # tolerance needed if all are scaled alike
+    equal: float  # tolerance needed if all effects make the same share of the tool's error
+    unit: Unit  # of its parameters in files
 
 
 @dataclass(frozen=True)
 class NeededTolerances(Framed):
-    """Tolerances that a wanted error of the tool needs.
+    """Tolerances that a wanted error of the tool needs."""
 
-    Attributes:
-        wanted: mean over the workspace and machines after the best translation, metres.
-        now: the same at the tolerances of the machine file, metres.
-        scale: of all tolerances that gives what is wanted; infinite where any will do.
-        effects: what costs most first.
-        noise: share of the readings and their dials in the tool's error; 0 without calibration.
-        sheet: by which the machine is calibrated; empty where it is not.
-        left_out: effects of the machine that make no error of the tool at rest and in the middle
-            of the dead band.
-    """
-
-    wanted: float
-    now: float
-    scale: float
-    effects: tuple[NeededTolerance, ...]
-    noise: float
-    sheet: str
+    wanted: float  # mean over the workspace and machines after the best translation, metres
+    now: float  # the same at the tolerances of the machine file, metres
+    scale: float  # of all tolerances that gives what is wanted; infinite where any will do
+    effects: tuple[NeededTolerance, ...]  # what costs most first
+    noise: float  # share of the readings and their dials in the tool's error; 0 without calibration
+    sheet: str  # by which the machine is calibrated; empty where it is not
+    # effects of the machine that make no error of the tool at rest and in the middle of the dead
+    # band
     left_out: tuple[str, ...]
     _index = "effect"
 

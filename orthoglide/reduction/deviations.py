@@ -20,19 +20,12 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Dials:
-    """Where and what a list of N dials touched.
+    """Where and what a list of N dials touched."""
 
-    Attributes:
-        commands: ``(N, 3)``, metres.
-        legs: ``(N,)``, 0, 1 or 2.
-        axes: ``(N,)``, the base axis each dial reads along.
-        gauges: ``(N,)``, place along the leg's own axis, metres.
-    """
-
-    commands: Array
-    legs: Indices
-    axes: Indices
-    gauges: Array
+    commands: Array  # (N, 3), metres
+    legs: Indices  # (N,), 0, 1 or 2
+    axes: Indices  # (N,), the base axis each dial reads along
+    gauges: Array  # (N,), place along the leg's own axis, metres
 
     @classmethod
     def checked(
@@ -56,15 +49,10 @@ class Dials:
 
 @dataclass(frozen=True)
 class Observed:
-    """Readings of one machine, with all that their derivatives need.
+    """Readings of one machine, with all that their derivatives need."""
 
-    Attributes:
-        values: ``(N,)``, metres.
-        gradient: by offsets and lengths ``(N, 6)``, dimensionless.
-    """
-
-    values: Array
-    gradient: Array
+    values: Array  # (N,), metres
+    gradient: Array  # by offsets and lengths (N, 6), dimensionless
     _inverse: Array
     _tcp: Array
     _state: tuple[Indices, Indices, Array, Array, Array, Array]

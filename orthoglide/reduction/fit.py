@@ -33,31 +33,18 @@ _MOST_STEPS = 60
 
 @dataclass(frozen=True)
 class ReadingFit:
-    """Result of ``fit_readings``.
+    """Result of ``fit_readings``."""
 
-    Attributes:
-        values: parameters ``(P,)``, metres; those held keep their start value.
-        six: offsets and lengths of each campaign ``(G, 6)``, metres.
-        nuisance: z ``(k,)``.
-        readings: fitted readings s f + U z ``(N,)``, metres.
-        residuals: readings minus fitted ``(N,)``, metres.
-        cost: the objective, dimensionless.
-        covariance: of the values at the given sigmas ``(P, P)``, square metres; zero where held.
-        rank: how many directions of the free parameters the data and priors determine.
-        converged: whether the last step stayed below the tolerance.
-        iterations: steps taken.
-    """
-
-    values: Array
-    six: Array
-    nuisance: Array
-    readings: Array
-    residuals: Array
-    cost: float
-    covariance: Array
-    rank: int
-    converged: bool
-    iterations: int
+    values: Array  # parameters (P,), metres; those held keep their start value
+    six: Array  # offsets and lengths of each campaign (G, 6), metres
+    nuisance: Array  # z (k,)
+    readings: Array  # fitted readings s f + U z (N,), metres
+    residuals: Array  # readings minus fitted (N,), metres
+    cost: float  # the objective, dimensionless
+    covariance: Array  # of the values at the given sigmas (P, P), square metres; zero where held
+    rank: int  # how many directions of the free parameters the data and priors determine
+    converged: bool  # whether the last step stayed below the tolerance
+    iterations: int  # steps taken
 
 
 _Parts = tuple[tuple[slice | Indices, Array], ...]

@@ -27,15 +27,10 @@ _BLOCK = 4096  # poses a pass: some twenty rows of doubles stay in the cache
 
 
 class Jacobians(NamedTuple):
-    """Eq. (5): how the TCP moves with the parameters.
+    """Eq. (5): how the TCP moves with the parameters."""
 
-    Attributes:
-        rho: dp/drho and dp/doffset ``(..., 3, 3)``, dimensionless.
-        lengths: dp/dL ``(..., 3, 3)``, dimensionless.
-    """
-
-    rho: Array
-    lengths: Array
+    rho: Array  # dp/drho and dp/doffset (..., 3, 3), dimensionless
+    lengths: Array  # dp/dL (..., 3, 3), dimensionless
 
 
 def vectors(value: ArrayLike, name: str) -> Array:

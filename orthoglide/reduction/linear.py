@@ -30,19 +30,12 @@ _BLOCKS = ((0, 1), (1, 2), (0, 2))  # pairs of axes, as (11) stacks them: xy, yz
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """Deviations = matrix @ parameters.
+    """Deviations = matrix @ parameters."""
 
-    Attributes:
-        matrix: ``(rows, columns)``, dimensionless.
-        rows: names of the deviations.
-        columns: names of the parameters.
-        noise: covariance of the deviations for readings of unit variance ``(rows, rows)``.
-    """
-
-    matrix: Array
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
-    noise: Array
+    matrix: Array  # (rows, columns), dimensionless
+    rows: tuple[str, ...]  # names of the deviations
+    columns: tuple[str, ...]  # names of the parameters
+    noise: Array  # covariance of the deviations for readings of unit variance (rows, rows)
 
     def select(self, free: str | Sequence[str]) -> LinearSystem:
         """The system of some parameters only.
@@ -76,19 +69,12 @@ class LinearSystem:
 
 @dataclass(frozen=True)
 class LinearFit:
-    """Least squares on a linear system.
+    """Least squares on a linear system."""
 
-    Attributes:
-        values: parameters ``(columns,)``, in the unit of the deviations.
-        fitted: J x ``(rows,)``: the papers' "expected improvement" of Table 2.
-        residuals: deviations minus fitted ``(rows,)``.
-        rms: root mean square of the residuals.
-    """
-
-    values: Array
-    fitted: Array
-    residuals: Array
-    rms: float
+    values: Array  # parameters (columns,), in the unit of the deviations
+    fitted: Array  # J x (rows,): the papers' "expected improvement" of Table 2
+    residuals: Array  # deviations minus fitted (rows,)
+    rms: float  # root mean square of the residuals
 
 
 def stroke_angles(geometry: Geometry = NOMINAL) -> tuple[float, float]:

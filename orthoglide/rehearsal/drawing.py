@@ -20,16 +20,11 @@ from orthoglide.posterior import places_of, with_everything
 
 @dataclass(frozen=True)
 class Kind:
-    """What is wrong with some of the machines.
+    """What is wrong with some of the machines."""
 
-    Attributes:
-        name: for tables.
-        share: of their tolerances by which all effects are off.
-        extra: what stands out besides: an effect, something outside the catalogue, or nothing.
-    """
-
-    name: str
-    share: float = 0.0
+    name: str  # for tables
+    share: float = 0.0  # of their tolerances by which all effects are off
+    # what stands out besides: an effect, something outside the catalogue, or nothing
     extra: str = ""
 
 
@@ -51,20 +46,14 @@ STRAYS = (0.5, 2.0)
 
 @dataclass(frozen=True, eq=False)
 class Scope:
-    """What may be wrong with a machine as far as a sheet is concerned.
+    """What may be wrong with a machine as far as a sheet is concerned."""
 
-    Attributes:
-        machine: dimensions, tolerances and instruments; without errors.
-        sheets: rows to be read, of dials and of instruments at the tool.
-        parameters: of effects beyond zeros and lengths, those of the dials and plates among them,
-            whose conditions the sheets vary.
-        places: that the sheets may show.
-    """
-
-    machine: Machine
-    sheets: tuple[Readings, ...]
+    machine: Machine  # dimensions, tolerances and instruments; without errors
+    sheets: tuple[Readings, ...]  # rows to be read, of dials and of instruments at the tool
+    # of effects beyond zeros and lengths, those of the dials and plates among them, whose
+    # conditions the sheets vary
     parameters: tuple[Parameter, ...]
-    places: tuple[Place, ...]
+    places: tuple[Place, ...]  # that the sheets may show
 
     @classmethod
     def of(cls, machine: Machine, *sheets: Readings) -> Scope:
@@ -84,23 +73,15 @@ class Scope:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """One machine as it is.
+    """One machine as it is."""
 
-    Attributes:
-        kind: what is wrong.
-        machine: with all its errors.
-        sizes: of its errors beyond zeros and lengths, in tolerances, by parameter.
-        cause: name of what stands out, as verdicts call it; empty where nothing does.
-        size: of that in tolerances, or in the deviation to expect of a place.
-        words: what that is, as a clause.
-    """
-
-    kind: Kind
-    machine: Machine
+    kind: Kind  # what is wrong
+    machine: Machine  # with all its errors
+    # of its errors beyond zeros and lengths, in tolerances, by parameter
     sizes: Mapping[str, float] = field(default_factory=dict)
-    cause: str = ""
-    size: float = 0.0
-    words: str = ""
+    cause: str = ""  # name of what stands out, as verdicts call it; empty where nothing does
+    size: float = 0.0  # of that in tolerances, or in the deviation to expect of a place
+    words: str = ""  # what that is, as a clause
 
     @property
     def catalogue(self) -> Catalogue:

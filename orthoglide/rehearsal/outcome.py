@@ -21,43 +21,25 @@ from orthoglide.threads import on_one_thread
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one campaign; millimetres, of the tool after the best translation.
+    """What became of one campaign; millimetres, of the tool after the best translation."""
 
-    Attributes:
-        number: of the campaign, from 0.
-        kind: what was wrong, as in the table.
-        cause: what stood out, as verdicts call it; empty where nothing did.
-        size: of that, in tolerances or in the deviation to expect of such a place.
-        words: what it was, as a clause.
-        word: the verdict.
-        named: causes that it named and that were there.
-        located: places that it located and that were there.
-        false: what it claimed besides.
-        nominal_mm: mean error of the tool of the machine as drawn.
-        before_mm: the same after zeros and lengths are put right.
-        after_mm: the same after everything found is compensated.
-        stated_mm: what the verdict says of that.
-        inside: share of the tool's coordinates within their stated 95 % interval.
-        seconds: that it took.
-        failed: why it came to no verdict; empty where it did.
-    """
-
-    number: int
-    kind: str
-    cause: str = ""
-    size: float = 0.0
-    words: str = ""
-    word: str = ""
-    named: tuple[str, ...] = ()
-    located: tuple[str, ...] = ()
-    false: tuple[str, ...] = ()
-    nominal_mm: float = float("nan")
-    before_mm: float = float("nan")
-    after_mm: float = float("nan")
-    stated_mm: float = float("nan")
+    number: int  # of the campaign, from 0
+    kind: str  # what was wrong, as in the table
+    cause: str = ""  # what stood out, as verdicts call it; empty where nothing did
+    size: float = 0.0  # of that, in tolerances or in the deviation to expect of such a place
+    words: str = ""  # what it was, as a clause
+    word: str = ""  # the verdict
+    named: tuple[str, ...] = ()  # causes that it named and that were there
+    located: tuple[str, ...] = ()  # places that it located and that were there
+    false: tuple[str, ...] = ()  # what it claimed besides
+    nominal_mm: float = float("nan")  # mean error of the tool of the machine as drawn
+    before_mm: float = float("nan")  # the same after zeros and lengths are put right
+    after_mm: float = float("nan")  # the same after everything found is compensated
+    stated_mm: float = float("nan")  # what the verdict says of that
+    # share of the tool's coordinates within their stated 95 % interval
     inside: float = float("nan")
-    seconds: float = 0.0
-    failed: str = ""
+    seconds: float = 0.0  # that it took
+    failed: str = ""  # why it came to no verdict; empty where it did
 
     @property
     def missed(self) -> bool:

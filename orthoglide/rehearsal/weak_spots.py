@@ -25,15 +25,10 @@ _SAME_TOOL = 0.99
 
 @dataclass(frozen=True)
 class WeakSpot:
-    """Something that a sheet does not show, or not well.
+    """Something that a sheet does not show, or not well."""
 
-    Attributes:
-        names: of the parameters or effects.
-        words: what that means at the machine, a sentence.
-    """
-
-    names: tuple[str, ...]
-    words: str
+    names: tuple[str, ...]  # of the parameters or effects
+    words: str  # what that means at the machine, a sentence
 
     def __str__(self) -> str:
         return self.words

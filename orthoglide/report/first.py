@@ -47,32 +47,20 @@ _NUMBERS = ("With the firmware's numbers", "With the new ones")
 
 @dataclass(frozen=True)
 class Statement:
-    """One cause or place as a reader meets it.
+    """One cause or place as a reader meets it."""
 
-    Attributes:
-        words: a sentence with part, direction, size and unit.
-        sure: how sure it is, and how well its size is known.
-        option: its place among the options of the drawing.
-    """
-
-    words: str
-    sure: str
-    option: int
+    words: str  # a sentence with part, direction, size and unit
+    sure: str  # how sure it is, and how well its size is known
+    option: int  # its place among the options of the drawing
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What was found in one place of the machine.
+    """What was found in one place of the machine."""
 
-    Attributes:
-        first: the most probable.
-        same: other names of it: the same to these readings and to the tool.
-        rivals: that these readings cannot tell from it, most probable first.
-    """
-
-    first: Statement
-    same: tuple[Statement, ...]
-    rivals: tuple[Statement, ...]
+    first: Statement  # the most probable
+    same: tuple[Statement, ...]  # other names of it: the same to these readings and to the tool
+    rivals: tuple[Statement, ...]  # that these readings cannot tell from it, most probable first
 
 
 @dataclass(frozen=True)

@@ -31,17 +31,11 @@ _OPEN = ("finding", "view", "left", "firmware", "controller", "changes")
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the page.
+    """One section of the page."""
 
-    Attributes:
-        template: name under ``templates/sections``, and its anchor.
-        title: its heading; empty for the verdict at the top.
-        data: what the template shows.
-    """
-
-    template: str
-    title: str
-    data: Mapping[str, Any]
+    template: str  # name under `templates/sections`, and its anchor
+    title: str  # its heading; empty for the verdict at the top
+    data: Mapping[str, Any]  # what the template shows
 
     @property
     def folded(self) -> bool:

@@ -18,27 +18,16 @@ _LEFT_OVER = 0.5  # degrees of freedom: less is no test
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One identified value in its file's unit, ready to print.
+    """One identified value in its file's unit, ready to print."""
 
-    Attributes:
-        name: of the parameter.
-        value: with its sign.
-        sigma: everything else allowed; as if nothing else were wrong by ``identify``.
-        low: end of the 95 % interval.
-        high: its other end.
-        tolerance: standard deviation to expect.
-        unit: of all these.
-        on_bound: whether the value ended on its bound.
-    """
-
-    name: str
-    value: str
-    sigma: str
-    low: str
-    high: str
-    tolerance: str
-    unit: str
-    on_bound: bool
+    name: str  # of the parameter
+    value: str  # with its sign
+    sigma: str  # everything else allowed; as if nothing else were wrong by `identify`
+    low: str  # end of the 95 % interval
+    high: str  # its other end
+    tolerance: str  # standard deviation to expect
+    unit: str  # of all these
+    on_bound: bool  # whether the value ended on its bound
 
 
 def parameter_rows(result: Result) -> list[ParameterRow]:

@@ -30,39 +30,24 @@ _AGAIN = "orthoglide rerun result.json --out DIR"
 
 @dataclass(frozen=True)
 class Request:
-    """All that has an influence on the numbers of a run.
+    """All that has an influence on the numbers of a run."""
 
-    Attributes:
-        command: of the command line.
-        campaigns: the readings.
-        machine: to start from.
-        own: effects or parameters that each campaign has for itself.
-        noise: standard deviation of one reading, metres; ``None`` where files or repeats say it.
-        seed: of every random draw.
-        holdout: readings that judge the finished result.
-        tcp: points that judge the finished result.
-        free: effects or parameters that ``identify`` frees.
-        priors: whether tolerances act as priors in ``identify``.
-        reduced: whether the analytic reduction identifies.
-        points: readings of the tool: TCP points to be fitted, and files of other kinds.
-        frame: how the instrument of ``points`` may stand to the machine.
-        effects_file: name of the file with the user's own effects, where one was given.
-    """
-
-    command: Command
-    campaigns: tuple[Campaign, ...]
-    machine: Machine
-    own: tuple[str, ...] = ()
+    command: Command  # of the command line
+    campaigns: tuple[Campaign, ...]  # the readings
+    machine: Machine  # to start from
+    own: tuple[str, ...] = ()  # effects or parameters that each campaign has for itself
+    # standard deviation of one reading, metres; `None` where files or repeats say it
     noise: float | None = None
-    seed: int = 0
-    holdout: tuple[Readings, ...] = ()
-    tcp: TcpPoints | None = None
-    free: tuple[str, ...] = CATALOGUE.base
-    priors: bool = True
-    reduced: bool = False
+    seed: int = 0  # of every random draw
+    holdout: tuple[Readings, ...] = ()  # readings that judge the finished result
+    tcp: TcpPoints | None = None  # points that judge the finished result
+    free: tuple[str, ...] = CATALOGUE.base  # effects or parameters that `identify` frees
+    priors: bool = True  # whether tolerances act as priors in `identify`
+    reduced: bool = False  # whether the analytic reduction identifies
+    # readings of the tool: TCP points to be fitted, and files of other kinds
     points: tuple[TcpPoints | ToolCampaign, ...] = ()
-    frame: Frame = "rigid"
-    effects_file: str = ""
+    frame: Frame = "rigid"  # how the instrument of `points` may stand to the machine
+    effects_file: str = ""  # name of the file with the user's own effects, where one was given
 
     @property
     def searches(self) -> bool:

@@ -31,41 +31,27 @@ _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth
 
 @dataclass(frozen=True)
 class Suspect:
-    """One of the causes that a part is looked at for.
+    """One of the causes that a part is looked at for."""
 
-    Attributes:
-        words: what would be wrong, as a clause with sign, size and unit.
-        look_at: on the machine.
-        confirm: a test with the reading to expect; empty where there is none.
-    """
-
-    words: str
-    look_at: str
-    confirm: str
+    words: str  # what would be wrong, as a clause with sign, size and unit
+    look_at: str  # on the machine
+    confirm: str  # a test with the reading to expect; empty where there is none
 
 
 @dataclass(frozen=True)
 class Action:
-    """One thing to do.
+    """One thing to do."""
 
-    Attributes:
-        kind: ``zeros`` to enter, a cause to ``confirm`` or to ``mend``, commands to ``compensate``,
-            or readings to ``measure``.
-        words: what to do, a sentence without its full stop.
-        gain: by how much the tool's mean error over the workspace falls, best shift removed, of
-            numbers for a firmware its rms height over the plate, metres; nan of what changes
-            nothing on the machine.
-        gain_sigma: standard deviation of that; nan where it is not known.
-        options: causes to look for, most probable first.
-        whichever: whether ``gain`` is the mean over the options, of which one is there.
-    """
-
+    # `zeros` to enter, a cause to `confirm` or to `mend`, commands to `compensate`, or readings to
+    # `measure`
     kind: Kind
-    words: str
+    words: str  # what to do, a sentence without its full stop
+    # by how much the tool's mean error over the workspace falls, best shift removed, of numbers for
+    # a firmware its rms height over the plate, metres; nan of what changes nothing on the machine
     gain: float = math.nan
-    gain_sigma: float = math.nan
-    options: tuple[Suspect, ...] = ()
-    whichever: bool = False
+    gain_sigma: float = math.nan  # standard deviation of that; nan where it is not known
+    options: tuple[Suspect, ...] = ()  # causes to look for, most probable first
+    whichever: bool = False  # whether `gain` is the mean over the options, of which one is there
 
 
 def actions(result: Result) -> tuple[Action, ...]:

@@ -140,21 +140,13 @@ def unseen_by_firmware(
 
 @dataclass(frozen=True, eq=False)
 class _Plate:
-    """A plate as it was touched.
+    """A plate as it was touched."""
 
-    Attributes:
-        radius: that was touched.
-        plane: height and slopes ``(3,)``.
-        commands: of the touches ``(n, 3)``.
-        places: where they were ``(n, 2)``.
-        sigma: of one.
-    """
-
-    radius: float
-    plane: Array
-    commands: Array
-    places: Array
-    sigma: float
+    radius: float  # that was touched
+    plane: Array  # height and slopes (3,)
+    commands: Array  # of the touches (n, 3)
+    places: Array  # where they were (n, 2)
+    sigma: float  # of one
 
 
 def _plate(fit: Estimate) -> _Plate | None:

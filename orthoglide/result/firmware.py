@@ -28,17 +28,11 @@ UNSEEN = (
 
 @dataclass(frozen=True)
 class Unseen:
-    """A cause that the firmware's own seven points cannot see.
+    """A cause that the firmware's own seven points cannot see."""
 
-    Attributes:
-        words: of the cause.
-        shown: the most that it changes a height after their fit, sigmas of a touch.
-        bends: whether their fit takes a plate's shape for the machine's.
-    """
-
-    words: str
-    shown: float
-    bends: bool
+    words: str  # of the cause
+    shown: float  # the most that it changes a height after their fit, sigmas of a touch
+    bends: bool  # whether their fit takes a plate's shape for the machine's
 
     @property
     def sentence(self) -> str:
@@ -60,20 +54,14 @@ class Unseen:
 
 @dataclass(frozen=True)
 class FirmwareAdvice:
-    """Numbers to paste, and what they cannot hold.
+    """Numbers to paste, and what they cannot hold."""
 
-    Attributes:
-        first: what must be known before anything else; empty where nothing must.
-        corrections: old and new numbers; ``None`` where the plate, which is the firmware's z = 0,
-            was not touched.
-        beyond: causes that no number of the firmware holds, each with what to do about it.
-        unseen: which of them its own seven points cannot see.
-    """
-
-    first: str
+    first: str  # what must be known before anything else; empty where nothing must
+    # old and new numbers; `None` where the plate, which is the firmware's z = 0, was not touched
     corrections: Corrections | None
+    # causes that no number of the firmware holds, each with what to do about it
     beyond: tuple[str, ...]
-    unseen: tuple[Unseen, ...]
+    unseen: tuple[Unseen, ...]  # which of them its own seven points cannot see
 
     @property
     def paste(self) -> str:

@@ -23,19 +23,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture:
-    """A drawing of what was found.
+    """A drawing of what was found."""
 
-    Attributes:
-        posed: the nominal machine at mechanical zero.
-        dials: where they stood.
-        options: explanations, found ones in order, each followed by what else it could be.
-        first: which options are the most probable of what was found.
-    """
-
-    posed: Posed
-    dials: tuple[Dial, ...]
+    posed: Posed  # the nominal machine at mechanical zero
+    dials: tuple[Dial, ...]  # where they stood
+    # explanations, found ones in order, each followed by what else it could be
     options: tuple[Option, ...]
-    first: tuple[int, ...]
+    first: tuple[int, ...]  # which options are the most probable of what was found
 
     def svg(self, alone: bool = False) -> str:
         """The drawing; ``alone``: as a file of its own."""

@@ -16,23 +16,14 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, repr=False)
 class Workspace:
-    """The TCP over the workspace, best translation removed, metres.
+    """The TCP over the workspace, best translation removed, metres."""
 
-    Attributes:
-        at: travel from mechanical zero on the Orthoglide, else where the tool is wanted ``(g, 3)``.
-        axis: what its columns are, with the axis' name to fill in.
-        now: predicted error of a controller that knows of no error ``(g, 3)``.
-        left: predicted error of one that knows of joint offsets and leg lengths ``(g, 3)``.
-        sure_before: 95 % radius about the base model, everything else allowed ``(g,)``.
-        sure: 95 % radius about the calibrated machine, everything else allowed ``(g,)``.
-    """
-
-    at: Array
-    axis: str
-    now: Array
-    left: Array
-    sure_before: Array
-    sure: Array
+    at: Array  # travel from mechanical zero on the Orthoglide, else where the tool is wanted (g, 3)
+    axis: str  # what its columns are, with the axis' name to fill in
+    now: Array  # predicted error of a controller that knows of no error (g, 3)
+    left: Array  # predicted error of one that knows of joint offsets and leg lengths (g, 3)
+    sure_before: Array  # 95 % radius about the base model, everything else allowed (g,)
+    sure: Array  # 95 % radius about the calibrated machine, everything else allowed (g,)
 
     @property
     def nominal(self) -> Array:

@@ -24,21 +24,13 @@ _STYLE = (
 
 @dataclass(frozen=True)
 class Projection:
-    """From the base frame to the paper.
+    """From the base frame to the paper."""
 
-    Attributes:
-        right: unit vector ``(3,)``.
-        up: unit vector ``(3,)``.
-        near: unit vector toward the eye ``(3,)``.
-        scale: paper units a metre.
-        shift: paper coordinates of the base frame's origin ``(2,)``.
-    """
-
-    right: Array
-    up: Array
-    near: Array
-    scale: float = 1.0
-    shift: tuple[float, float] = (0.0, 0.0)
+    right: Array  # unit vector (3,)
+    up: Array  # unit vector (3,)
+    near: Array  # unit vector toward the eye (3,)
+    scale: float = 1.0  # paper units a metre
+    shift: tuple[float, float] = (0.0, 0.0)  # paper coordinates of the base frame's origin (2,)
 
     def __call__(self, point: Array) -> tuple[float, float]:
         """Paper coordinates of a point ``(3,)``."""

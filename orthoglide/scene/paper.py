@@ -51,18 +51,12 @@ def lettering(x: float, y: float, text: str, colour: str, halo: float) -> str:
 
 @dataclass
 class Paper:
-    """From the base frame to the paper, and what is on it already.
+    """From the base frame to the paper, and what is on it already."""
 
-    Attributes:
-        project: paper coordinates of a point ``(3,)``.
-        unit: metres that are one unit of the paper.
-        taken: boxes that no words may cover.
-        lines: points of lines that words had better not cover.
-    """
-
-    project: Callable[[Array], Point]
-    unit: float
-    taken: list[Box] = field(default_factory=list)
+    project: Callable[[Array], Point]  # paper coordinates of a point (3,)
+    unit: float  # metres that are one unit of the paper
+    taken: list[Box] = field(default_factory=list)  # boxes that no words may cover
+    # points of lines that words had better not cover
     lines: list[Point] = field(default_factory=list)
 
     def __call__(self, point: Array) -> Point:

@@ -14,19 +14,12 @@ Part = Literal["drive", "rail", "carriage", "bar", "link", "platform", "dial", "
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Posed:
-    """A machine in one closed posture.
+    """A machine in one closed posture."""
 
-    Attributes:
-        geometry: its nominal dimensions.
-        lines: ends of the bars ``(leg, bar, end, 3)``, carriage's end first.
-        p: tool ``(3,)``.
-        travel: of the carriages from mechanical zero ``(3,)``.
-    """
-
-    geometry: Geometry
-    lines: Array
-    p: Array
-    travel: Array
+    geometry: Geometry  # its nominal dimensions
+    lines: Array  # ends of the bars (leg, bar, end, 3), carriage's end first
+    p: Array  # tool (3,)
+    travel: Array  # of the carriages from mechanical zero (3,)
 
     def carriage(self, leg: int) -> Array:
         """Middle of a carriage's joints ``(3,)``."""
@@ -50,17 +43,11 @@ class Posed:
 
 @dataclass(frozen=True, eq=False)
 class Dial:
-    """One mounting of a dial.
+    """One mounting of a dial."""
 
-    Attributes:
-        name: of the setup.
-        at: the touched point ``(3,)``.
-        way: direction in which it counts up ``(3,)``, a unit vector.
-    """
-
-    name: str
-    at: Array
-    way: Array
+    name: str  # of the setup
+    at: Array  # the touched point (3,)
+    way: Array  # direction in which it counts up (3,), a unit vector
 
     def face(self, unit: float) -> Array:
         """Where its face is drawn ``(3,)``; a unit of the paper is so many metres."""
@@ -73,39 +60,23 @@ class Dial:
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """One part that moves wrongly.
+    """One part that moves wrongly."""
 
-    Attributes:
-        part: what it is.
-        leg: 0, 1 or 2; -1 of what belongs to no leg.
-        way: direction in which it moves, or about which it turns, with its sign ``(3,)``.
-        label: its size, and the direction in words.
-        bar: 1 or 2 of a bar; 0 of both, and of other parts.
-        at: travel at which it stands where it is marked, metres.
-        curve: travel and amount over the stroke ``(k, 2)`` of what a path does, largest 1.
-        both: whether it moves either way.
-        setup: of a dial.
-    """
-
-    part: Part
-    leg: int
-    way: Array
-    label: str
-    bar: int = 0
-    at: float = 0.0
+    part: Part  # what it is
+    leg: int  # 0, 1 or 2; -1 of what belongs to no leg
+    way: Array  # direction in which it moves, or about which it turns, with its sign (3,)
+    label: str  # its size, and the direction in words
+    bar: int = 0  # 1 or 2 of a bar; 0 of both, and of other parts
+    at: float = 0.0  # travel at which it stands where it is marked, metres
+    # travel and amount over the stroke (k, 2) of what a path does, largest 1
     curve: Array | None = None
-    both: bool = False
-    setup: str = ""
+    both: bool = False  # whether it moves either way
+    setup: str = ""  # of a dial
 
 
 @dataclass(frozen=True, eq=False)
 class Option:
-    """One explanation as a picture shows it.
+    """One explanation as a picture shows it."""
 
-    Attributes:
-        words: a clause.
-        marks: parts that move wrongly.
-    """
-
-    words: str
-    marks: tuple[Mark, ...]
+    words: str  # a clause
+    marks: tuple[Mark, ...]  # parts that move wrongly

@@ -18,36 +18,22 @@ MOST_WAYS = 10
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Way:
-    """What one cause does to a machine over its workspace.
+    """What one cause does to a machine over its workspace."""
 
-    Attributes:
-        words: a clause.
-        lines: displacement of the bars' ends ``(n, leg, bar, end, 3)``, metres.
-        p: of the tool ``(n, 3)``, metres.
-    """
-
-    words: str
-    lines: Array
-    p: Array
+    words: str  # a clause
+    lines: Array  # displacement of the bars' ends (n, leg, bar, end, 3), metres
+    p: Array  # of the tool (n, 3), metres
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class View:
-    """A machine in postures along a way through its workspace, and what may be wrong with it.
+    """A machine in postures along a way through its workspace, and what may be wrong with it."""
 
-    Attributes:
-        geometry: its nominal dimensions.
-        lines: ends of the bars ``(n, leg, bar, end, 3)``, metres.
-        p: tool ``(n, 3)``.
-        travel: of the carriages from mechanical zero ``(n, 3)``.
-        ways: causes, each to be switched on.
-    """
-
-    geometry: Geometry
-    lines: Array
-    p: Array
-    travel: Array
-    ways: tuple[Way, ...]
+    geometry: Geometry  # its nominal dimensions
+    lines: Array  # ends of the bars (n, leg, bar, end, 3), metres
+    p: Array  # tool (n, 3)
+    travel: Array  # of the carriages from mechanical zero (n, 3)
+    ways: tuple[Way, ...]  # causes, each to be switched on
 
     def data(self) -> dict[str, Any]:
         """For the page: postures in hundredths, displacements in tenths of micrometres."""

@@ -29,17 +29,11 @@ _KINDS: dict[str, Literal["point", "frame"]] = {"3d": "point", "6d": "frame"}
 
 @dataclass(frozen=True)
 class ParallelRobot:
-    """A machine with loops as its two files say it.
+    """A machine with loops as its two files say it."""
 
-    Attributes:
-        urdf: text of the tree.
-        closures: what closes it, in the order of the file.
-        motors: names of the joints that are driven.
-    """
-
-    urdf: str
-    closures: tuple[Closure, ...]
-    motors: tuple[str, ...]
+    urdf: str  # text of the tree
+    closures: tuple[Closure, ...]  # what closes it, in the order of the file
+    motors: tuple[str, ...]  # names of the joints that are driven
 
 
 def parallel_robot_files(geometry: Geometry, urdf: str = "") -> dict[str, str]:

@@ -33,19 +33,13 @@ MATERIALS: dict[str, tuple[Vector, float]] = {
 
 @dataclass(frozen=True)
 class Solid:
-    """A box or cylinder with its edges along the axes of its link.
+    """A box or cylinder with its edges along the axes of its link."""
 
-    Attributes:
-        size: extent along the link's axes, metres; a cylinder's is its length and its diameters.
-        centre: in the link, metres.
-        material: key of ``MATERIALS``.
-        along: axis of a cylinder, 0, 1 or 2; ``None`` for a box.
-    """
-
+    # extent along the link's axes, metres; a cylinder's is its length and its diameters
     size: Vector
-    centre: Vector
-    material: str
-    along: int | None = None
+    centre: Vector  # in the link, metres
+    material: str  # key of `MATERIALS`
+    along: int | None = None  # axis of a cylinder, 0, 1 or 2; `None` for a box
 
     def in_base(self, turn: Array) -> Solid:
         """The same solid in the base's axes; ``turn`` ``(3, 3)`` has its own as columns."""

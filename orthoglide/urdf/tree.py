@@ -35,19 +35,13 @@ _EFFORT_AND_VELOCITY = {"prismatic": (1000.0, 1.0), "revolute": (0.0, 10.0)}
 
 @dataclass(frozen=True)
 class Closure:
-    """Two frames of the tree that coincide where the machine is assembled.
+    """Two frames of the tree that coincide where the machine is assembled."""
 
-    Attributes:
-        name: of the loop, such as ``"x_parallelogram"``.
-        kind: ``"point"``, the origins coincide (3 rows), or ``"frame"``, the axes too (6 rows).
-        frame_1: link of the tree.
-        frame_2: link of the tree.
-    """
-
-    name: str
+    name: str  # of the loop, such as `"x_parallelogram"`
+    # `"point"`, the origins coincide (3 rows), or `"frame"`, the axes too (6 rows)
     kind: Literal["point", "frame"]
-    frame_1: str
-    frame_2: str
+    frame_1: str  # link of the tree
+    frame_2: str  # link of the tree
 
     @property
     def rows(self) -> int:
