@@ -222,9 +222,8 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     geometry = _geometry(document, sections["geometry_mm"])
     provenance = _plain(document.table("provenance"))
     check_travel(document, geometry, provenance)
-    catalogue = with_places(
-        catalogue.of_layout(geometry.layout), document.table("parameters"), geometry.stroke
-    )
+    catalogue, named = catalogue.of_layout(geometry.layout), document.table("parameters")
+    catalogue = with_places(catalogue, named, geometry.stroke)
     return MachineFile(
         name=top.get("name", ""),
         geometry=geometry,
