@@ -229,8 +229,11 @@ def _strange(kind: str, rng: np.random.Generator) -> Cause:
         "uneven bed": bed(uneven),
         "bump": bed(lambda x, y: np.exp(-((x - 0.4) ** 2 + (y - 0.2) ** 2) / 0.05)),
     }
-    rail, roll = f"rail.{leg}.tangential/travel", f"carriage.{leg}.{leg}/travel"
-    where = {"wavy rail": (rail,), "kinked rail": (rail,), "carriage rolls in waves": (roll,)}
+    rail, roll = (
+        tuple(f"{part}/{how}" for how in ("travel", "waves"))
+        for part in (f"rail.{leg}.tangential", f"carriage.{leg}.{leg}")
+    )
+    where = {"wavy rail": rail, "kinked rail": rail, "carriage rolls in waves": roll}
     return Cause(kind, kind, {}, made[kind], where.get(kind, ()))
 
 

@@ -6,6 +6,7 @@ effects of the catalogue compete with them.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -45,10 +46,16 @@ class Place:
     span: Range | None = None
     setup: str = ""  # the dial's mounting; empty where it is all of them, or no dial
     names: LegNames = Orthoglide.names  # of legs and directions
+    short: bool = False  # whether it comes and goes over a few centimetres, however long the stroke
 
     @property
     def name(self) -> str:
         """Unique, such as ``rail.x.y/travel``."""
+        return self.where.replace("/travel", "/waves") if self.short else self.where
+
+    @property
+    def where(self) -> str:
+        """The same of what is short and of what is not: it is one or the other."""
         if self.of_dial:
             return f"dial{self.setup and '.'}{self.setup}/{self.against}"
         way = f".{self.direction}" if self.direction else ""
@@ -136,7 +143,7 @@ class Place:
             return f"the dial of {self.setup} {what}"
         leg = self.names.legs[self.leg]
         how = {
-            "travel": "by its travel",
+            "travel": "in short waves along its travel" if self.short else "by its travel",
             "approach": "by the side it is approached from",
             "reversal": "by the way gone since it turned round",
             "command": f"by the command of drive {self.names.legs[self.by]}",
@@ -217,6 +224,10 @@ _DRIVE, _LOST = Kernel(0.030 / _LENGTH, 96, rough=0.1), Kernel(0.030 / _LENGTH, 
 _ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
 _OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
 _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
+# Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
+# stroke. On one of less than three waves of this kind the lengths above draw them as well.
+_SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
+_PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 _CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
 _UM = 1e-6
@@ -231,15 +242,24 @@ class Session:
     leg: int | None = None  # whose dials were read; `None`: of the whole campaign
 
 
+def _waves(half: float) -> Kernel:
+    """What comes and goes over some centimetres, on a stroke of twice ``half``, metres."""
+    return Kernel(_SHORT / half, min(_MOST, math.ceil(_PER_LENGTH * half / _SHORT)))
+
+
 def places(
-    sessions: Sequence[Session] = (), names: LegNames = Orthoglide.names
+    sessions: Sequence[Session] = (),
+    names: LegNames = Orthoglide.names,
+    stroke: Range = (-_LENGTH, _LENGTH),
 ) -> tuple[Place, ...]:
     """All places of a machine.
 
     Args:
         sessions: of each leg, and of the campaign; none where time was not recorded.
         names: of legs and directions.
+        stroke: travel limits of the machine, metres.
     """
+    half = (stroke[1] - stroke[0]) / 2
     found: list[Place] = []
     for leg in range(len(LEGS)):
         own = names.legs[leg]
@@ -247,7 +267,10 @@ def places(
 
         def add(part: Part, joints: Joints, direction: str, against: Against, variable: Any,
                 kernel: Functions, unit: float, by: int = 0, leg: int = leg) -> None:  # fmt: skip
-            found.append(Place(part, leg, joints, direction, against, by, variable, kernel, unit))
+            place = Place(part, leg, joints, direction, against, by, variable, kernel, unit)
+            found.append(place)
+            if part in ("rail", "carriage") and against == "travel" and half > _SHORT_FROM:
+                found.append(replace(place, kernel=_waves(half), short=True))
 
         add("drive", drive, "", "travel", partial(_command_of, leg), _DRIVE, 100 * _UM)
         add("drive", drive, "", "approach", partial(_command_of, leg), _LOST, 50 * _UM)
@@ -320,15 +343,16 @@ def _none(c: LegConditions) -> Any:
     raise TypeError("this place is a function of no variable of the leg")
 
 
-def with_places(catalogue: Catalogue, names: Iterable[str]) -> Catalogue:
+def with_places(catalogue: Catalogue, names: Iterable[str], stroke: Range) -> Catalogue:
     """A catalogue with the places to which some of the parameters belong.
 
     Args:
         catalogue: that may lack them.
         names: of parameters.
+        stroke: travel limits of the machine, metres.
     """
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    every = places((), catalogue.legs)
+    every = places((), catalogue.legs, stroke)
     return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

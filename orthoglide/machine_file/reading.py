@@ -204,7 +204,9 @@ def read_machine_file(
             f"parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
-    catalogue = with_places(machine.catalogue, posterior.names if posterior else ())
+    catalogue = with_places(
+        machine.catalogue, posterior.names if posterior else (), machine.geometry.stroke
+    )
     return replace(
         machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
     )
@@ -220,7 +222,8 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     geometry = _geometry(document, sections["geometry_mm"])
     provenance = _plain(document.table("provenance"))
     check_travel(document, geometry, provenance)
-    catalogue = with_places(catalogue.of_layout(geometry.layout), document.table("parameters"))
+    catalogue, named = catalogue.of_layout(geometry.layout), document.table("parameters")
+    catalogue = with_places(catalogue, named, geometry.stroke)
     return MachineFile(
         name=top.get("name", ""),
         geometry=geometry,

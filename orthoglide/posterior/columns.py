@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.posterior.compressed import MANY, compressed
 from orthoglide.posterior.free import curves, curves_of_dials, one_surface, only_plates, plates
-from orthoglide.posterior.linear import RARE, SLABS, Group, Linear, whole
+from orthoglide.posterior.linear import RARE, SLABS, STRANGE, Group, Linear, whole
 from orthoglide.posterior.twins import tool_slopes, translations, twins
 
 _UNTIED = 1e3
@@ -279,10 +280,11 @@ def _groups(
         places = np.flatnonzero(rows.any(axis=1))
         causes.append(cause)
         groups.append(Group(cause.name, places, rows[places], False))
-    start = len(names)
+    start, ways = len(names), Counter(place.where for place in found)
     for place in found:
         members = range(start, start + place.kernel.count)
         start += place.kernel.count
         if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
-            groups.append(whole(place.name, members, free=True))
+            chance = STRANGE / ways[place.where]
+            groups.append(whole(place.name, members, free=True, chance=chance))
     return tuple(groups), tuple(causes), tuple(asked)

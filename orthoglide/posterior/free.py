@@ -57,7 +57,8 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
             time = campaign.time if leg is None else campaign.time[campaign.leg == leg]
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
                 sessions.append(Session(float(time.min()), float(time.max()), leg))
-    found = places(sessions, problem.machine.catalogue.legs)
+    machine = problem.machine
+    found = places(sessions, machine.catalogue.legs, machine.geometry.stroke)
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
         found = tuple(p for p in found if not p.moves_lines)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])

@@ -16,7 +16,8 @@ SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 
 STRANGE = 0.1
 """Probability of a place to be wrong in its own way, over that of a cause of the catalogue: what is
-known to go wrong with such machines goes wrong more often."""
+known to go wrong with such machines goes wrong more often. One that may be wrong in short waves or
+else smoothly is so in either way with half of that."""
 
 EXPECTED = 3.0
 """Causes that stand out, expected before the readings are seen (the mean of a Poisson law): who
@@ -50,12 +51,14 @@ class Group:
         places: of the coefficients that it moves ``(k,)``, or ``(q,)`` with ``weights``.
         weights: from its own coefficients to those ``(q, k)``.
         free: whether it is a free function.
+        chance: how often it goes wrong, over a cause of the catalogue.
     """
 
     name: str
     places: NDArray[np.intp]
     weights: Array
     free: bool
+    chance: float = 1.0
 
     @property
     def size(self) -> int:
@@ -201,6 +204,6 @@ def scales(linear: Linear) -> tuple[Scale, ...]:
     return tuple(Scale(basis, share) for share in linear.shares for basis in grid)
 
 
-def whole(name: str, places: Sequence[int], *, free: bool) -> Group:
+def whole(name: str, places: Sequence[int], *, free: bool, chance: float = 1.0) -> Group:
     """A group of coefficients, each for itself."""
-    return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free)
+    return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free, chance)

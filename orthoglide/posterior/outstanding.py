@@ -248,7 +248,7 @@ class _Reader:
     def _curve(self, member: int, k: int, probability: float, place: Place) -> Curve:
         group = self.groups[k]
         mean, spread = self.instead.moments(member, k, group.places)
-        u = np.linspace(-1, 1, 41)
+        u = np.linspace(-1, 1, 2 * place.kernel.count + 1 if place.short else 41)
         functions = np.stack(place.kernel.functions(u), axis=1) * place.unit
         if not place.two_sided:  # else its level may belong to the zeros
             functions -= functions.mean(axis=0)

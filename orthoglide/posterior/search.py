@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
-from orthoglide.posterior.linear import EXPECTED, STRANGE, Linear, Scale, scales
+from orthoglide.posterior.linear import EXPECTED, Linear, Scale, scales
 from orthoglide.posterior.pairs import likely_pairs
 
 _MOST = 6  # groups that stand out together
@@ -63,9 +63,8 @@ class Search:
         self._by_size: dict[int, list[int]] = {}
         for k, span in enumerate(self._span):
             self._by_size.setdefault(len(span), []).append(k)
-        # Each slab is one of so many, at one of so many scales; strangers are rarer than what a
-        # catalogue has.
-        chance = np.array([STRANGE if g.free else 1.0 for g in linear.groups])
+        # Each slab is one of so many, at one of so many scales.
+        chance = np.array([g.chance for g in linear.groups])
         self.cost = np.log(len(linear.slabs) * max(chance.sum() / EXPECTED, 1.0) / chance)
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}

@@ -188,6 +188,7 @@ def _place(curve: Curve, legs: Sequence[str]) -> dict[str, Any]:
         "part": place.part,
         "direction": place.direction or None,
         "against": place.against,
+        "short_waves": place.short,
         "by_leg": legs[place.by] if place.against == "command" else None,
         "setup": place.setup or None,
         "probability": number(curve.probability, _SHORT),
