@@ -19,7 +19,6 @@ from orthoglide.observations import (
     csv_text,
     read_readings,
     tcp_rows,
-    tool_rows,
 )
 from orthoglide.simulation import simulate, simulate_tcp
 
@@ -105,7 +104,7 @@ def _tool() -> str:
         legs = Machine.load(machine)
         (campaign,) = read_readings(sheet, legs.spec)
     read = ToolReadings.of(campaign, legs).predict(legs.model, {"joint_offset.p": 3e-4})
-    return csv_text(tool_rows(replace(campaign, reading=read), legs.spec))
+    return campaign_text(replace(campaign, reading=read), legs.spec)
 
 
 @cache

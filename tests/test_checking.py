@@ -21,7 +21,7 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.klipper import import_printer
-from orthoglide.observations import Readings, ToolCampaign, csv_text, tool_rows
+from orthoglide.observations import Readings, ToolCampaign, campaign_text
 from orthoglide.planning.owning import sheet_of
 from orthoglide.simulation import simulate
 from tests import rig_campaigns as rc
@@ -185,7 +185,7 @@ def test_a_tower_set_upright_between_two_visits_of_a_tracker(tmp_path: Path) -> 
     delta().save(tmp_path / "machine.toml")
     for name, error in (("old", 4e-3), ("new", 0.0)):
         read = probed("tool coordinates", 1 if error else 2, **{"axis_tilt.c.radial": error})
-        (tmp_path / f"{name}.csv").write_text(csv_text(list(tool_rows(read, delta().spec))))
+        (tmp_path / f"{name}.csv").write_text(campaign_text(read, delta().spec))
     files = (tmp_path / "old.csv", tmp_path / "new.csv")
     told = run("check", *files, "--machine", tmp_path / "machine.toml", "--out", tmp_path / "out")
     assert told.exit_code == 0, told.output

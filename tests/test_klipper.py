@@ -22,7 +22,7 @@ from orthoglide.klipper import Firmware, import_printer
 from orthoglide.klipper.firmware import refitted
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
-from orthoglide.observations import csv_text, read_readings, readings_from_rows, tool_rows
+from orthoglide.observations import campaign_rows, campaign_text, read_readings, readings_from_rows
 from orthoglide.result.corrections import corrections
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -38,7 +38,7 @@ def test_every_stored_file_imports_and_reads_back(path: Path, tmp_path: Path) ->
     assert spec.geometry == found.machine.geometry
     for campaign in found.campaigns:
         file = tmp_path / f"{campaign.name}.csv"
-        file.write_text(csv_text(tool_rows(campaign, found.machine)))
+        file.write_text(campaign_text(campaign, found.machine))
         (again,) = read_readings(file, spec)
         assert again.setups == campaign.setups
         for name in ("command", "second", "reading", "sigma", "approach"):
@@ -492,7 +492,7 @@ def test_mutated_files_give_a_sentence_or_a_campaign(tmp_path: Path) -> None:
             found = import_printer(file)
             parse_machine_file(machine_text(found.machine))
             for campaign in found.campaigns:
-                rows = tool_rows(campaign, found.machine)
+                rows = campaign_rows(campaign, found.machine)
                 readings_from_rows(rows, found.machine, name="again")
             fine += 1
         except InputError as error:

@@ -39,14 +39,14 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
     """Read a linear delta's printer.cfg: its numbers, heights, distances and meshes."""
     from orthoglide.klipper import import_printer
     from orthoglide.machine_file import machine_files
-    from orthoglide.observations import csv_text, tool_rows
+    from orthoglide.observations import campaign_text
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
     found = import_printer(config, _degrees(turned))
     files: dict[str, str | bytes] = dict(machine_files(found.machine, "machine.toml"))
     for campaign in found.campaigns:
-        files[f"{campaign.name}.csv"] = csv_text(tool_rows(campaign, found.machine))
+        files[f"{campaign.name}.csv"] = campaign_text(campaign, found.machine)
     write_results(out, files)
     for note in found.notes:
         say(f"warning: {note}", err=True)

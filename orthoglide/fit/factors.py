@@ -76,7 +76,7 @@ class OfFile:
     @property
     def turned(self) -> NDArray[np.bool_]:
         """Which are inclinations, radians ``(n,)``; all others are lengths, metres."""
-        return np.zeros(len(self.points), dtype=bool)
+        return self.points.of_kind("incline")
 
     @property
     def setup(self) -> Ints:

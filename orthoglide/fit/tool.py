@@ -134,11 +134,6 @@ class ToolReadings(OfFile):
         return tuple(s.name for s in self.points.setups if s.kind == "plate" and effect.plate)
 
     @property
-    def turned(self) -> NDArray[np.bool_]:
-        """Those of a level ``(n,)``."""
-        return self.points.of_kind("incline")
-
-    @property
     def point(self) -> Ints:
         """The row itself: each reading stands alone."""
         return np.arange(len(self.points))

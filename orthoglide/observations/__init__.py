@@ -34,7 +34,6 @@ from orthoglide.observations.tool_reading import (
     read_readings as read_readings,
     readings_from_rows as readings_from_rows,
 )
-from orthoglide.observations.tool_writing import tool_rows as tool_rows
 from orthoglide.observations.writing import (
     campaign_rows as campaign_rows,
     campaign_text as campaign_text,

@@ -157,6 +157,15 @@ class Recorded:
         return len(self.reading)
 
     @property
+    def kind(self) -> tuple[str, ...]:
+        """Of each reading: ``leg`` of a dial, else that of its instrument at the tool."""
+        return tuple(self.setups[k].kind for k in self.setup)
+
+    def of_kind(self, kind: str) -> NDArray[np.bool_]:
+        """Which readings are of a kind ``(n,)``, booleans."""
+        return np.array([s.kind == kind for s in self.setups], dtype=bool)[self.setup]
+
+    @property
     def temperature_rise(self) -> Array:
         """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
         return np.nan_to_num(self.temperature - self._reference())

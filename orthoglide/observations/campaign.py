@@ -35,6 +35,8 @@ class Setup:
         bar: 1 or 2 for a bar, 0 for the leg's median line.
     """
 
+    kind: ClassVar = "leg"
+
     name: str
     leg: int
     axis: int

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations.approach import Ints, Moves, derive_approach
-from orthoglide.observations.checks import check_commands
+from orthoglide.observations.checks import check_commands, check_sequence
 from orthoglide.observations.table import (
     DIRECTION,
     LEG,
@@ -127,28 +129,67 @@ def columns(table: Table, names: tuple[str, ...], column: Column) -> Array:
     return np.array([table.values(name, column) for name in names], dtype=float).T
 
 
-def fields_of(table: Table) -> dict[str, Any]:
-    """What the rows have of their own as fields of a campaign, but for their kind."""
-    own = {key: column for key, column in ROW_COLUMNS.items() if key != "kind"}
-    found = {key.partition("_")[0]: table.values(key, column) for key, column in own.items()}
-    whole = {"order": order_of(table), "posture": tuple(found["posture"])}
-    return found | whole | {"line": table.lines, "file": table.file, "sha256": table.sha256}
+def recorded(
+    table: Table, moved: ArrayLike, names: tuple[str, ...], machine: MachineFile
+) -> tuple[Table, dict[str, Any]]:
+    """The rows with readings, and what they have of their own as fields of a campaign.
 
+    The order is that of the rows where no column says; the approach as recorded, where it was, else
+    from the sequence.
 
-def order_of(table: Table) -> Ints:
-    """Place of each row in the sequence ``(n,)``; in the order of the rows where no column says."""
+    Args:
+        table: of readings and moves.
+        moved: which rows are moves ``(n,)``, booleans.
+        names: columns of the commands.
+        machine: whose stroke and controller count.
+    """
+    command, order = commands(table, names, machine), np.arange(1, len(table.rows) + 1)
     if "order" in table.names:
-        return np.array(table.values("order", ROW_COLUMNS["order"]))
-    return np.arange(1, len(table.rows) + 1)
+        order = np.array(table.values("order", ROW_COLUMNS["order"]))
+    check_sequence(command, order, table.lines, table.fail)
+    gone = np.asarray(moved, dtype=bool)
+    moves = Moves(command[gone], order[gone], np.array(table.lines)[gone])
+    command, order = command[~gone], order[~gone]
+    read = table.part(np.flatnonzero(~gone).tolist())
+    approach = by_leg(APPROACHED, machine.geometry.leg_names)
+    given = [name in table.names for name in approach]
+    told = columns(read, approach, DIRECTION_OF_MOVE)
+    own = {key: column for key, column in ROW_COLUMNS.items() if key != "kind"}
+    found = {key.partition("_")[0]: read.values(key, column) for key, column in own.items()}
+    return read, found | {
+        "command": command,
+        "order": order,
+        "moves": moves,
+        "approach": np.where(given, told, derive_approach(command, order, moves)),
+        "posture": tuple(found["posture"]),
+        "line": read.lines,
+        "file": read.file,
+        "sha256": read.sha256,
+    }
 
 
-def approaches(
-    table: Table, names: tuple[str, ...], command: Array, order: Ints, moves: Moves | None = None
-) -> Array:
-    """Approach as recorded; axes without a column get theirs from the sequence."""
-    recorded = columns(table, names, DIRECTION_OF_MOVE)
-    given = [name in table.names for name in names]
-    return np.where(given, recorded, derive_approach(command, order, moves))
+def mountings(
+    table: Table, cells: Mapping[str, Sequence[Any]], remedy: str
+) -> tuple[tuple[int, ...], Ints]:
+    """First row of every setup, in order of appearance, and the place among them of each row's.
+
+    Args:
+        table: of readings.
+        cells: what a mounting has once and for all, by column, ``setup`` among them.
+        remedy: where a setup is told to be two.
+    """
+    first: dict[str, int] = {}
+    for row, name in enumerate(cells["setup"]):
+        before = first.setdefault(name, row)
+        for key, values in cells.items():
+            if values[row] != values[before]:
+                table.fail(
+                    f"setup {name!r} has another {key} here than on line {table.lines[before]}: "
+                    f"{remedy}",
+                    row,
+                )
+    places = {name: place for place, name in enumerate(first)}
+    return tuple(first.values()), np.array([places[name] for name in cells["setup"]])
 
 
 def commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:

@@ -16,8 +16,13 @@ from orthoglide.observations.table import frame_table
 from orthoglide.observations.tcp import TcpPoints
 from orthoglide.observations.tool import ToolCampaign
 from orthoglide.observations.tool_reading import Readings, readings_of_table
-from orthoglide.observations.tool_writing import tool_rows
-from orthoglide.observations.writing import Row, campaign_rows, csv_text, tcp_rows
+from orthoglide.observations.writing import (
+    Row,
+    campaign_rows,
+    campaign_text,
+    csv_text,
+    tcp_rows,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,8 +36,6 @@ def readings_rows(
     """The rows of the file of readings of any kind; arguments as for `write_campaign`."""
     if isinstance(given, TcpPoints):
         return tcp_rows(given, machine_file)
-    if isinstance(given, ToolCampaign):
-        return tool_rows(given, machine_file)
     return campaign_rows(given, machine_file)
 
 
@@ -62,7 +65,7 @@ def write_campaign(
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
     """
-    files.write_whole(path, csv_text(readings_rows(campaign, machine_file)), overwrite=overwrite)
+    files.write_whole(path, campaign_text(campaign, machine_file), overwrite=overwrite)
 
 
 def readings_frame(campaign: Readings, machine_file: MachineFile | None = None) -> pd.DataFrame:
@@ -75,7 +78,7 @@ def readings_frame(campaign: Readings, machine_file: MachineFile | None = None) 
     Raises:
         InputError: where pandas is not installed.
     """
-    rows = readings_rows(campaign, machine_file)
+    rows = campaign_rows(campaign, machine_file)
 
     def value(name: str, cell: str) -> Any:
         return cell if name in _WORDS else float(cell or "nan")

@@ -11,20 +11,18 @@ import numpy as np
 
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
-from orthoglide.observations.approach import Ints, Moves
+from orthoglide.observations.approach import Ints
 from orthoglide.observations.campaign import Campaign, Setup
-from orthoglide.observations.checks import check_campaign, check_filled, check_sequence
+from orthoglide.observations.checks import check_campaign, check_filled
 from orthoglide.observations.columns import (
     APPROACH,
     RHO,
     ROW_COLUMNS,
     SETUP_COLUMNS,
     TRAVEL,
-    approaches,
     command_names,
-    commands,
-    fields_of,
-    order_of,
+    mountings,
+    recorded,
 )
 from orthoglide.observations.table import Column, Table, frame_table, read_table
 from orthoglide.observations.tool import KINDS
@@ -103,7 +101,7 @@ def campaign_of_table(
             f"holds readings at the tool ({', '.join(sorted(of_tool))}), and is no campaign of "
             f"dials on legs alone: read it with og.read_readings"
         )
-    moved = np.array(table.values("kind", ROW_COLUMNS["kind"]))
+    moved = table.values("kind", ROW_COLUMNS["kind"])
     if not machine.geometry.dialled:
         table.fail(
             f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
@@ -116,24 +114,13 @@ def campaign_of_table(
     needed = ("setup", "leg", "direction", *names, "gauge_mm")
     readings = ("reading_mm",) if require_readings else ()
     warnings = table.check_names(known, (*needed, *readings))
-    read = table.part(np.flatnonzero(~moved).tolist())
-    if not read.rows:
+    if all(moved):
         table.fail("has moves only: add rows with readings", 0)
+    read, fields = recorded(table, moved, names, machine)
     setups, setup = _setups(read)
-    command, order = commands(table, names, machine), order_of(table)
-    moves = Moves(command[moved], order[moved], np.array(table.lines)[moved])
-    campaign = Campaign(
-        name=name,
-        setups=setups,
-        setup=setup,
-        command=command[~moved],
-        approach=approaches(read, APPROACH, command[~moved], order[~moved], moves),
-        moves=moves,
-        **(fields_of(read) | {"order": order[~moved]}),
-    )
+    campaign = Campaign(name=name, setups=setups, setup=setup, **fields)
     if require_readings:
         check_filled(campaign.reading, read.fail)
-    check_sequence(command, order, table.lines, table.fail)
     noticed = check_campaign(campaign, machine, read.fail)
     unread = _moves_with_readings(table.part(np.flatnonzero(moved).tolist()))
     return replace(campaign, warnings=(*warnings, *unread, *noticed))
@@ -157,28 +144,19 @@ def _moves_with_readings(moves: Table) -> tuple[Note, ...]:
 def _setups(table: Table) -> tuple[tuple[Setup, ...], Ints]:
     """The mountings in order of appearance, and the place in them of each row's."""
     cells = {key: table.values(key, column) for key, column in SETUP_COLUMNS.items()}
-    first: dict[str, int] = {}
-    for row, name in enumerate(cells["setup"]):
-        before = first.setdefault(name, row)
-        for key, values in cells.items():
-            if values[row] != values[before]:
-                table.fail(
-                    f"setup {name!r} has another {key} here than on line {table.lines[before]}: "
-                    "give each mounting of a dial a name of its own",
-                    row,
-                )
-        if cells["leg"][row] == cells["direction"][row][0]:
+    for row, (leg, direction) in enumerate(zip(cells["leg"], cells["direction"], strict=True)):
+        if leg == direction[0]:
             table.fail("direction is the leg's own axis: name one across the leg", row)
+    first, setup = mountings(table, cells, "give each mounting of a dial a name of its own")
     setups = tuple(
         Setup(
-            name=name,
+            name=cells["setup"][row],
             leg=cells["leg"][row],
             axis=cells["direction"][row][0],
             sign=cells["direction"][row][1],
             gauge=cells["gauge_mm"][row],
             bar=cells["bar"][row],
         )
-        for name, row in first.items()
+        for row in first
     )
-    places = {name: place for place, name in enumerate(first)}
-    return setups, np.array([places[name] for name in cells["setup"]])
+    return setups, setup

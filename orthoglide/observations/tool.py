@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.errors import check_word
 from orthoglide.frames import html_table
@@ -88,11 +87,6 @@ class ToolCampaign(Recorded):
         return np.column_stack([self.setup, self.axis, self.command, second])
 
     @property
-    def kind(self) -> tuple[Kind, ...]:
-        """Of each reading."""
-        return tuple(self.setups[k].kind for k in self.setup)
-
-    @property
     def beside(self) -> Array:
         """Where each reading is taken, from the tool's point on the platform ``(n, 3)``, metres."""
         return np.array([s.beside for s in self.setups]).reshape(-1, 3)[self.setup]
@@ -101,10 +95,6 @@ class ToolCampaign(Recorded):
     def turned_by(self) -> Array:
         """How far the plate of each reading was turned on its seat ``(n,)``, degrees."""
         return np.array([s.turned for s in self.setups])[self.setup]
-
-    def of_kind(self, kind: str) -> NDArray[np.bool_]:
-        """Which readings are of a kind ``(n,)``, booleans."""
-        return np.array([k == kind for k in self.kind], dtype=bool)
 
     def in_order(self) -> ToolCampaign:
         """The same rows gone through one after the other: their order from 1, the sides that they

@@ -12,9 +12,9 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations.approach import Moves
+from orthoglide.observations.approach import Ints
 from orthoglide.observations.campaign import Campaign
-from orthoglide.observations.checks import Fail, check_sequence
+from orthoglide.observations.checks import Fail
 from orthoglide.observations.columns import (
     APPROACHED,
     BESIDE,
@@ -26,12 +26,11 @@ from orthoglide.observations.columns import (
     TOOL_COLUMNS,
     TRAVELLED,
     TURNED,
-    approaches,
     by_leg,
     command_names,
     commands,
-    fields_of,
-    order_of,
+    mountings,
+    recorded,
 )
 from orthoglide.observations.reading import campaign_of_table
 from orthoglide.observations.table import Column, Table, choice, read_table, rows_table
@@ -116,40 +115,34 @@ def readings_of_table(
 
 def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool) -> ToolCampaign:
     """Readings of the tool from rows of these and of moves."""
-    moved = np.array([kind == "move" for kind in every.values("kind", _KIND)])
-    table = every.part(np.flatnonzero(~moved).tolist())
+    moved = [kind == "move" for kind in every.values("kind", _KIND)]
     legs = machine.geometry.leg_names
-    names, approach = command_names(table, machine), by_leg(APPROACHED, legs)
+    names, approach = command_names(every, machine), by_leg(APPROACHED, legs)
     second = by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)
     known = (
         *TOOL_COLUMNS, *ROW_COLUMNS, *SETUP_COLUMNS, *names, *second, *approach, *RHO,
         *by_leg(TRAVELLED, legs), "reading_mrad", "sigma_mrad",
     )  # fmt: skip
-    kinds = table.values("kind", TOOL_COLUMNS["kind"])
+    kinds = [k for k in every.values("kind", _KIND) if k != "move"]
     reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
-    warnings = table.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
-    _check_firmware(table, machine)
-    command, order = commands(every, names, machine), order_of(every)
-    check_sequence(command, order, every.lines, every.fail)
-    moves = Moves(command[moved], order[moved], np.array(every.lines)[moved])
-    command, order = command[~moved], order[~moved]
+    warnings = every.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
+    _check_firmware(every, machine)
+    table, fields = recorded(every, moved, names, machine)
     setups, setup = _setups(table, kinds)
-    direction = _directions(table, kinds)
-    fields = fields_of(table)
-    fields["reading"] = _either(table, kinds, "reading_mm", "reading_mrad")
-    fields["sigma"] = _either(table, kinds, "sigma_mm", "sigma_mrad")
+    axis, sign = zip(*_directions(table, kinds), strict=True)
     made = ToolCampaign(
         name=name,
         setups=setups,
         setup=setup,
-        axis=np.array([axis for axis, _ in direction]),
-        sign=np.array([float(sign) for _, sign in direction]),
-        command=command,
+        axis=np.array(axis),
+        sign=np.array(sign, dtype=float),
         second=_second(table, second, kinds, machine),
-        approach=approaches(table, approach, command, order, moves),
-        moves=moves,
         warnings=warnings,
-        **(fields | {"order": order}),
+        **fields
+        | {
+            "reading": _either(table, kinds, "reading_mm", "reading_mrad"),
+            "sigma": _either(table, kinds, "sigma_mm", "sigma_mrad"),
+        },
     )
     if require_readings or np.isfinite(made.reading).all():
         check_tool(made, table.fail)
@@ -168,40 +161,22 @@ def _check_firmware(table: Table, machine: MachineFile) -> None:
             )
 
 
-def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Any]:
-    found: dict[str, ToolSetup] = {}
-    labels = table.values("setup", TOOL_COLUMNS["setup"])
-    *places, turned = (table.values(n, TOOL_COLUMNS[n]) for n in (*BESIDE, TURNED))
-    for row, (name, kind, beside, turn) in enumerate(
-        zip(labels, kinds, zip(*places, strict=True), turned, strict=True)
-    ):
-        own = ToolSetup(name, kind, beside, turn)
-        first = found.setdefault(name, own)
-        if first.kind != kind:
-            table.fail(
-                f"setup {name!r} has readings of kind {first.kind} and {kind}: give each "
-                "instrument a setup of its own",
-                row,
-            )
-        if any(beside) and kind == "incline":
+def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Ints]:
+    cells = {key: table.values(key, TOOL_COLUMNS[key]) for key in ("setup", *BESIDE, TURNED)}
+    beside, turned = list(zip(*(cells[key] for key in BESIDE), strict=True)), cells[TURNED]
+    for row, kind in enumerate(kinds):
+        if any(beside[row]) and kind == "incline":
             empty = ", ".join(BESIDE)
             table.fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
-        if turn and kind != "plate":
+        if turned[row] and kind != "plate":
             table.fail(f"only a plate is turned on its seat ({TURNED}), nothing of a {kind}", row)
-        if turn != first.turned:
-            table.fail(
-                f"the plate of setup {name!r} was turned from {TURNED} {first.turned:.6g} to "
-                f"{turn:.6g}: give it a setup of its own as it lay then",
-                row,
-            )
-        if own != first:
-            table.fail(
-                f"setup {name!r} is read at two places beside the tool: give each probe or tip a "
-                f"setup of its own",
-                row,
-            )
-    place = {name: k for k, name in enumerate(found)}
-    return tuple(found.values()), np.array([place[name] for name in labels])
+    first, setup = mountings(
+        table,
+        cells | {"kind": kinds},
+        "give each instrument, each probe or tip, and a plate as it lay then a setup of its own",
+    )
+    setups = (ToolSetup(cells["setup"][k], kinds[k], beside[k], turned[k]) for k in first)
+    return tuple(setups), setup
 
 
 def _directions(table: Table, kinds: list[Any]) -> list[tuple[int, int]]:

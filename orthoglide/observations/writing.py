@@ -1,4 +1,4 @@
-"""Campaigns, measuring sheets and TCP points as rows of text."""
+"""Readings of any kind, measuring sheets and TCP points as rows of text; they read back."""
 
 from __future__ import annotations
 
@@ -6,31 +6,41 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide import text, units
 from orthoglide.geometry import LEGS, Array
-from orthoglide.machine_file import Controller, MachineFile
+from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.columns import (
     APPROACH,
     APPROACHED,
+    BESIDE,
     MM,
     POINT,
     RHO,
-    TRAVEL,
+    SECOND,
     TRAVELLED,
+    TURNED,
     by_leg,
 )
 from orthoglide.observations.tcp import TcpPoints
-from orthoglide.observations.tool import ToolCampaign
+from orthoglide.observations.tool import DIRECTED, ToolCampaign
 
 Row = dict[str, str]
 """From column to text."""
 
+Columns = dict[str, Sequence[Any] | None]
+"""Cells by column; None where a column says nothing."""
 
-def campaign_text(campaign: Campaign, machine_file: MachineFile | None = None) -> str:
-    """The CSV text of a campaign; arguments as for `campaign_rows`."""
+_MOUNTING = ("setup", "leg", "direction", "gauge_mm", "bar")
+
+
+def campaign_text(
+    campaign: Campaign | ToolCampaign, machine_file: MachineFile | None = None
+) -> str:
+    """The CSV text of readings; arguments as for `campaign_rows`."""
     return csv_text(campaign_rows(campaign, machine_file))
 
 
@@ -44,50 +54,78 @@ def command_columns(row: Row) -> list[str]:
     return [name for name in row if name.startswith(("rho_", "travel_"))]
 
 
-def campaign_rows(campaign: Campaign, machine_file: MachineFile | None = None) -> list[Row]:
-    """The rows of a campaign's file, moves included.
+def campaign_rows(
+    campaign: Campaign | ToolCampaign, machine_file: MachineFile | None = None
+) -> list[Row]:
+    """The rows of a file of readings, moves included; optional columns only where they say
+    something.
 
     Args:
-        campaign: readings that are nan are left empty.
-        machine_file: where its controller counts in a way of its own, commands are written as the
-            controller shows them; joint coordinates otherwise.
+        campaign: of dials or of the tool; readings that are nan are left empty.
+        machine_file: whose layout and controller count; the nominal one if None. Commands are as
+            the controller shows them, and joint coordinates with dials where it counts as these do.
 
     Returns:
         From column to text; all rows have the same columns, in the order of FORMAT's table.
     """
-    derived = np.array_equal(campaign.approach, campaign.derived_approach)
-    needed = {
-        "kind": bool(len(campaign.moves)),
-        "bar": any(s.bar for s in campaign.setups),
-        **dict.fromkeys(APPROACH, not derived),
-        "time_s": bool(np.isfinite(campaign.time).any()),
-        "temperature_C": bool(np.isfinite(campaign.temperature).any()),
-        "load_N": bool(campaign.load.any()),
-        "sigma_mm": bool(np.isfinite(campaign.sigma).any()),
-    }
-    setups = [campaign.setups[k] for k in campaign.setup]
+    machine = machine_file or nominal_machine_file()
+    dials = isinstance(campaign, Campaign)
+    rho = dials and machine.controller == Controller()
+    legs, angles = machine.geometry.leg_names, campaign.of_kind("incline")
     taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
-    columns: dict[str, Sequence[Any]] = {
-        "kind": ["leg"] * len(campaign),
-        "setup": [s.name for s in setups],
-        "leg": [LEGS[s.leg] for s in setups],
-        "direction": [s.direction for s in setups],
+    columns: Columns = {
+        "kind": campaign.kind,
+        "setup": [campaign.setups[k].name for k in campaign.setup],
+        **dict.fromkeys(("leg", "direction")),
         "posture": campaign.posture,
-        **_commands(campaign.command, machine_file),
-        "gauge_mm": [units.from_si(s.gauge, MM) for s in setups],
-        "bar": [s.bar or "" for s in setups],
+        **_commands(campaign.command, machine, rho),
+        **dict.fromkeys(("gauge_mm", "bar", *by_leg(SECOND, legs))),
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
-        **{name: signs(campaign.approach[:, axis]) for axis, name in enumerate(APPROACH)},
-        "time_s": numbers(np.where(taken, campaign.time, np.nan)),
-        "temperature_C": numbers(campaign.temperature),
-        "load_N": numbers(campaign.load),
-        "reading_mm": numbers(campaign.reading, MM),
-        "sigma_mm": numbers(campaign.sigma, MM),
+        **_approaches(campaign.approach, legs),
+        "time_s": _told(numbers(np.where(taken, campaign.time, np.nan))),
+        "temperature_C": _told(numbers(campaign.temperature)),
+        "load_N": numbers(campaign.load) if campaign.load.any() else None,
+        "reading_mm": None if angles.all() else _numbers_of(~angles, campaign.reading),
+        "reading_mrad": _numbers_of(angles, campaign.reading) if angles.any() else None,
+        "sigma_mm": _told(_numbers_of(~angles, campaign.sigma)),
+        "sigma_mrad": _told(_numbers_of(angles, campaign.sigma)),
     }
-    rows = rows_of({name: cells for name, cells in columns.items() if needed.get(name, True)})
-    told = ("setup", "leg", "direction", "gauge_mm", "bar")
-    return with_moves(rows, campaign, _commands(campaign.moves.command, machine_file), told)
+    own = _of_dials(campaign) if isinstance(campaign, Campaign) else _of_tool(campaign, machine)
+    rows = rows_of(columns | own)
+    moves = rows_of(_commands(campaign.moves.command, machine, rho))
+    return _with_moves(rows, campaign, moves, _MOUNTING if dials else ("setup",))
+
+
+def _of_dials(campaign: Campaign) -> Columns:
+    """The columns that dials on legs have of their own."""
+    setups = [campaign.setups[k] for k in campaign.setup]
+    derived = np.array_equal(campaign.approach, campaign.derived_approach)
+    return {
+        **({} if len(campaign.moves) else {"kind": None}),
+        "leg": [LEGS[s.leg] for s in setups],
+        "direction": [s.direction for s in setups],
+        "gauge_mm": [units.from_si(s.gauge, MM) for s in setups],
+        "bar": _told([str(s.bar or "") for s in setups]),
+        **(dict.fromkeys(APPROACH) if derived else {}),
+    }
+
+
+def _of_tool(campaign: ToolCampaign, machine: MachineFile) -> Columns:
+    """The columns that readings of the tool have of their own."""
+    named = [
+        ("-" if sign < 0 else "") + LEGS[axis] if kind in DIRECTED else ""
+        for axis, sign, kind in zip(campaign.axis, campaign.sign, campaign.kind, strict=True)
+    ]
+    second = shown_commands(campaign.second, machine, by_leg(SECOND, machine.geometry.leg_names))
+    beside = zip(BESIDE, campaign.beside.T, strict=True)
+    return {
+        "direction": _told(named),
+        **(second if campaign.of_kind("distance").any() else {}),
+        "firmware": _told([machine.firmware] * len(campaign)),
+        **{name: numbers(values, MM) if values.any() else None for name, values in beside},
+        TURNED: numbers(campaign.turned_by) if campaign.turned_by.any() else None,
+    }
 
 
 def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
@@ -98,58 +136,54 @@ def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list
         machine_file: of a machine that is no Orthoglide, whose controller's values the commands are
             then; others give joint coordinates.
     """
-    legs: tuple[str, str, str] = LEGS
-    shown = _commands(points.command, None)
-    if machine_file is not None and not machine_file.geometry.dialled:
-        legs = machine_file.geometry.leg_names
-        shown = shown_commands(points.command, machine_file, by_leg(TRAVELLED, legs))
-    columns = shown | {name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)}
-    if points.approach.any():
-        named = enumerate(by_leg(APPROACHED, legs))
-        columns |= {name: signs(points.approach[:, axis]) for axis, name in named}
-    if np.isfinite(points.sigma).any():
-        columns["sigma_mm"] = numbers(points.sigma, MM)
-    return rows_of(columns)
+    machine = machine_file or nominal_machine_file()
+    approach = _approaches(points.approach, machine.geometry.leg_names)
+    return rows_of(
+        {
+            **_commands(points.command, machine, machine.geometry.dialled),
+            **{name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)},
+            **(approach if points.approach.any() else {}),
+            "sigma_mm": _told(numbers(points.sigma, MM)),
+        }
+    )
 
 
-def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[Row]:
-    """Rows of columns of equal length."""
-    cells = zip(*columns.values(), strict=True)
-    return [dict(zip(columns, map(str, row), strict=True)) for row in cells]
+def rows_of(columns: Mapping[str, Sequence[Any] | None]) -> list[Row]:
+    """Rows of columns of equal length; without those that are None."""
+    said = {name: cells for name, cells in columns.items() if cells is not None}
+    cells = zip(*said.values(), strict=True)
+    return [dict(zip(said, map(str, row), strict=True)) for row in cells]
 
 
-def with_moves(
-    rows: list[Row],
-    campaign: Campaign | ToolCampaign,
-    shown: Mapping[str, Sequence[str]],
-    told: Sequence[str],
+def _with_moves(
+    rows: list[Row], campaign: Campaign | ToolCampaign, shown: Sequence[Row], told: Sequence[str]
 ) -> list[Row]:
     """Moves among the readings by line, each with the mounting that it leads to, for people.
 
     Args:
         rows: of the readings, in their order.
         campaign: the readings.
-        shown: cells of the commands of the moves.
+        shown: commands of the moves.
         told: columns of the mounting.
     """
     moves = campaign.moves
     if not len(moves):
         return rows
-    commands = rows_of(shown)
     sequence = np.argsort(campaign.order, kind="stable")
     following = np.searchsorted(campaign.order[sequence], moves.order)
     found = list(zip(campaign.line.tolist(), rows, strict=True))
     for k, place in enumerate(np.minimum(following, len(rows) - 1).tolist()):
         cells = {n: c if n in told else "" for n, c in rows[sequence[place]].items()}
         own = {"kind": "move", "posture": "move", "order": str(moves.order[k])}
-        found.append((int(moves.line[k]), cells | commands[k] | own))
+        found.append((int(moves.line[k]), cells | shown[k] | own))
     return [row for _, row in sorted(found, key=lambda at: at[0])]
 
 
-def _commands(command: Array, machine_file: MachineFile | None) -> dict[str, list[str]]:
-    if machine_file is not None and machine_file.controller != Controller():
-        return shown_commands(command, machine_file, TRAVEL)
-    return {name: numbers(command[:, axis], MM) for axis, name in enumerate(RHO)}
+def _commands(command: Array, machine: MachineFile, rho: bool) -> dict[str, list[str]]:
+    """Cells of commands ``(n, 3)``: joint coordinates, or what the controller shows."""
+    if rho:
+        return {name: numbers(command[:, axis], MM) for axis, name in enumerate(RHO)}
+    return shown_commands(command, machine, by_leg(TRAVELLED, machine.geometry.leg_names))
 
 
 def shown_commands(
@@ -160,11 +194,24 @@ def shown_commands(
     return {name: numbers(shown[:, axis], MM) for axis, name in enumerate(names)}
 
 
+def _approaches(approach: Array, legs: tuple[str, str, str]) -> dict[str, list[str]]:
+    """Cells of directions of the last move ``(n, 3)``; 0 is empty."""
+    return {
+        name: ["" if v == 0 else f"{v:.0f}" for v in approach[:, axis].tolist()]
+        for axis, name in enumerate(by_leg(APPROACHED, legs))
+    }
+
+
 def numbers(values: Array, factor: float = 1.0) -> list[str]:
     """Cells of SI numbers in a unit worth ``factor``; nan is empty."""
     return ["" if np.isnan(v) else str(units.from_si(v, factor)) for v in values.tolist()]
 
 
-def signs(values: Array) -> list[str]:
-    """Cells of directions of a move; 0 is empty."""
-    return ["" if v == 0 else f"{v:.0f}" for v in values.tolist()]
+def _numbers_of(chosen: NDArray[np.bool_], values: Array) -> list[str]:
+    """Cells of some of the values ``(n,)``, thousandths; the others are empty."""
+    return numbers(np.where(chosen, values, np.nan), MM)
+
+
+def _told(cells: list[str]) -> list[str] | None:
+    """Cells, or None where all are empty."""
+    return cells if any(cells) else None
