@@ -49,25 +49,13 @@ def cli() -> None:
     """
 
 
-_MODULES = (
-    closing,
-    identification,
-    check,
-    rerun,
-    sheets,
-    measure,
-    design,
-    rehearse,
-    tolerances,
-    compensate,
-    compare,
-    kinematics,
-    view,
-    importing,
-)
-for _module in _MODULES:
-    for _command in _module.COMMANDS:
-        cli.add_command(_command)
+for _command in (
+    closing.demo, closing.close_loop, closing.diagnose, identification.identify, check.check,
+    rerun.rerun, sheets.protocol, sheets.simulate, measure.measure, design.design,
+    rehearse.rehearse, tolerances.tolerances, compensate.compensate, compensate.export,
+    compare.compare, kinematics.forward, kinematics.inverse, view.view, importing.import_,
+):  # fmt: skip
+    cli.add_command(_command)
 with_examples(cli)
 
 

@@ -83,9 +83,6 @@ def check(
     tell(f"{told}{report}", found.line, quiet, out is not None)
 
 
-COMMANDS = (check,)
-
-
 def _readings(
     path: Path, given: Machine | None, otherwise: Machine | None, effects: tuple[Effect, ...]
 ) -> tuple[Machine, tuple[Readings, ...]]:

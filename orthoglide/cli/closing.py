@@ -135,9 +135,6 @@ def _demo_runs(
     }
 
 
-COMMANDS = (demo, close_loop, diagnose)
-
-
 def _next_free(name: str) -> Path:
     """The demo's folder, numbered where earlier ones stand."""
     folder, number = Path(name), 1

@@ -64,9 +64,6 @@ def compare(
         say(f"{told}\nwritten: {click.format_filename(out)}")
 
 
-COMMANDS = (compare,)
-
-
 def _files(sections: list[tuple[str, tuple[Row, ...]]], figures: dict[str, str]) -> dict[str, str]:
     from orthoglide.comparison.tables import (
         comparison_page,

@@ -82,6 +82,3 @@ def export(
         )
     write_results(out, export_files(machine, zeros_only=zeros_only, force=force))
     say(f"written: {click.format_filename(out)}")
-
-
-COMMANDS = (compensate, export)

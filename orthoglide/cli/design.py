@@ -109,9 +109,6 @@ def design(
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)
 
 
-COMMANDS = (design,)
-
-
 def _of_owned(
     machine: Machine,
     kinds: tuple[str, ...],

@@ -43,6 +43,3 @@ def identify(
         return replace(asked, free=free or asked.free, priors=not no_priors, reduced=reduced)
 
     execute(read, out, quiet=quiet, as_json=as_json)
-
-
-COMMANDS = (identify,)

@@ -94,6 +94,3 @@ def _next(found: Imported, out: Path) -> Iterator[str]:
     else:
         yield "\nThese files must not go together. Next, probe again, or take one alone:"
         yield from (command(f"{folder}/{c.name}.csv") for c in found.campaigns)
-
-
-COMMANDS = (import_,)

@@ -70,8 +70,6 @@ def inverse(**given: Any) -> None:
     _run(_inverse, **given)
 
 
-COMMANDS = (forward, inverse)
-
 Fail = Callable[[str, int | None], NoReturn]
 
 

@@ -67,9 +67,6 @@ def measure(
     _tell(end, out, {"--machine": machine_path, "--effects-file": effects_file})
 
 
-COMMANDS = (measure,)
-
-
 def _ask(question: str) -> str:
     """Put a question; what is typed, or comes next on standard input."""
     if is_terminal() and sys.stdin.isatty():

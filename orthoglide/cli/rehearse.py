@@ -84,6 +84,3 @@ def _workers(address: str | None) -> Iterator[None]:
         raise InputError(f"no Dask scheduler answers at {address}: {error}") from None
     with client, parallel_config(backend="dask"):
         yield
-
-
-COMMANDS = (rehearse,)

@@ -89,9 +89,6 @@ def rerun(
         say("\n".join(told))
 
 
-COMMANDS = (rerun,)
-
-
 def input_lines(result: Mapping[str, Any], folders: Sequence[Path]) -> Iterator[str]:
     """What became of the files that were read, a sentence each."""
     machine = result["machine"]
@@ -128,7 +125,7 @@ def read_result(path: Path) -> dict[str, Any]:
         FileError: where it is none.
     """
     from orthoglide.files import decode, read_bytes
-    from orthoglide.request import COMMANDS as KNOWN
+    from orthoglide.request import COMMANDS
 
     try:
         found = json.loads(decode(read_bytes(path), path))
@@ -155,11 +152,11 @@ def read_result(path: Path) -> dict[str, Any]:
             f"has no {missing[0]!r}: give the result.json of a run as it was written",
             file=shown(path),
         )
-    if found["schema"] not in SCHEMAS or found["command"] not in KNOWN:
+    if found["schema"] not in SCHEMAS or found["command"] not in COMMANDS:
         raise FileError(
             f"is of schema {brief(str(found['schema']))}, command "
             f"{brief(str(found['command']))!r}: this version runs "
-            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(KNOWN)} again",
+            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again",
             file=shown(path),
         )
     return found

@@ -99,6 +99,3 @@ def simulate(
         say(f"warning: {name} changes no reading, as {lacking}", err=True)
     for path, text in texts.items():
         say(f"{click.format_filename(path)}: {text.count(chr(10)) - 1} rows")
-
-
-COMMANDS = (protocol, simulate)

@@ -48,6 +48,3 @@ def tolerances(
         read = opt.dial_sheet(sheet, machine, "name one of dials on legs")
         answers.append(needed_tolerances(machine, tcp_mm * 1e-3, read, noise))
     say("\n\n".join(map(str, answers)), needed=True)
-
-
-COMMANDS = (tolerances,)

@@ -36,6 +36,3 @@ def view(machine: Path | None, out: Path, effects_file: Path | None) -> None:
     write_texts({out: view_page(view_of(shown, causes), still, title)})
     more = f", with {len(causes)} of its errors to switch on" if causes else ", without errors"
     say(f"{click.format_filename(out)}: the machine to turn and move{more}")
-
-
-COMMANDS = (view,)

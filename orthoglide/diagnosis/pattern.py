@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.faults import clock, setup_names
-from orthoglide.diagnosis.rest import rest_by_setup, rest_of_tool
+from orthoglide.diagnosis.rest import rest_by_setup
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis, past
 from orthoglide.geometry import LEGS, Array
@@ -42,13 +42,11 @@ def describe_left(estimate: Estimate) -> tuple[str, ...]:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs
         by approach, drifts in time, or repeats along an axis.
     """
-    dials = rest_by_setup(estimate)
+    every = rest_by_setup(estimate)
     of_tool = tuple(
-        f"{r.share:.0%} of it is in {r.reads} ({r.setup})"
-        for r in rest_of_tool(estimate)[:1]
-        if not dials or r.share > dials[0].share
+        f"{r.share:.0%} of it is in {r.reads} ({r.setup})" for r in every[:1] if r.kind != "leg"
     )
-    if not dials:  # no more is looked for in readings of the tool
+    if not estimate.problem.campaigns:  # no more is looked for in readings of the tool
         return of_tool
     rest = _Rest(estimate)
     tests = (_where, _single_station, _parity, _hysteresis, _trend, _period)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,8 +64,7 @@ def reduction_fit(
     group = np.concatenate(
         [np.full(len(c), k, dtype=np.intp) for k, c in enumerate(problem.campaigns)]
     )
-    setups = [s for c in problem.campaigns for s in c.setups]
-    rows = problem.setup_of_row[chosen]
+    command, leg, axis, gauge, sign = (column[chosen] for column in _dials(problem))
     maps = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
     for k in range(len(problem.campaigns)):
         names, matrix = problem.elementary(k)
@@ -75,13 +75,13 @@ def reduction_fit(
     free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
     # The last parameter is held at one: it carries what the machine file already says.
     return reduction.fit_readings(
-        np.concatenate([c.command for c in problem.campaigns])[chosen],
-        np.array([s.leg for s in setups])[rows],
-        np.array([s.axis for s in setups])[rows],
-        np.array([s.gauge for s in setups])[rows],
+        command,
+        leg,
+        axis,
+        gauge,
         weighing.means(problem.measured),
         weighing.mean_sigma,
-        signs=np.array([float(s.sign) for s in setups])[rows],
+        signs=sign,
         free=np.append(free, False),
         prior_sd=np.append(problem.prior_sd, np.inf),
         nuisance=weighing.means(nuisance.columns),
@@ -92,6 +92,12 @@ def reduction_fit(
         geometry=problem.machine.geometry,
         linear=linear,
     )
+
+
+def _dials(problem: Problem) -> list[Any]:
+    """Command ``(n, 3)``, leg, axis, gauge and sign ``(n,)`` of every reading of a dial."""
+    columns = ("command", "leg", "axis", "gauge", "sign")
+    return [np.concatenate([getattr(c, name) for c in problem.campaigns]) for name in columns]
 
 
 def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -> CrossCheck | None:
@@ -143,22 +149,11 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
     projection on the linear system's columns: the difference is (1 - P0) e - P0 q, no longer than
     |e| + |P0 q| in the norm of the noise.
     """
-    commands = np.concatenate([c.command for c in problem.campaigns])
-    setups = [s for c in problem.campaigns for s in c.setups]
-    rows = problem.setup_of_row
-    sign = np.array([float(s.sign) for s in setups])[rows]
-    by_six = (
-        sign[:, None]
-        * reduction.observe(
-            commands,
-            np.array([s.leg for s in setups])[rows],
-            np.array([s.axis for s in setups])[rows],
-            np.array([s.gauge for s in setups])[rows],
-            geometry=problem.machine.geometry,
-        ).gradient
-    )
-    by_x = np.zeros((len(commands), len(x)))
-    constant = np.zeros(len(commands))
+    *dials, sign = _dials(problem)
+    seen = reduction.observe(*dials, geometry=problem.machine.geometry)
+    by_six = sign[:, None] * seen.gradient
+    by_x = np.zeros((len(sign), len(x)))
+    constant = np.zeros(len(sign))
     for k, part in enumerate(problem.rows):
         names, matrix = problem.elementary(k)
         columns = [_SIX.index(name) for name in names]

@@ -97,6 +97,21 @@ class Campaign(Recorded):
         return np.array([s.leg for s in self.setups], dtype=np.int64)[self.setup]
 
     @property
+    def axis(self) -> Ints:
+        """Base axis along which is read, by reading ``(n,)``."""
+        return np.array([s.axis for s in self.setups], dtype=np.int64)[self.setup]
+
+    @property
+    def sign(self) -> Array:
+        """+1, or -1 where the dial counts against its axis, by reading ``(n,)``."""
+        return np.array([float(s.sign) for s in self.setups])[self.setup]
+
+    @property
+    def gauge(self) -> Array:
+        """Where the dial stands along its leg's axis, by reading ``(n,)``, metres, r removed."""
+        return np.array([s.gauge for s in self.setups])[self.setup]
+
+    @property
     def derived_approach(self) -> Array:
         """Approach as the order of readings and moves gives it ``(n, 3)``."""
         return derive_approach(self.command, self.order, self.moves)

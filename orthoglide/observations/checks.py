@@ -135,7 +135,7 @@ def _motion(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
 
 
 def _gauges(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
-    gauge = np.array([s.gauge for s in campaign.setups])[campaign.setup]
+    gauge = campaign.gauge
     tip = campaign.command[np.arange(len(campaign)), campaign.leg]
 
     def on_leg(place: Array) -> NDArray[np.bool_]:

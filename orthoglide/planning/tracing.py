@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orthoglide.diagnosis.rest import SetupRest, ToolRest
+from orthoglide.diagnosis.rest import SetupRest
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import Suggestion
@@ -34,16 +34,16 @@ def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
     own = [axis for axis in range(3) if axis != rest.leg]
     along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
     rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
-    leg, axis = LEGS[rest.leg], LEGS[rest.axis]
+    axis = LEGS[rest.axis]
     reason = (
-        f"what nothing explains shows most on leg {leg} along {axis}: {len(rows) * _TWICE} "
+        f"what nothing explains shows most on {rest.reads}: {len(rows) * _TWICE} "
         f"readings of both its bars along {axis}, over its whole travel and from both sides, "
         f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
     )
     return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
 
 
-def repeating(rest: ToolRest) -> Suggestion:
+def repeating(rest: SetupRest) -> Suggestion:
     """Readings of an instrument at the tool again, at the places where most is left.
 
     Args:

@@ -114,25 +114,16 @@ def left(result: Result) -> Data:
         "rows": [
             {
                 "setup": rest.setup,
-                "read": f"leg {LEGS[rest.leg]} along {LEGS[rest.axis]}",
-                "share": f"{rest.share:.0%}",
-                "rms": f"{compact(rest.rms * 1e3, 2)} mm",
-                "most": f"{compact(abs(rest.most) * 1e3, 2)} mm toward "
-                f"{toward(LEGS[rest.axis], rest.most)}",
-                "posture": rest.posture,
-            }
-            for rest in result.rest
-        ]
-        + [
-            {
-                "setup": rest.setup,
                 "read": rest.reads,
                 "share": f"{rest.share:.0%}",
                 "rms": f"{compact(rest.rms * 1e3, 2)} {rest.unit}",
-                "most": f"{compact(rest.most * 1e3, 2)} {rest.unit}",
-                "posture": rest.posture or f"tool at {rest.where[0]}",
+                "most": f"{compact(abs(rest.most) * 1e3, 2)} mm toward "
+                f"{toward(LEGS[rest.axis], rest.most)}"
+                if rest.kind == "leg"
+                else f"{compact(rest.most * 1e3, 2)} {rest.unit}",
+                "posture": rest.posture or "".join(f"tool at {p}" for p in rest.where[:1]),
             }
-            for rest in result.rest_of_tool
+            for rest in (*result.rest, *result.rest_of_tool)
         ],
     }
 

@@ -19,7 +19,7 @@ from orthoglide.result.unvaried import unvaried
 if TYPE_CHECKING:
     from orthoglide.diagnosis.blunders import Blunder
     from orthoglide.diagnosis.changes import Change
-    from orthoglide.diagnosis.rest import SetupRest, ToolRest
+    from orthoglide.diagnosis.rest import SetupRest
     from orthoglide.fit import CrossCheck, Estimate, Scores, WeakDirection
     from orthoglide.judging import HoldOut, TcpErrors
     from orthoglide.planning import Suggestion
@@ -266,7 +266,7 @@ def _left(result: Result) -> dict[str, Any]:
     }
 
 
-def _rest_of_tool(rest: ToolRest) -> dict[str, Any]:
+def _rest_of_tool(rest: SetupRest) -> dict[str, Any]:
     return {
         "setup": rest.setup,
         "reads": rest.reads,

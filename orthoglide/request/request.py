@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.files import sha256
@@ -22,7 +22,7 @@ from orthoglide.observations import (
 )
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
-COMMANDS: tuple[Command, ...] = ("identify", "close-loop", "diagnose", "demo")
+COMMANDS: tuple[Command, ...] = get_args(Command)
 """Whose results can be run again."""
 
 _AGAIN = "orthoglide rerun result.json --out DIR"

@@ -12,7 +12,7 @@ from orthoglide.accuracy import Map, tcp_map
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.diagnosis.blunders import Blunder
 from orthoglide.diagnosis.changes import Change
-from orthoglide.diagnosis.rest import SetupRest, ToolRest, rest_by_setup, rest_of_tool
+from orthoglide.diagnosis.rest import SetupRest, rest_by_setup
 from orthoglide.diagnosis.significance import Left
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
@@ -256,10 +256,9 @@ class Result(Framed):
         from orthoglide.planning import INSTRUMENTS
 
         problem = self.after.problem
-        several = problem.tool_campaigns
-        kinds: set[str] = {setup.kind for campaign in several for setup in campaign.setups}
-        kinds |= {"leg"} if problem.campaigns else set()
-        kinds |= {"tcp"} if len(several) < len(problem.points) else set()
+        several = (*problem.campaigns, *problem.tool_campaigns)
+        kinds = {setup.kind for campaign in several for setup in campaign.setups}
+        kinds |= {"tcp"} if len(several) < len(problem.factors) else set()
         return {kind: words for kind, words in INSTRUMENTS.items() if kind in kinds}
 
     @property
@@ -289,12 +288,12 @@ class Result(Framed):
     @cached_property
     def rest(self) -> tuple[SetupRest, ...]:
         """What the last fit leaves of every mounting of a dial, largest share first."""
-        return rest_by_setup(self.after)
+        return tuple(one for one in rest_by_setup(self.after) if one.kind == "leg")
 
     @cached_property
-    def rest_of_tool(self) -> tuple[ToolRest, ...]:
+    def rest_of_tool(self) -> tuple[SetupRest, ...]:
         """The same of every instrument at the tool."""
-        return rest_of_tool(self.after)
+        return tuple(one for one in rest_by_setup(self.after) if one.kind != "leg")
 
     @property
     def dials_hold_most(self) -> bool:
