@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -122,8 +123,5 @@ def repeats_needed(
     floor = sigma(np.inf)
     if sigma(_MOST) > wanted:
         return Repeats(what, wanted, None, sigma(1), floor)
-    low, high = 0, _MOST
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if sigma(middle) <= wanted else (middle, high)
-    return Repeats(what, wanted, high, sigma(high), floor)
+    few = 1 + bisect_left(range(1, _MOST), True, key=lambda n: sigma(n) <= wanted)
+    return Repeats(what, wanted, few, sigma(few), floor)

@@ -19,7 +19,6 @@ from orthoglide.units import Unit
 LARGEST = 1e3
 """Scale of the tolerances from which on any will do."""
 
-_HALVINGS = 60
 _WHY = "by side of approach, load, warmth or time alone, or by a screw pitch that the file lacks"
 
 
@@ -135,29 +134,32 @@ def _scale(sources: Sources, wanted: float, now: float) -> float:
     if sources.rows is None:
         return wanted / now
 
-    def error(log: float) -> float:
-        return mean_length(sources.at(float(np.exp(log))).covariance)
+    from scipy.optimize import brentq
+
+    def beyond(log: float) -> float:
+        return mean_length(sources.at(float(np.exp(log))).covariance) - wanted
 
     # A calibrated machine's error grows with its tolerances, and by no more than these.
     low, high = min(0.0, float(np.log(wanted / now))), float(np.log(LARGEST))
-    if error(high) < wanted:
+    if beyond(high) < 0:
         return float("inf")
-    while error(low) > wanted:
+    while beyond(low) > 0:
         low -= 1.0
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if error(middle) < wanted else (low, middle)
-    return float(np.exp((low + high) / 2))
+    return float(np.exp(brentq(beyond, low, high)))
 
 
 def _equal_shares(there: ToolError, wanted: float) -> dict[str, float]:
     """Factors of the tolerances at which all effects make the same share of the wanted error."""
+    from scipy.optimize import brentq
+
     parts = there.by_effect
     each = sum(parts.values()) / sum(p > 0 for p in parts.values())
     factors = {e: float(np.sqrt(each / p)) if p > 0 else 0.0 for e, p in parts.items()}
-    low, high = 0.0, 4.0  # the same variance need not be the same mean, and is within a factor of 2
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        tried = there.scaled({e: middle * f for e, f in factors.items()})
-        low, high = (middle, high) if mean_length(tried.covariance) < wanted else (low, middle)
-    return {e: high * f for e, f in factors.items()}
+
+    def beyond(times: float) -> float:
+        tried = there.scaled({e: times * f for e, f in factors.items()})
+        return mean_length(tried.covariance) - wanted
+
+    # The same variance need not be the same mean, and is within a factor of 2.
+    times = brentq(beyond, 0.0, 4.0)
+    return {e: times * f for e, f in factors.items()}
