@@ -19,14 +19,12 @@ from orthoglide.cli import (
     compare,
     compensate,
     design,
-    identification,
     importing,
     kinematics,
     measure,
     rehearse,
     rerun,
     sheets,
-    tolerances,
     view,
 )
 from orthoglide.cli.completion import completion_option
@@ -50,9 +48,9 @@ def cli() -> None:
 
 
 for _command in (
-    closing.demo, closing.close_loop, closing.diagnose, identification.identify, check.check,
+    closing.demo, closing.close_loop, closing.diagnose, closing.identify, check.check,
     rerun.rerun, sheets.protocol, sheets.simulate, measure.measure, design.design,
-    rehearse.rehearse, tolerances.tolerances, compensate.compensate, compensate.export,
+    rehearse.rehearse, design.tolerances, compensate.compensate, compensate.export,
     compare.compare, kinematics.forward, kinematics.inverse, view.view, importing.import_,
 ):  # fmt: skip
     cli.add_command(_command)

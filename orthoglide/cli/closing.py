@@ -1,4 +1,4 @@
-"""``demo``, ``close-loop`` and ``diagnose``: from readings to a cause, and to what it gains."""
+"""``identify``, ``close-loop``, ``diagnose`` and ``demo``: from readings to values and causes."""
 
 from __future__ import annotations
 
@@ -26,6 +26,37 @@ judge_options = opt.together(
     click.option("--tcp", type=opt.PATH, metavar="FILE",
                  help="Measured TCP points that only judge the finished result."),
 )  # fmt: skip
+
+
+@click.command()
+@click.argument("campaigns", nargs=-1, type=opt.PATH)
+@opt.out()
+@click.option("--free", type=opt.Names(), default=(), metavar="NAME,...",
+              help="Effects or parameters to identify.  [default: zeros and bar lengths]",
+              )  # fmt: skip
+@click.option("--no-priors", is_flag=True, help="Do not use the tolerances as priors.")
+@opt.fit_options
+@click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
+@opt.run_options
+def identify(
+    campaigns: tuple[Path, ...],
+    out: Path,
+    free: tuple[str, ...],
+    no_priors: bool,
+    reduced: bool,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Identify joint offsets and leg lengths (or more) from campaigns of dial readings."""
+
+    def read() -> Request:
+        from dataclasses import replace
+
+        asked = read_request("identify", campaigns, **options)
+        return replace(asked, free=free or asked.free, priors=not no_priors, reduced=reduced)
+
+    execute(read, out, quiet=quiet, as_json=as_json)
 
 
 @click.command("close-loop")

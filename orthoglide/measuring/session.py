@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
@@ -10,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.errors import FileError, InputError, OrthoglideError
 from orthoglide.machine import Machine
-from orthoglide.measuring.ahead import begun
 from orthoglide.measuring.answers import HELP, understood
 from orthoglide.measuring.expected import Expected
 from orthoglide.measuring.program import MOST, SETTLED, Next, following, opening
@@ -164,7 +164,7 @@ class Session:
         key = f"{number} {rows}"
         if key not in self._ahead:
             room = self.most - left - _readings(rows)
-            self._ahead[key] = begun(lambda: self._after(rows, number, room))
+            self._ahead[key] = _begun(lambda: self._after(rows, number, room))
         return self._ahead[key]
 
     def _after(self, rows: Sequence[Row], number: int, room: int) -> Next:
@@ -258,3 +258,17 @@ class Session:
 
 def _readings(rows: Sequence[Row]) -> int:
     return sum(bool(row["reading_mm"]) for row in rows)
+
+
+def _begun(compute: Callable[[], Next]) -> Future[Next]:
+    """Begin at once; a process that ends does not wait for it, as it would for a pool."""
+    future: Future[Next] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(compute())
+        except BaseException as error:  # raised again where the result is wanted
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return future

@@ -10,11 +10,11 @@ from orthoglide.observations.campaign import (
     Setup as Setup,
 )
 from orthoglide.observations.exchange import (
+    check_given as check_given,
     readings_rows as readings_rows,
     readings_text as readings_text,
     write_campaign as write_campaign,
 )
-from orthoglide.observations.given import check_given as check_given
 from orthoglide.observations.protocols import protocol as protocol
 from orthoglide.observations.reading import (
     Given as Given,

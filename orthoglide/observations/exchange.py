@@ -1,21 +1,28 @@
-"""Readings of any kind as rows, files and data frames; all of it reads back."""
+"""Readings of any kind as rows, files and data frames, which all read back; those put together in
+Python are checked as those of a file are.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
 
 from orthoglide import files
 from orthoglide.errors import InputError
 from orthoglide.frames import data_frame
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations.arrays import Recorded
+from orthoglide.observations.campaign import Campaign
+from orthoglide.observations.checks import check_campaign, check_commands, check_filled
+from orthoglide.observations.columns import TURNS
 from orthoglide.observations.table import frame_table
-from orthoglide.observations.tcp import TcpPoints
+from orthoglide.observations.tcp import TcpPoints, check_points
 from orthoglide.observations.tool import ToolCampaign
-from orthoglide.observations.tool_reading import Readings, readings_of_table
+from orthoglide.observations.tool_reading import Readings, check_tool, readings_of_table
 from orthoglide.observations.writing import (
     Row,
     campaign_rows,
@@ -23,6 +30,7 @@ from orthoglide.observations.writing import (
     csv_text,
     tcp_rows,
 )
+from orthoglide.units import NOISE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,6 +113,49 @@ def tool_from_frame(
     if not isinstance(found[0], ToolCampaign):
         raise InputError(f"{name} holds dials on legs: they have Campaign.from_frame, apart")
     return replace(found[0], file="")
+
+
+def check_given(given: Campaign | ToolCampaign | TcpPoints, machine: MachineFile) -> None:
+    """Refuse readings for which a file that holds them would be refused.
+
+    Args:
+        given: the readings.
+        machine: whose stroke, dimensions and dial count.
+
+    Raises:
+        InputError: naming the row, counted from 0, and what would be right.
+    """
+
+    def fail(message: str, row: int | None = None) -> NoReturn:
+        place = "" if row is None else f", row {row} (counted from 0)"
+        raise InputError(f"{given.name}{place}: {message} (arrays are in metres and radians)")
+
+    if not isinstance(given, Campaign | ToolCampaign | TcpPoints):
+        raise InputError(
+            f"a {type(given).__name__} holds no readings: give a campaign, TCP points, or the path "
+            "of a file"
+        )
+    if not len(given):
+        fail("has no readings: give some")
+    check_commands(given.command, False, machine, fail)
+    most = np.full(len(given), NOISE[1])
+    if isinstance(given, ToolCampaign):
+        most[given.of_kind("incline")] = TURNS
+    wrong = np.isfinite(given.sigma) & ((given.sigma < NOISE[0]) | (given.sigma > most))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        fail(
+            f"sigma is {given.sigma[row]:g}: give a standard deviation in metres from "
+            f"{NOISE[0]:g} to {most[row]:g}, or nan",
+            row,
+        )
+    if isinstance(given, TcpPoints):
+        check_points(given, fail)
+    elif isinstance(given, ToolCampaign):
+        check_tool(given, fail)
+    else:
+        check_filled(given.reading, fail)
+        check_campaign(given, machine, fail)
 
 
 Recorded.to_frame = readings_frame
