@@ -27,45 +27,28 @@ _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 @dataclass(frozen=True)
 class BudgetItem:
-    """One cause in the budget; metres where not said otherwise.
+    """One cause in the budget; metres where not said otherwise."""
 
-    Attributes:
-        cause: name of a cause found, of a place, or of an effect with all that is left of it.
-        members: its parameters, others of the same readings and tool among them.
-        value: of a cause of one parameter, SI; nan of several.
-        sigma: of that.
-        tolerances: largest of its parameters, in tolerances.
-        beyond_tolerance: probability that any of them is beyond its tolerance.
-        readings_rms: root mean square of its part of the readings of lengths, datums fitted; nan
-            where none was read.
-        tcp_mean: mean of its part of the tool's error.
-        tcp_sigma: standard deviation of that.
-        gain: by how much the mean error of the tool falls if it is put right.
-        gain_sigma: standard deviation of that.
-        compensated: by how much it falls if the value found is taken away, which leaves what the
-            readings do not know of it.
-        compensated_sigma: standard deviation of that.
-        share: ``gain`` over the mean error.
-        readings_turn_rms: as ``readings_rms`` of inclinations, radians.
-        rest: whether it is what is left of an effect beside all that was found.
-    """
-
-    cause: str
-    members: tuple[str, ...]
-    value: float
-    sigma: float
-    tolerances: float
-    beyond_tolerance: float
+    cause: str  # name of a cause found, of a place, or of an effect with all that is left of it
+    members: tuple[str, ...]  # its parameters, others of the same readings and tool among them
+    value: float  # of a cause of one parameter, SI; nan of several
+    sigma: float  # of that
+    tolerances: float  # largest of its parameters, in tolerances
+    beyond_tolerance: float  # probability that any of them is beyond its tolerance
+    # root mean square of its part of the readings of lengths, datums fitted; nan where none was
+    # read
     readings_rms: float
-    tcp_mean: float
-    tcp_sigma: float
-    gain: float
-    gain_sigma: float
+    tcp_mean: float  # mean of its part of the tool's error
+    tcp_sigma: float  # standard deviation of that
+    gain: float  # by how much the mean error of the tool falls if it is put right
+    gain_sigma: float  # standard deviation of that
+    # by how much it falls if the value found is taken away, which leaves what the readings do not
+    # know of it
     compensated: float
-    compensated_sigma: float
-    share: float
-    readings_turn_rms: float = float("nan")
-    rest: bool = False
+    compensated_sigma: float  # standard deviation of that
+    share: float  # `gain` over the mean error
+    readings_turn_rms: float = float("nan")  # as `readings_rms` of inclinations, radians
+    rest: bool = False  # whether it is what is left of an effect beside all that was found
 
 
 def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
@@ -147,17 +130,11 @@ def _members(
 
 @dataclass(frozen=True, eq=False)
 class _Controller:
-    """A controller that takes the best zeros and bar lengths, and what it leaves.
+    """A controller that takes the best zeros and bar lengths, and what it leaves."""
 
-    Attributes:
-        machine: whose workspace it is.
-        held: zeros and lengths to start from, SI.
-        slopes: TCP's shape over the workspace by these ``(3 g, B)``, metres.
-    """
-
-    machine: Machine
-    held: Mapping[str, float]
-    slopes: Array
+    machine: Machine  # whose workspace it is
+    held: Mapping[str, float]  # zeros and lengths to start from, SI
+    slopes: Array  # TCP's shape over the workspace by these (3 g, B), metres
 
     @classmethod
     def of(cls, machine: Machine) -> _Controller:

@@ -17,27 +17,16 @@ from orthoglide.parameters import plain_and_campaign
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Explanation:
-    """One cause of the catalogue, all else that was found given.
+    """One cause of the catalogue, all else that was found given."""
 
-    Attributes:
-        name: of the cause.
-        parameters: that it consists of, as ``with_free`` takes them.
-        probability: all else given.
-        values: of its parameters, SI.
-        sigmas: of these.
-        machine: all parameters of the machine with this cause, SI.
-        shown: its part of the readings, datums fitted ``(n,)``, metres.
-        catalogue: that it belongs to.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    probability: float
-    values: Mapping[str, float]
-    sigmas: Mapping[str, float]
-    machine: Mapping[str, float]
-    shown: Array
-    catalogue: Catalogue
+    name: str  # of the cause
+    parameters: tuple[str, ...]  # that it consists of, as `with_free` takes them
+    probability: float  # all else given
+    values: Mapping[str, float]  # of its parameters, SI
+    sigmas: Mapping[str, float]  # of these
+    machine: Mapping[str, float]  # all parameters of the machine with this cause, SI
+    shown: Array  # its part of the readings, datums fitted (n,), metres
+    catalogue: Catalogue  # that it belongs to
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.words}>"
@@ -74,16 +63,12 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cause:
-    """One cause that stands out, with its credible set.
+    """One cause that stands out, with its credible set."""
 
-    Attributes:
-        chosen: the most probable of the set.
-        rivals: the rest of the set that moves the tool otherwise, most probable first.
-        same: what moves the tool alike too: the same cause under another name.
-    """
-
-    chosen: Explanation
+    chosen: Explanation  # the most probable of the set
+    # the rest of the set that moves the tool otherwise, most probable first
     rivals: tuple[Explanation, ...]
+    # what moves the tool alike too: the same cause under another name
     same: tuple[Explanation, ...]
 
     def __repr__(self) -> str:
@@ -128,22 +113,14 @@ class Cause:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Curve:
-    """A place and the free function found there.
+    """A place and the free function found there."""
 
-    Attributes:
-        place: where and how.
-        probability: all else that was found given.
-        at: where the function is given: travel, command (metres) or time (seconds) ``(k,)``.
-        value: SI ``(k,)``; about its mean unless it is lost motion, as a level may belong to the
-            zeros.
-        sigma: of the same, SI ``(k,)``.
-    """
-
-    place: Place
-    probability: float
-    at: Array
+    place: Place  # where and how
+    probability: float  # all else that was found given
+    at: Array  # where the function is given: travel, command (metres) or time (seconds) (k,)
+    # SI (k,); about its mean unless it is lost motion, as a level may belong to the zeros
     value: Array
-    sigma: Array
+    sigma: Array  # of the same, SI (k,)
 
     def __repr__(self) -> str:
         return f"<{self.place.name}, probability {self.probability:.2f}: {self.size_words}>"
@@ -172,21 +149,13 @@ class Curve:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Located:
-    """Something without a name: a class of places of which it is one.
+    """Something without a name: a class of places of which it is one."""
 
-    Attributes:
-        members: most probable first.
-        resembling: causes of the catalogue in the same credible set.
-        probability: that it is one of the members, all else that was found given.
-        group: of the likeliest explanation, in whose place any of these may be.
-        ruled_out: causes of the catalogue that move what the first member moves, and are none of
-            the set.
-    """
-
-    members: tuple[Curve, ...]
-    resembling: tuple[str, ...]
-    probability: float
-    group: int
+    members: tuple[Curve, ...]  # most probable first
+    resembling: tuple[str, ...]  # causes of the catalogue in the same credible set
+    probability: float  # that it is one of the members, all else that was found given
+    group: int  # of the likeliest explanation, in whose place any of these may be
+    # causes of the catalogue that move what the first member moves, and are none of the set
     ruled_out: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -212,36 +181,25 @@ class Located:
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """A cause or place that was weighed.
+    """A cause or place that was weighed."""
 
-    Attributes:
-        name: of the cause or place.
-        parameters: that it consists of; none of a place.
-        probability: that it stands out.
-        evidence: log Bayes factor of its standing out against not, all else that was found given.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    probability: float
+    name: str  # of the cause or place
+    parameters: tuple[str, ...]  # that it consists of; none of a place
+    probability: float  # that it stands out
+    # log Bayes factor of its standing out against not, all else that was found given
     evidence: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outstanding:
-    """Everything that stands out of the background.
+    """Everything that stands out of the background."""
 
-    Attributes:
-        causes: with names, that first without which the readings are explained worst.
-        located: places without, in the same order.
-        weighed: all that came near, most probable first.
-        alone: where nothing stands out of a background that shows: causes of which one would be
-            behind it if the rest of the machine were sound.
-    """
-
+    # with names, that first without which the readings are explained worst
     causes: tuple[Cause, ...]
-    located: tuple[Located, ...]
-    weighed: tuple[CandidateScore, ...]
+    located: tuple[Located, ...]  # places without, in the same order
+    weighed: tuple[CandidateScore, ...]  # all that came near, most probable first
+    # where nothing stands out of a background that shows: causes of which one would be behind it if
+    # the rest of the machine were sound
     alone: tuple[Explanation, ...] = ()
 
     @property

@@ -48,40 +48,29 @@ more than the others, only these tell whether its error is theirs as well."""
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Everything:
-    """All that could be wrong, with what the readings say of it about one point.
+    """All that could be wrong, with what the readings say of it about one point."""
 
-    Attributes:
-        problem: with every parameter of the catalogue that could matter free.
-        scale: SI of one unit of each coefficient ``(C,)``: the parameters, then the places', then
-            those of the plates' own shapes.
-        places: with their coefficients behind the parameters, in order.
-        candidates: causes that the readings could show, in the order of the linear groups.
-        linear: for the mixture.
-        twins: of a parameter, others of the same readings and the same tool, each with the value
-            that stands for one of it; these have no coefficient.
-        translations: orthonormal directions of the parameters that move the machine as a whole
-            ``(P, 3)``, in tolerances.
-        rows: readings by coefficient ``(n, C)``, metres.
-        value: readings where everything is zero, as linearised ``(n,)``, metres.
-        known_rows: what an earlier calibration says of the parameters: matrix and target.
-        asked: parameters beyond the base whose conditions the readings vary.
-        outside: square of what the readings have where nothing could show.
-        apart: of the prediction from its linearisation at the mean, sigmas.
-    """
-
-    problem: Problem
+    problem: Problem  # with every parameter of the catalogue that could matter free
+    # SI of one unit of each coefficient (C,): the parameters, then the places', then those of the
+    # plates' own shapes
     scale: Array
-    places: tuple[Place, ...]
+    places: tuple[Place, ...]  # with their coefficients behind the parameters, in order
+    # causes that the readings could show, in the order of the linear groups
     candidates: tuple[Candidate, ...]
-    linear: Linear
+    linear: Linear  # for the mixture
+    # of a parameter, others of the same readings and the same tool, each with the value that stands
+    # for one of it; these have no coefficient
     twins: Mapping[str, tuple[tuple[str, float], ...]]
+    # orthonormal directions of the parameters that move the machine as a whole (P, 3), in
+    # tolerances
     translations: Array
-    rows: Array
-    value: Array
+    rows: Array  # readings by coefficient (n, C), metres
+    value: Array  # readings where everything is zero, as linearised (n,), metres
+    # what an earlier calibration says of the parameters: matrix and target
     known_rows: tuple[Array, Array]
-    asked: tuple[Parameter, ...]
-    outside: float
-    apart: float = float("nan")
+    asked: tuple[Parameter, ...]  # parameters beyond the base whose conditions the readings vary
+    outside: float  # square of what the readings have where nothing could show
+    apart: float = float("nan")  # of the prediction from its linearisation at the mean, sigmas
 
     @property
     def known(self) -> int:

@@ -48,18 +48,12 @@ TOLERANCES, _SHOWN = 3.0, 3.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FullPosterior:
-    """Everything that could be wrong, as the readings have it.
+    """Everything that could be wrong, as the readings have it."""
 
-    Attributes:
-        before: the fit of the base.
-        about: the readings linearised at the mean.
-        mixture: of the explanations.
-        instead: a fit of the base, far beyond its tolerances, that the readings do not rule out.
-    """
-
-    before: Estimate
-    about: Everything
-    mixture: Mixture
+    before: Estimate  # the fit of the base
+    about: Everything  # the readings linearised at the mean
+    mixture: Mixture  # of the explanations
+    # a fit of the base, far beyond its tolerances, that the readings do not rule out
     instead: Estimate | None = None
 
     @property

@@ -26,19 +26,12 @@ _DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for millirad
 
 @dataclass(frozen=True)
 class _Sense:
-    """What readings of a level may mean instead.
+    """What readings of a level may mean instead."""
 
-    Attributes:
-        signs: by which those about x and about y are multiplied.
-        exchanged: whether those about x are about y.
-        factor: of all of them.
-        said: how they fit, and what to do.
-    """
-
-    signs: tuple[float, float] = (1.0, 1.0)
-    exchanged: bool = False
-    factor: float = 1.0
-    said: str = ""
+    signs: tuple[float, float] = (1.0, 1.0)  # by which those about x and about y are multiplied
+    exchanged: bool = False  # whether those about x are about y
+    factor: float = 1.0  # of all of them
+    said: str = ""  # how they fit, and what to do
 
     def of(self, points: ToolCampaign) -> ToolCampaign:
         """The same readings with that meaning."""

@@ -44,21 +44,13 @@ SLABS = (0.3, 1.0, 3.0, 10.0)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group:
-    """Coefficients that stand out together, or not.
+    """Coefficients that stand out together, or not."""
 
-    Attributes:
-        name: of the cause or place.
-        places: of the coefficients that it moves ``(k,)``, or ``(q,)`` with ``weights``.
-        weights: from its own coefficients to those ``(q, k)``.
-        free: whether it is a free function.
-        chance: how often it goes wrong, over a cause of the catalogue.
-    """
-
-    name: str
-    places: NDArray[np.intp]
-    weights: Array
-    free: bool
-    chance: float = 1.0
+    name: str  # of the cause or place
+    places: NDArray[np.intp]  # of the coefficients that it moves (k,), or (q,) with `weights`
+    weights: Array  # from its own coefficients to those (q, k)
+    free: bool  # whether it is a free function
+    chance: float = 1.0  # how often it goes wrong, over a cause of the catalogue
 
     @property
     def size(self) -> int:
@@ -68,36 +60,25 @@ class Group:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Linear:
-    """Readings about a machine, linear in everything that could be wrong.
+    """Readings about a machine, linear in everything that could be wrong."""
 
-    Attributes:
-        columns: whitened, nuisances projected out, by coefficient in tolerances ``(m, C)``.
-        residual: what the readings say of the sum ``(m,)``.
-        fixed: prior sd of the coefficients that no background has ``(C,)``; nan elsewhere.
-        free: which belong to free functions ``(C,)``.
-        unnamed: which belong to shapes of a plate that no effect names ``(C,)``: these explain
-            readings without telling anything.
-        groups: that may stand out.
-        stations: an error of one sigma at each station ``(m, s)``.
-        shares: scales that the effects' background may have, in tolerances.
-        slabs: those of what stands out.
-        wide: share beyond which a background is unlikely, and log of its weight.
-        rough: log of the prior weight of errors that have no structure.
-        beyond: what stations show beside all columns: squared, in how many directions, and the
-            visits that each has; none where all directions are kept.
-    """
-
-    columns: Array
-    residual: Array
-    fixed: Array
-    free: NDArray[np.bool_]
+    columns: Array  # whitened, nuisances projected out, by coefficient in tolerances (m, C)
+    residual: Array  # what the readings say of the sum (m,)
+    fixed: Array  # prior sd of the coefficients that no background has (C,); nan elsewhere
+    free: NDArray[np.bool_]  # which belong to free functions (C,)
+    # which belong to shapes of a plate that no effect names (C,): these explain readings without
+    # telling anything
     unnamed: NDArray[np.bool_]
-    groups: tuple[Group, ...]
-    stations: Array
+    groups: tuple[Group, ...]  # that may stand out
+    stations: Array  # an error of one sigma at each station (m, s)
+    # scales that the effects' background may have, in tolerances
     shares: tuple[float, ...] = SHARES
-    slabs: tuple[float, ...] = SLABS
+    slabs: tuple[float, ...] = SLABS  # those of what stands out
+    # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
-    rough: float = RARE
+    rough: float = RARE  # log of the prior weight of errors that have no structure
+    # what stations show beside all columns: squared, in how many directions, and the visits that
+    # each has; none where all directions are kept
     beyond: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     def spike(self, share: float, free_share: float) -> Array:

@@ -20,41 +20,26 @@ from orthoglide.posterior.instead import Alternatives
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """One place, or cause that it resembles, with all else that was found.
+    """One place, or cause that it resembles, with all else that was found."""
 
-    Attributes:
-        words: where it is and how, as a clause.
-        lasts: whether other readings of the machine show it: not what comes with time, or is own
-            to a dial that was read.
-        probability: that it is this one, all else that was found given.
-        machine: all parameters of the calibrated machine with it, SI.
-        mean: of the coefficients that count ``(k,)``, in their units.
-        covariance: of these ``(k, k)``.
-    """
-
-    words: str
+    words: str  # where it is and how, as a clause
+    # whether other readings of the machine show it: not what comes with time, or is own to a dial
+    # that was read
     lasts: bool
-    probability: float
-    machine: Mapping[str, float]
-    mean: Array
-    covariance: Array
+    probability: float  # that it is this one, all else that was found given
+    machine: Mapping[str, float]  # all parameters of the calibrated machine with it, SI
+    mean: Array  # of the coefficients that count (k,), in their units
+    covariance: Array  # of these (k, k)
 
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """The likeliest of a class.
+    """The likeliest of a class."""
 
-    Attributes:
-        posterior: that they are from.
-        each: the likeliest first.
-        at: coefficients that count: all parameters, then those of the places ``(k,)``.
-        places: that stand in any of the explanations.
-    """
-
-    posterior: FullPosterior
-    each: tuple[Member, ...]
-    at: NDArray[np.intp]
-    places: tuple[Place, ...]
+    posterior: FullPosterior  # that they are from
+    each: tuple[Member, ...]  # the likeliest first
+    at: NDArray[np.intp]  # coefficients that count: all parameters, then those of the places (k,)
+    places: tuple[Place, ...]  # that stand in any of the explanations
 
     @classmethod
     def of(cls, posterior: FullPosterior, located: Located, most: int) -> Members:

@@ -28,17 +28,11 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Averaged:
-    """Coefficients over all explanations.
+    """Coefficients over all explanations."""
 
-    Attributes:
-        mean: ``(C,)``.
-        covariance: ``(C, C)``; zero for places that hardly stand out.
-        prior: covariance before the readings, by the same weights ``(C, C)``; the same.
-    """
-
-    mean: Array
-    covariance: Array
-    prior: Array
+    mean: Array  # (C,)
+    covariance: Array  # (C, C); zero for places that hardly stand out
+    prior: Array  # covariance before the readings, by the same weights (C, C); the same
 
 
 class Mixture(Search):

@@ -15,21 +15,13 @@ from orthoglide.observations import Campaign
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of ``n`` postures.
+    """Conditions of ``n`` postures."""
 
-    Attributes:
-        command: rho ``(n, 3)``, metres.
-        approach: direction of each drive's last move ``(n, 3)``: +1, -1, 0 where unknown.
-        time: ``(n,)``, seconds.
-        warming: ``(n,)``, kelvin above the first row.
-        load: ``(n,)``, newtons along base -z at the TCP.
-    """
-
-    command: Array
-    approach: Array
-    time: Array
-    warming: Array
-    load: Array
+    command: Array  # rho (n, 3), metres
+    approach: Array  # direction of each drive's last move (n, 3): +1, -1, 0 where unknown
+    time: Array  # (n,), seconds
+    warming: Array  # (n,), kelvin above the first row
+    load: Array  # (n,), newtons along base -z at the TCP
 
     def __len__(self) -> int:
         return len(self.command)

@@ -56,17 +56,12 @@ def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], N
 
 @dataclass(frozen=True)
 class LinearRows:
-    """Predicted readings around one machine, datums apart.
+    """Predicted readings around one machine, datums apart."""
 
-    Attributes:
-        value: ``(n,)``, metres (radians of a level).
-        jacobian: by the parameters asked for ``(n, P)``, SI.
-        slopes: what their nuisances need to know of the pose ``(n, k)``; of dials the derivative by
-            the dial's place along the leg.
-    """
-
-    value: Array
-    jacobian: Array
+    value: Array  # (n,), metres (radians of a level)
+    jacobian: Array  # by the parameters asked for (n, P), SI
+    # what their nuisances need to know of the pose (n, k); of dials the derivative by the dial's
+    # place along the leg
     slopes: Array
 
 
