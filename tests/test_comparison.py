@@ -16,8 +16,7 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 
 from orthoglide import Machine, reduction
-from orthoglide.cli.compare import COMMANDS
-from orthoglide.cli.run import Commands
+from orthoglide.cli import cli
 from orthoglide.comparison import (
     Circumstances,
     Row,
@@ -367,8 +366,7 @@ def test_the_page_has_the_numbers_that_the_example_prints() -> None:
 
 
 def invoke(*arguments: str) -> tuple[int, str]:
-    group = Commands(commands={c.name or "": c for c in COMMANDS})
-    result = CliRunner().invoke(group, ["compare", *arguments])
+    result = CliRunner().invoke(cli, ["compare", *arguments])
     return result.exit_code, result.output
 
 

@@ -19,8 +19,6 @@ from click.testing import CliRunner
 from orthoglide import Campaign, Machine, UnreachableError, identify
 from orthoglide.accuracy import tcp_slopes, workspace
 from orthoglide.cli import cli
-from orthoglide.cli.compensate import COMMANDS
-from orthoglide.cli.run import Commands
 from orthoglide.control import (
     RULE,
     calibrated_urdf,
@@ -600,8 +598,7 @@ def test_the_comment_says_what_is_left_out() -> None:
 
 
 def invoke(*arguments: str) -> tuple[int, str]:
-    group = Commands(commands={c.name or "": c for c in COMMANDS})
-    result = CliRunner().invoke(group, list(arguments))
+    result = CliRunner().invoke(cli, list(arguments))
     return result.exit_code, result.output
 
 

@@ -72,6 +72,7 @@ def campaign_rows(
     dials = isinstance(campaign, Campaign)
     rho = dials and machine.controller == Controller()
     legs, angles = machine.geometry.leg_names, campaign.of_kind("incline")
+    timed = np.isfinite(campaign.time).any()
     taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
     columns: Columns = {
         "kind": campaign.kind,
@@ -83,7 +84,7 @@ def campaign_rows(
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
         **_approaches(campaign.approach, legs),
-        "time_s": _told(numbers(np.where(taken, campaign.time, np.nan))),
+        "time_s": numbers(np.where(taken, campaign.time, np.nan)) if timed else None,
         "temperature_C": _told(numbers(campaign.temperature)),
         "load_N": numbers(campaign.load) if campaign.load.any() else None,
         "reading_mm": None if angles.all() else _numbers_of(~angles, campaign.reading),
