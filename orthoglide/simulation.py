@@ -136,8 +136,8 @@ def _misplaced(
 ) -> Array:
     """What an instrument shows ``(m,)`` that stands somewhere near the place its sheet says.
 
-    A ball bar reads ``|p - ball| + length``, a tracker coordinates of ``turn p + shift``; datum,
-    plane and scale are linear.
+    What its nuisances do not say (a ball that stands elsewhere, a frame that is turned) the
+    instrument does; datum, plane and scale are linear.
 
     Args:
         factor: the sheet's readings.
@@ -147,17 +147,10 @@ def _misplaced(
         rows: its rows ``(m,)``.
         draw: where to draw from.
     """
-    from scipy.spatial.transform import Rotation
-
-    sheet, p = factor.points, slopes[rows, :3]
-    axis, sign, kind = sheet.axis[rows], sheet.sign[rows], sheet.setups[k].kind
-    if kind == "ballbar":
-        ball, length = factor.ball[k] + draw.normal(scale=_DATUM, size=3), draw.normal(scale=_DATUM)
-        return np.asarray(np.linalg.norm(p - ball, axis=1) + length)
-    if kind == "tcp" and len(np.unique(axis)) > 1:
-        shift, turn = draw.normal(scale=_DATUM, size=(2, 3))
-        seen = Rotation.from_rotvec(turn).apply(p) + shift
-        return np.asarray(sign * seen[np.arange(len(rows)), axis])
+    instrument = factor.points.setups[k].instrument
+    shown = instrument.displaced(slopes[rows, :3], factor.mounting.at(rows), draw, _DATUM)
+    if shown is not None:
+        return shown
     own = block.columns[rows].any(axis=0)
     off = draw.normal(scale=np.minimum(block.sd[own], _DATUM))
     return np.asarray(slopes[rows, 3] + block.columns[np.ix_(rows, own)] @ off)

@@ -20,7 +20,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"errors", "notes", "parameters", "progress", "text", "threads"}),
     frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
-    frozenset({"reduction", "urdf", "effects", "scene"}),
+    frozenset({"reduction", "urdf", "effects", "instruments", "scene"}),
     frozenset({"mechanism", "machine_file"}),
     frozenset({"observations"}),
     frozenset({"prediction", "figures"}),
@@ -206,7 +206,7 @@ OF_ONE_LAYOUT = {
     "fit/meant.py": "names of the tool's coordinates",
     "control/urdf.py:calibrated_urdf": "an attribute of URDF, and turns about x, y and z",
     "control/urdf.py:_shift": "the same attribute",
-    "planning/owning.py:_places": "circles about x, y and z, whatever the legs",
+    "instruments/instrument.py:Instrument.places": "circles about x, y and z, whatever the legs",
     # A leg's own axes a, b, c, which every layout has
     "urdf/tree.py": "the axes of a leg's joints",
     "effects/rails.py:_about": "the axis of a hinge",

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.fit.tool_noise import REPEATABILITY
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.klipper import import_printer
 from orthoglide.parameters import Parameter
 from orthoglide.planning.owning import sheet_of
@@ -379,7 +379,7 @@ def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, 
     assert np.abs(one.reading - exact.reading).max() < 1e-2
     fit = og.identify([one], delta, ["joint_offset"])
     left = fit.scores.turn_rms if kind == "incline" else fit.scores.rms
-    assert 0.5 < left / REPEATABILITY[kind] < 2
+    assert 0.5 < left / INSTRUMENTS[kind].repeatability < 2
 
 
 def test_what_a_plate_and_distances_tell_of_a_whole_machine_is_as_good_as_stated(

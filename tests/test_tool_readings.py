@@ -14,8 +14,8 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.fit import tempered
 from orthoglide.fit.surface import roughness
 from orthoglide.fit.tool import ToolReadings
-from orthoglide.fit.tool_noise import REPEATABILITY
 from orthoglide.geometry import Geometry, moved_onto
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.klipper import import_printer
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
@@ -661,7 +661,8 @@ def test_what_an_instrument_would_tell_goes_by_its_noise(
     """Exact readings that repeat had been taken for an instrument twenty times as good."""
     machine, _ = tracked
     noisy = replace(
-        machine.spec, instruments={kind: Instrument(repeatability=4 * REPEATABILITY[kind])}
+        machine.spec,
+        instruments={kind: Instrument(repeatability=4 * INSTRUMENTS[kind].repeatability)},
     )
     one, other = (
         {s.name: s.detectable for s in owned_instruments(m, [kind]).tells.smallest}
@@ -701,7 +702,7 @@ def test_lost_motion_is_no_noise_of_an_instrument(kind: str, size: float, twice:
     assert isinstance(sheet, ToolCampaign)
     loose = machine.with_parameters({"backlash.common": size})
     read = og.simulate(loose, from_both_sides(sheet, twice=twice), noise=5e-6, seed=1)
-    assert ToolReadings.of(read, machine).sigma.max() <= REPEATABILITY[kind]
+    assert ToolReadings.of(read, machine).sigma.max() <= INSTRUMENTS[kind].repeatability
     (found,) = og.close_loop([read], machine).effects
     assert "backlash.common" in {e.name for e in found.explanations}
 

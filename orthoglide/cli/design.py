@@ -119,13 +119,13 @@ def _of_owned(
 ) -> None:
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
     from orthoglide.observations import readings_text
-    from orthoglide.planning import INSTRUMENTS, owned_instruments
+    from orthoglide.planning import TAKEN_BY, owned_instruments
     from orthoglide.planning.wording import detectable_rows
 
     with progress(quiet) as step:
         step(Step("computing", "what each instrument would tell"))
         found = owned_instruments(machine, kinds, count=count, seed=seed)
-        listed = ", ".join(f"{INSTRUMENTS[k]} ({len(s)})" for k, s in found.sheets.items())
+        listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in found.sheets.items())
         lines = [f"with {listed}:", *detectable_rows(found.tells, text_width())]
         lines += ["", "besides:"]
         lines += [f"- {gain}." for gain in found.gains]

@@ -8,14 +8,11 @@ import numpy as np
 
 from orthoglide.fit import Estimate
 from orthoglide.geometry import LEGS, Array
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.numerals import plain
 from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
 from orthoglide.observations.approach import Ints
 
-_READS = {
-    "tcp": "the tool along {}", "plate": "the plate's height", "distance": "distances",
-    "ballbar": "the ball bar", "incline": "the platform's turn about {}",
-}  # fmt: skip
 _PLACES = 3  # at which most is left
 
 
@@ -40,12 +37,12 @@ class SetupRest:
         """What is read, in words."""
         if self.kind == "leg":
             return f"leg {LEGS[self.leg]} along {LEGS[self.axis]}"
-        return _READS[self.kind].format(LEGS[self.axis])
+        return INSTRUMENTS[self.kind].reads.format(LEGS[self.axis])
 
     @property
     def unit(self) -> str:
         """In which people read it."""
-        return "mrad" if self.kind == "incline" else "mm"
+        return "mm" if self.leg >= 0 else INSTRUMENTS[self.kind].unit
 
 
 def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:

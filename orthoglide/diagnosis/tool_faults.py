@@ -157,12 +157,8 @@ class _Setup:
     # In words -----------------------------------------------------------------------------
 
     @property
-    def _kind(self) -> str:
-        return self.factor.points.setups[self.setup].kind
-
-    @property
     def _unit(self) -> str:
-        return "mrad" if self._kind == "incline" else "mm"
+        return self.factor.points.setups[self.setup].instrument.unit
 
     def _where(self, lines: NDArray[np.int64]) -> str:
         campaign = self.factor.points
@@ -195,12 +191,13 @@ class _Setup:
         )
 
     def _scattered(self, size: float) -> str:
-        near = ", or to places beside it," if self._kind == "plate" else ""
+        instrument = self.factor.points.setups[self.setup].instrument
+        near = ", or to places beside it," if instrument.touches else ""
         return (
             f"{self._where(np.zeros(0, dtype=int))}: visits to the same place{near} scatter by "
             f"{size * 1e3:.2g} {self._unit}, which is no noise of such an instrument: rows were "
             f"exchanged, the readings have another unit, or something is loose; put it right, or "
-            f"give repeatability in the machine file under [instrument.{self._kind}]"
+            f"give repeatability in the machine file under [instrument.{instrument.kind}]"
             f"{self._or_lost}"
         )
 

@@ -6,7 +6,7 @@ is worth reading.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -37,12 +37,7 @@ INCH = 25.4
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
-# Least that counts, metres (radians of an inclination): a bed has bumps, a printed part pillars, a
-# rail may roll its carriage in waves that no catalogue knows; they move its place by less.
-_LEAST = {"plate": 1e-3, "distance": 1e-3, "incline": 2e-3, "ballbar": 1e-3, "tcp": 1e-3}
-# Of one or two points: where more are off together, the machine has a shape.
-_LEAST_ALONE = _LEAST | {"ballbar": 1e-4, "tcp": 2e-4}
-_ALONE = 2
+_ALONE = 2  # points; where more are off together, the machine has a shape
 
 
 def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
@@ -102,24 +97,24 @@ def check_slips(estimate: Estimate) -> None:
     again, worst = min(tries, key=lambda one: one[0].sigma_scale)
     others = (point >= 0) & ~np.isin(point, worst)
 
-    def far(rest: Array, spread: Array, least: Mapping[str, float]) -> list[int]:
+    def far(rest: Array, spread: Array, alone: bool = True) -> list[int]:
         off = rest / np.hypot(problem.sigma, spread)
         limit = _SLIPPED * max(1.0, float(np.sqrt(np.mean(off[others] ** 2))))
         return [
             p
             for p in sorted(worst)
             if np.linalg.norm(off[point == p]) > limit
-            and np.linalg.norm(rest[point == p]) > _least(problem, names[p], least)
+            and np.linalg.norm(rest[point == p]) > _least(problem, names[p], alone)
         ]
 
     rest = again.problem.measured - again.predicted
-    if not far(rest, np.zeros(len(rest)), _LEAST_ALONE):
+    if not far(rest, np.zeros(len(rest))):
         return
     # A cause may be far off the base at a few places: who is off all causes there are?
     rest, spread = _with_everything(again)
-    slipped = far(rest, spread, _LEAST_ALONE)
+    slipped = far(rest, spread)
     if len(slipped) > _ALONE:
-        slipped = far(rest, spread, _LEAST)
+        slipped = far(rest, spread, alone=False)
     if slipped:
         raise InputError("; ".join(_said(problem, names[p], rest[point == p]) for p in slipped)
                          + ": correct the row or remove it")  # fmt: skip
@@ -148,20 +143,21 @@ def _with_everything(fit: Estimate) -> tuple[Array, Array]:
     return rest - nuisance.fitted(rest), np.sqrt(np.maximum(variance, 0.0))
 
 
-def _least(problem: Problem, name: tuple[int, int], least: Mapping[str, float]) -> float:
-    """Least distance that counts, metres or radians."""
+def _least(problem: Problem, name: tuple[int, int], alone: bool) -> float:
+    """Least distance that counts, metres or radians, of a point that is off alone or not."""
     points = problem.points[name[0]].points
     if not isinstance(points, ToolCampaign):
         return 0.0
-    return least[points.setups[points.setup[name[1]]].kind]
+    instrument = points.setups[points.setup[name[1]]].instrument
+    return instrument.slip_alone if alone else instrument.slip
 
 
 def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:
     """Where a point stands, and how far off it is."""
     points = problem.points[name[0]].points
     distance = float(np.linalg.norm(rest)) * 1e3
-    turned = isinstance(points, ToolCampaign) and points.setups[points.setup[name[1]]].kind
-    unit = "mrad" if turned == "incline" else "mm"
+    turned = isinstance(points, ToolCampaign) and points.angular[name[1]]
+    unit = "mrad" if turned else "mm"
     where = f"{source(points)}, line {points.line[name[1]]}"
     return f"{where}: {distance:.3g} {unit} off what all others say"
 

@@ -76,7 +76,7 @@ class OfFile:
     @property
     def turned(self) -> NDArray[np.bool_]:
         """Which are inclinations, radians ``(n,)``; all others are lengths, metres."""
-        return self.points.of_kind("incline")
+        return self.points.angular
 
     @property
     def setup(self) -> Ints:

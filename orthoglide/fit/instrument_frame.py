@@ -65,8 +65,13 @@ def turned_near(measured: Array, p: Array, known: NDArray[np.bool_]) -> Array | 
 
 
 def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
-    """Rows of x, y and z of every point of a setup ``(m, 3)``; ``None`` where one is missing."""
-    rows = np.flatnonzero((points.setup == setup) & points.of_kind("tcp"))
+    """Rows of x, y and z of every point of a setup ``(m, 3)``; ``None`` where one is missing, or
+    it has no coordinates.
+    """
+    instrument = points.setups[setup].instrument
+    if instrument.angular or not instrument.axes:
+        return None
+    rows = np.flatnonzero(points.setup == setup)
     if len(rows) < 3 * _FEWEST:
         return None
     known = np.column_stack([points.command, points.approach, points.repeat, points.load])[rows]

@@ -55,12 +55,13 @@ def check_meant(points: TcpPoints | ToolCampaign, p: Array, machine: Machine) ->
         value = points.sign[rows] * points.reading[rows]
         if rows.sum() < _FEWEST:
             continue
-        if setup.kind == "tcp":
+        instrument = setup.instrument
+        if instrument.axes and not instrument.angular:
             said = _frame(p[rows], points.axis[rows], value, whole_points(points, k) is not None)
-        elif setup.kind == "distance":
+        elif instrument.paired:
             apart = np.linalg.norm(machine.forward(points.second[rows]) - p[rows], axis=1)
             said = _unit(np.stack([_rms(f * value - apart) for f in _FACTORS]))
-        elif setup.kind == "ballbar":
+        elif instrument.about_ball:
             away = np.array([_off_sphere(p[rows], f * value) for f in _FACTORS])
             said = _unit(away[:, 0]) or _still(value, away[:, 1])
         else:

@@ -138,12 +138,12 @@ def louder(estimate: Estimate) -> Iterator[Note]:
         for k, setup in enumerate(factor.points.setups):
             size, kind = factor.loudness(k)
             if size > _ABOUT * LOUD * kind:
-                unit = "mrad" if setup.kind == "incline" else "mm"
-                plate = ", or the plate's roughness," if setup.kind == "plate" else ""
-                turned = _TURNED if setup.kind == "plate" else ""
+                plate = ", or the plate's roughness," if setup.instrument.touches else ""
+                turned = _TURNED if setup.instrument.touches else ""
                 yield Note(
                     f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
-                    f"count as good to {compact(size * 1e3, 2)} {unit}, {compact(size / kind, 2)} "
+                    f"count as good to {compact(size * 1e3, 2)} {setup.instrument.unit}, "
+                    f"{compact(size / kind, 2)} "
                     f"times worse than is usual: smaller errors are not seen; something that moved "
                     f"half way looks like this too, so read some places again at the end{turned}",
                     "loud",

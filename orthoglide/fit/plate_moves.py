@@ -97,7 +97,7 @@ def _touches(
         height = factor.predict(problem.machine.model, values) - factor.measured
         for k, setup in enumerate(factor.points.setups):
             rows = (factor.setup == k) & heard(factor.sigma)
-            if setup.kind == "plate" and rows.sum() >= _FEWEST:
+            if setup.instrument.touches and rows.sum() >= _FEWEST:
                 yield setup.name, np.column_stack([place[:, :2], height, factor.sigma])[rows]
 
 

@@ -1,7 +1,4 @@
-"""Readings of the tool as a factor: each kind predicts from the closed pose, with its nuisances.
-
-The pose is the tool's place p and the platform's rotation R. A distance has two.
-"""
+"""Readings of the tool as a factor: each instrument predicts from the closed pose."""
 
 from __future__ import annotations
 
@@ -17,15 +14,13 @@ from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
 from orthoglide.fit.instrument_frame import centre_of, turned_back
 from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance
 from orthoglide.fit.tool_noise import LOUD, shown_sigma, usual_sigma
-from orthoglide.geometry import Array, axial
+from orthoglide.geometry import Array
+from orthoglide.instruments import INSTRUMENTS, Instrument, Mounting, Pose
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolCampaign, source
 from orthoglide.prediction import Conditions, LinearRows, Model
 
 Ints = NDArray[np.int64]
-
-SCALE_SD, OFFSET_SD = 0.01, 2e-4
-"""What is known of a setup of distances: a printed part's shrinkage, the width of its pillars."""
 
 _MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a micrometre
 
@@ -63,8 +58,8 @@ class ToolReadings(OfFile):
             rows = campaign.setup == k
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
             place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
-            found = centre_of(p[rows], campaign.reading[rows]) if setup.kind == "ballbar" else None
-            ball.append(np.zeros(3) if found is None else found)
+            of_ball = setup.instrument.about_ball
+            ball.append(centre_of(p[rows], campaign.reading[rows]) if of_ball else np.zeros(3))
         usual = usual_sigma(campaign, machine.spec.instruments, noise)
         sigma, stray = usual, np.zeros(len(campaign))
         if not noise:
@@ -120,18 +115,18 @@ class ToolReadings(OfFile):
     @property
     def jumps(self) -> bool:
         """Whether heights of a plate jump from place to place by more than plates are rough."""
-        return bool((self._on_plate & (self.sigma == LOUD * self.usual)).any())
+        return bool((self.points.touching & (self.sigma == LOUD * self.usual)).any())
 
     def sided(self, setup: int) -> bool:
         """Whether it is known from which side a setup's places were come to, on every axis; of
         distances, which have two ends, it never is, and is not asked.
         """
         approach = self.points.approach[self.setup == setup]
-        return self.points.setups[setup].kind == "distance" or bool(approach.all())
+        return self.points.setups[setup].instrument.paired or bool(approach.all())
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Setups of which an instrument's effect has parameters: plates."""
-        return tuple(s.name for s in self.points.setups if s.kind == "plate" and effect.plate)
+        return tuple(s.name for s in self.points.setups if s.instrument.touches and effect.plate)
 
     @property
     def point(self) -> Ints:
@@ -152,7 +147,7 @@ class ToolReadings(OfFile):
         known = heard(self.sigma)
         points, ball = turned_back(self.points, value, known), self.ball.copy()
         for k, setup in enumerate(points.setups):
-            if setup.kind == "ballbar":
+            if setup.instrument.about_ball:
                 rows = (points.setup == k) & known
                 ball[k] = centre_of(slopes[rows, :3], points.reading[rows])
         if points is self.points and np.abs(ball - self.ball).max(initial=0.0) < _MOVED:
@@ -183,7 +178,7 @@ class ToolReadings(OfFile):
         """Readings, nuisances apart."""
         out = model.outputs(values, self.conditions())
         shape = self._shape(model.catalogue, values)
-        return self._value(self._taken(out.p, out.R), out.R, shape)
+        return self._value(self._pose(out.p, out.R), shape)
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
@@ -195,31 +190,32 @@ class ToolReadings(OfFile):
         n = len(self.points)
         jacobian = np.zeros((n, len(names)))
         of_machine = [k for k, name in enumerate(names) if name in set(machine)]
-        p = self._taken(out.p, out.R)
-        jacobian[:, of_machine] = self._derivative(p, by_name[:, :12])
+        pose = self._pose(out.p, out.R)
+        jacobian[:, of_machine] = self._derivative(pose, by_name[:, :12])
         for k, name in enumerate(names):
             if k not in of_machine:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
-        value = self._value(p, out.R, self._shape(catalogue, values))
-        return LinearRows(value, jacobian, np.column_stack([p[:n], value]))
+        value = self._value(pose, self._shape(catalogue, values))
+        return LinearRows(value, jacobian, np.column_stack([pose.p, value]))
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
         where = self.conditions()
         slopes, out = model.by_joints(values, where)[:, :12], model.outputs(values, where)
-        p = self._taken(out.p, out.R)
+        pose = self._pose(out.p, out.R)
 
         def moved(joints: Array, functions: Array) -> Array:
-            return self._derivative(p, (slopes @ joints)[:, :, None] * functions[:, None])
+            return self._derivative(pose, (slopes @ joints)[:, :, None] * functions[:, None])
 
         return moved
 
     def nuisances(self, slopes: Array) -> Block:
-        """What each kind brings: plane, datum, scale and offset, centre and length."""
+        """What each instrument brings: plane, datum, scale and offset, centre and length."""
         columns, sd = [], []
         for k, setup in enumerate(self.points.setups):
             rows = np.flatnonzero(self.setup == k)
-            for column, size in self._of_setup(k, setup.kind, rows, slopes[rows]):
+            p, value = slopes[rows, :3], slopes[rows, 3]
+            for column, size in setup.instrument.nuisances(p, value, self.mounting.at(rows)):
                 full = np.zeros(len(self.points))
                 full[rows] = column
                 if np.abs(full).max(initial=0.0) > 0:  # what no row shows is no nuisance
@@ -228,53 +224,50 @@ class ToolReadings(OfFile):
         matrix = np.array(columns).reshape(-1, len(self.points)).T
         return Block(matrix, np.array(sd), np.zeros(len(sd), dtype=bool))
 
-    # What each kind reads -----------------------------------------------------------------
+    # What each instrument reads -----------------------------------------------------------
 
-    def _of_setup(self, k: int, kind: str, rows: Ints, slopes: Array) -> list[tuple[Array, float]]:
-        p, value, one, free = slopes[:, :3], slopes[:, 3], np.ones(len(rows)), np.inf
-        axis, sign = self.points.axis[rows], self.points.sign[rows]
-        if kind == "plate":
-            return [(one, free), (p[:, 0], free), (p[:, 1], free)]
-        if kind == "distance":
-            return [(value, SCALE_SD), (one, OFFSET_SD)]
-        if kind == "ballbar":
-            toward = p - self.ball[k]
-            toward = toward / np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
-            return [*((toward[:, j], free) for j in range(3)), (one, free)]
-        datums = [(sign * (axis == j), free) for j in range(3)]
-        if kind == "incline" or len(np.unique(axis)) < 2:
-            return datums
-        turns = np.stack([np.cross(e, p) for e in np.eye(3)], axis=2)  # (n, xyz, about)
-        own = sign[:, None] * turns[np.arange(len(rows)), axis]
-        return [*datums, *((own[:, j], free) for j in range(3))]
+    @cached_property
+    def mounting(self) -> Mounting:
+        """How the instruments stand, row by row."""
+        return Mounting(self.points.axis, self.points.sign, self.ball[self.setup])
 
-    def _value(self, p: Array, R: Array, shape: Array) -> Array:
-        n, rows = len(self.points), np.arange(len(self.points))
-        axis, sign = self.points.axis, self.points.sign
-        found = sign * p[rows, axis]
-        of = self.points.of_kind
-        found = np.where(of("plate"), p[:n, 2], found)
-        found[self.twice] = np.linalg.norm(p[:n][self.twice] - p[n:], axis=1)
-        found = np.where(of("ballbar"), np.linalg.norm(p[:n] - self._ball, axis=1), found)
-        turn = axial(R[:n])
-        return np.asarray(np.where(of("incline"), sign * turn[rows, axis], found) + shape)
+    @cached_property
+    def _instruments(self) -> list[tuple[Instrument, NDArray[np.intp]]]:
+        """Those that read, each with its rows."""
+        kinds = dict.fromkeys(self.points.kind)
+        return [(INSTRUMENTS[k], np.flatnonzero(self.points.of_kind(k))) for k in kinds]
 
-    def _derivative(self, p: Array, by_name: Array) -> Array:
+    def _pose(self, p: Array, R: Array) -> Pose:
+        """Row by row, of the machine's places and rotations ``(N, ...)``."""
+        taken, n = self._taken(p, R), len(self.points)
+        return Pose(taken[:n], R[:n], self._apart(taken))
+
+    def _apart(self, p: Array) -> Array:
+        """From each row's second place ``(n, 3, ...)``, by places or their derivatives
+        ``(N, 3, ...)``; nan where there is none.
+        """
+        n = len(self.points)
+        found = np.full((n, *p.shape[1:]), np.nan)
+        found[self.twice] = p[:n][self.twice] - p[n:]
+        return found
+
+    def _value(self, pose: Pose, shape: Array) -> Array:
+        found = np.empty(len(self.points))
+        for instrument, rows in self._instruments:
+            found[rows] = instrument.value(pose.at(rows), self.mounting.at(rows))
+        return found + shape
+
+    def _derivative(self, pose: Pose, by_name: Array) -> Array:
         """Of the readings ``(n, P)``, by that of places and rotations ``(N, 12, P)``."""
-        n, rows = len(self.points), np.arange(len(self.points))
-        axis, sign = self.points.axis, self.points.sign
-        of, by_R = self.points.of_kind, by_name[:, 3:].reshape(len(by_name), 3, 3, -1)
+        n, by_R = len(self.points), by_name[:, 3:].reshape(len(by_name), 3, 3, -1)
         by_p = self._taken(by_name[:, :3], by_R)
-        found = sign[:, None] * by_p[rows, axis]
-        plate, ball, level = of("plate"), of("ballbar"), of("incline")
-        found[plate] = by_p[:n, 2][plate]
-        apart = p[:n][self.twice] - p[n:]
-        apart /= np.maximum(np.linalg.norm(apart, axis=1), 1e-9)[:, None]
-        found[self.twice] = np.einsum("ni,nip->np", apart, by_p[:n][self.twice] - by_p[n:])
-        toward = p[:n] - self._ball
-        toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-9)[:, None]
-        found[ball] = np.einsum("ni,nip->np", toward, by_p[:n])[ball]
-        found[level] = (sign[:, None] * axial(by_R[:n])[rows, axis])[level]
+        by_pose = {"p": by_p[:n], "R": by_name[:n, 3:], "apart": self._apart(by_p)}
+        found = np.zeros((n, by_name.shape[-1]))
+        for instrument, rows in self._instruments:
+            gradient = instrument.gradient(pose.at(rows), self.mounting.at(rows))
+            for varied, slope in gradient.items():
+                flat = slope.reshape(len(rows), -1)
+                found[rows] += np.einsum("ni,nip->np", flat, by_pose[varied][rows])
         return found
 
     def _taken(self, p: Array, R: Array) -> Array:
@@ -286,18 +279,10 @@ class ToolReadings(OfFile):
         if not beside.any():
             return p
         swung = np.einsum("nij...,nj->ni...", R, np.concatenate([beside, beside[self.twice]]))
-        for k in np.unique(self.setup[self._on_plate]):
+        for k in np.unique(self.setup[self.points.touching]):
             rows = np.flatnonzero(self.setup == k)
             swung[rows, 2] -= swung[rows, 2].mean(axis=0)
         return np.asarray(p + swung)
-
-    @property
-    def _ball(self) -> Array:
-        return np.asarray(self.ball[self.setup])
-
-    @cached_property
-    def _on_plate(self) -> NDArray[np.bool_]:
-        return self.points.of_kind("plate")
 
     def _shape(self, catalogue: Catalogue, values: Mapping[str, float]) -> Array:
         """What the plates' own shapes take from the readings ``(n,)``, metres."""
@@ -308,7 +293,8 @@ class ToolReadings(OfFile):
                 continue
             effect = catalogue.effect_of(parameter)
             if effect.plate and parameter.setup in self.setup_names:
-                rows = (self.setup == self.setup_names.index(parameter.setup)) & self._on_plate
+                own = self.setup == self.setup_names.index(parameter.setup)
+                rows = own & self.points.touching
                 x, y = self.place[rows].T
                 found[rows] -= value * effect.shape(parameter)(x, y)
         return found

@@ -9,12 +9,9 @@ import numpy as np
 from orthoglide.fit.noise import FEWEST_REPEATS, repeat_variance, shown_step
 from orthoglide.fit.surface import roughness
 from orthoglide.geometry import Array
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import ToolCampaign
-
-REPEATABILITY = {"tcp": 1e-5, "plate": 2e-5, "distance": 5e-5, "ballbar": 5e-6, "incline": 2e-5}
-"""Standard deviation of one reading where nothing is known, metres or radians: a probe's touch and
-a calliper's distance as owners of linear deltas repeat them."""
 
 LOUD = 3.0
 """Times the noise that is usual of an instrument, from which that is said; of a plate's roughness
@@ -39,7 +36,7 @@ def shown_sigma(
         part, own = campaign.subset(rows), instruments.get(kind, Instrument())
         found[rows] = _level(kind, own, step_of(part, own), _of_repeats(part))
     for k, setup in enumerate(campaign.setups):
-        if setup.kind == "plate":
+        if setup.instrument.touches:
             rows = campaign.setup == k
             rough, off = roughness(place[rows], height[rows], campaign.approach[rows])
             found[rows] = np.maximum(found[rows], np.minimum(rough, LOUD * usual[rows]))
@@ -75,7 +72,7 @@ def _level(kind: str, own: Instrument, step: float, repeats: float = 0.0) -> flo
     """Noise of a kind: of its instrument, else of repeats where there are enough, else usual; and
     its rounding.
     """
-    level = own.repeatability or repeats or REPEATABILITY[kind]
+    level = own.repeatability or repeats or INSTRUMENTS[kind].repeatability
     return float(np.hypot(level, step / np.sqrt(12)))
 
 
@@ -91,4 +88,4 @@ def _of_repeats(campaign: ToolCampaign) -> float:
     variance, dof = repeat_variance([campaign])
     if dof < FEWEST_REPEATS or variance == 0:
         return 0.0
-    return max(float(np.sqrt(variance)), _LEAST * REPEATABILITY[campaign.kind[0]])
+    return max(float(np.sqrt(variance)), _LEAST * campaign.setups[0].instrument.repeatability)

@@ -100,7 +100,7 @@ def _apart(one: _Surface, own: _Surface) -> str:
 
 def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
     """``None`` where its touches do not tell the six numbers apart."""
-    rows = campaign.of_kind("plate")
+    rows = campaign.touching
     below = campaign.command[rows] + firmware.zero - firmware.at_endstop
 
     def height(numbers: Firmware) -> Array:

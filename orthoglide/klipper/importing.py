@@ -13,6 +13,7 @@ from orthoglide.effects import catalogue_of
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
+from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.agreeing import Disagreement, disagreements
 from orthoglide.klipper.config import Config, read_config
 from orthoglide.klipper.firmware import TOWERS, Firmware
@@ -153,8 +154,8 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
         name=Path(config.file).stem,
         geometry=geometry,
         instruments={
-            "plate": Instrument(repeatability=PROBE),
-            "distance": Instrument(repeatability=CALLIPER),
+            Probe.kind: Instrument(repeatability=PROBE),
+            Distance.kind: Instrument(repeatability=CALLIPER),
         },
         tolerance=of_printers(catalogue),
         parameters=lengths,
@@ -184,7 +185,7 @@ def _around(config: Config, firmware: Firmware) -> Array:
 def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
     if told := rods_words(firmware):
         yield Note(told, "rods")
-    most = max(int(c.of_kind("plate").sum()) for c in stored)
+    most = max(int(c.touching.sum()) for c in stored)
     if most < FEW:
         yield Note(
             f"{most} touches of the plate leave hardly anything to look for a cause with: probe a "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
+from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.config import Config
 from orthoglide.klipper.entries import Section
 from orthoglide.klipper.firmware import TOWERS, Firmware
@@ -125,7 +126,7 @@ class Stored:
                     )
                 label = f"{p[0] * 1e3:.0f} {p[1] * 1e3:.0f}"
                 touched = beside if word == "height" else np.zeros(2)  # by hand: the nozzle itself
-                yield {**_row("plate", setup, label, travel, height), "beside": touched}
+                yield {**_row(Probe.kind, setup, label, travel, height), "beside": touched}
 
     def _distances(self) -> Iterator[dict[str, Any]]:
         section = self.config.section("delta_calibrate")
@@ -144,7 +145,9 @@ class Stored:
                 )
             # The firmware's part has six spokes and six rim sides, each with pillars of its own.
             spoke = k % 12 < 6
-            row = _row("distance", "spokes" if spoke else "rim", f"{k}", ends[0], distance, ends[1])
+            row = _row(
+                Distance.kind, "spokes" if spoke else "rim", f"{k}", ends[0], distance, ends[1]
+            )
             yield row if spoke else {**row, "sigma": RIM}
 
     def _mesh(self, section: Section, name: str) -> Iterator[dict[str, Any]]:
@@ -173,7 +176,7 @@ class Stored:
                 away = float(np.hypot(x, y))
                 section.fail("points", f"reach {away * 1e3:.0f} mm out, beyond the arms")
             row = _row(
-                "plate", name, f"{x * 1e3:.6g} {y * 1e3:.6g}", np.round(travel, _ROUND), probe
+                Probe.kind, name, f"{x * 1e3:.6g} {y * 1e3:.6g}", np.round(travel, _ROUND), probe
             )
             yield {**row, "beside": offset}
 
@@ -279,7 +282,7 @@ def _campaign(name: str, rows: list[dict[str, Any]], turned: float = 0.0) -> Too
         own = ToolSetup(row["setup"], row["kind"], (float(x), float(y), 0.0), turned)
         setups.setdefault(own.name, own)
     place, n = {name: k for k, name in enumerate(setups)}, len(rows)
-    plates = np.array([row["kind"] == "plate" for row in rows])
+    plates = np.array([row["kind"] == Probe.kind for row in rows])
     return ToolCampaign(
         name=name,
         setups=tuple(setups.values()),

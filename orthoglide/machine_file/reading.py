@@ -14,6 +14,7 @@ from orthoglide.effects.catalogue import OWN
 from orthoglide.effects.places import with_places
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.layout import ORTHOGLIDE, FreeLeg, FreeLegs, Layout, LinearDelta
 from orthoglide.machine_file.document import Document, Parser, advice
 from orthoglide.machine_file.model import (
@@ -161,7 +162,6 @@ _LEG: dict[str, Parser] = {
     "slide": _direction,
     "link": _direction,
 }
-_INSTRUMENTS = ("tcp", "plate", "distance", "ballbar", "incline")
 _INSTRUMENT: dict[str, Parser] = {
     "resolution": _quantity(1e-3, 0, 10),
     "repeatability": _quantity(1e-3, 0, 10),
@@ -315,7 +315,7 @@ _DELTA = {"radius": "radius_mm", "angles_deg": "angles_deg", "tool": "tool_mm"}
 
 
 def _instruments(document: Document) -> dict[str, Instrument]:
-    document.check_keys(_INSTRUMENTS, "instrument")
+    document.check_keys(INSTRUMENTS, "instrument")
     found = {}
     for kind in document.table("instrument"):
         document.check_keys(_INSTRUMENT, "instrument", kind)

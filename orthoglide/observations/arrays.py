@@ -166,6 +166,11 @@ class Recorded:
         return np.array([s.kind == kind for s in self.setups], dtype=bool)[self.setup]
 
     @property
+    def angular(self) -> NDArray[np.bool_]:
+        """Which readings are turns, in radians ``(n,)``, booleans; others are lengths."""
+        return np.zeros(len(self), dtype=bool)
+
+    @property
     def temperature_rise(self) -> Array:
         """Temperature against the campaign's first ``(n,)``, kelvin; 0 where not recorded."""
         return np.nan_to_num(self.temperature - self._reference())

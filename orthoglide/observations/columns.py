@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.geometry import LEGS, Array
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations.approach import Ints, Moves, derive_approach
@@ -25,7 +26,6 @@ from orthoglide.observations.table import (
     positive,
     whole,
 )
-from orthoglide.observations.tool import KINDS
 from orthoglide.units import NOISE
 
 MM = 1e-3
@@ -76,7 +76,7 @@ DIRECTION_OF_MOVE = Column(SIGN, 0)
 
 
 TOOL_COLUMNS: dict[str, Column] = {
-    "kind": Column(choice({kind: kind for kind in KINDS})),
+    "kind": Column(choice({kind: kind for kind in INSTRUMENTS})),
     "setup": Column(label),
     "direction": Column(DIRECTION, (0, 1)),
     "firmware": Column(label, ""),

@@ -140,7 +140,7 @@ def check_given(given: Campaign | ToolCampaign | TcpPoints, machine: MachineFile
     check_commands(given.command, False, machine, fail)
     most = np.full(len(given), NOISE[1])
     if isinstance(given, ToolCampaign):
-        most[given.of_kind("incline")] = TURNS
+        most[given.angular] = TURNS
     wrong = np.isfinite(given.sigma) & ((given.sigma < NOISE[0]) | (given.sigma > most))
     if wrong.any():
         row = int(np.argmax(wrong))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
 from orthoglide.notes import Note
 from orthoglide.observations.approach import Ints
@@ -25,7 +26,6 @@ from orthoglide.observations.columns import (
     recorded,
 )
 from orthoglide.observations.table import Column, Table, frame_table, read_table
-from orthoglide.observations.tool import KINDS
 
 
 def read_campaign(
@@ -96,7 +96,7 @@ def campaign_of_table(
         FileError: naming the line and what would be right.
     """
     machine = machine_file or nominal_machine_file()
-    if of_tool := set(KINDS).intersection(table.values("kind", Column(str, ""))):
+    if of_tool := set(INSTRUMENTS).intersection(table.values("kind", Column(str, ""))):
         table.fail(
             f"holds readings at the tool ({', '.join(sorted(of_tool))}), and is no campaign of "
             f"dials on legs alone: read it with og.read_readings"
@@ -106,7 +106,7 @@ def campaign_of_table(
         table.fail(
             f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
             f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
-            f"({', '.join(KINDS)})",
+            f"({', '.join(INSTRUMENTS)})",
             int(np.argmin(moved)),
         )
     names = command_names(table)

@@ -1,6 +1,6 @@
 """Readings of where the tool is: a plate it touches, distances, a ball bar, an inclination.
 
-Each kind has its own nuisances, which `fit.tool` fits. The setups of a file are mountings of one
+What each instrument reads stands in `instruments`. The setups of a file are mountings of one
 instrument each, as those of dials are.
 """
 
@@ -8,20 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import check_word
 from orthoglide.frames import html_table
 from orthoglide.geometry import Array
+from orthoglide.instruments import INSTRUMENTS, Instrument
 from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
 from orthoglide.observations.arrays import MAYBE_VECTOR, NUMBER, OF_READINGS, WHOLE, Recorded
-
-Kind = Literal["tcp", "plate", "distance", "ballbar", "incline"]
-KINDS: tuple[Kind, ...] = ("tcp", "plate", "distance", "ballbar", "incline")
-DIRECTED: tuple[Kind, ...] = ("tcp", "incline")
-"""Kinds that read along or about a base axis."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class ToolSetup:
 
     Attributes:
         name: label, unique within its file.
-        kind: of its readings.
+        kind: of its readings, a key of `INSTRUMENTS`.
         beside: where it is taken: from the point of the tool that is commanded, along x, y and z
             of the platform, metres; below it, of a longer tool, z is negative.
         turned: of a plate, how far it was turned on its seat, counter-clockwise from above,
@@ -38,12 +35,17 @@ class ToolSetup:
     """
 
     name: str
-    kind: Kind
+    kind: str
     beside: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turned: float = 0.0
 
     def __post_init__(self) -> None:
-        check_word("kind of reading", self.kind, KINDS)
+        check_word("kind of reading", self.kind, INSTRUMENTS)
+
+    @property
+    def instrument(self) -> Instrument:
+        """What reads."""
+        return INSTRUMENTS[self.kind]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,6 +83,29 @@ class ToolCampaign(Recorded):
         return html_table(repr(self)[1:-1], columns)
 
     @property
+    def angular(self) -> NDArray[np.bool_]:
+        """Which readings are turns, in radians ``(n,)``, booleans; others are lengths."""
+        return self._which(lambda instrument: instrument.angular)
+
+    @property
+    def touching(self) -> NDArray[np.bool_]:
+        """Which readings are touches of a plate ``(n,)``, booleans."""
+        return self._which(lambda instrument: instrument.touches)
+
+    @property
+    def paired(self) -> NDArray[np.bool_]:
+        """Which readings have a second command ``(n,)``, booleans."""
+        return self._which(lambda instrument: instrument.paired)
+
+    @property
+    def about_ball(self) -> NDArray[np.bool_]:
+        """Which readings are about a fixed ball ``(n,)``, booleans."""
+        return self._which(lambda instrument: instrument.about_ball)
+
+    def _which(self, test: Callable[[Instrument], bool]) -> NDArray[np.bool_]:
+        return np.array([test(s.instrument) for s in self.setups], dtype=bool)[self.setup]
+
+    @property
     def places(self) -> Array:
         """What is read where: setup, axis and both commands ``(n, 8)``."""
         second = np.nan_to_num(self.second)
@@ -113,10 +138,10 @@ class ToolCampaign(Recorded):
             np.column_stack([self.setup, self.command]),
             axis=0, return_index=True, return_inverse=True,
         )  # fmt: skip
-        told = ~(self.of_kind("plate") | self.of_kind("distance"))
+        told = ~(self.touching | self.paired)
         approach = approach[first[visit.reshape(-1)]] * told[:, None]
         moves, order = planned_moves(self.command, approach, begins & told)
-        approach[self.of_kind("plate")] = -1.0
+        approach[self.touching] = -1.0
         return replace(
             self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),
             line=order + 2,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.geometry import Array
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.campaign import Campaign
@@ -34,12 +35,12 @@ from orthoglide.observations.columns import (
 )
 from orthoglide.observations.reading import campaign_of_table
 from orthoglide.observations.table import Column, Table, choice, read_table, rows_table
-from orthoglide.observations.tool import DIRECTED, KINDS, ToolCampaign, ToolSetup
+from orthoglide.observations.tool import ToolCampaign, ToolSetup
 
 Readings = Campaign | ToolCampaign
 """What one file holds of dials on legs, or of the tool's instruments."""
 
-_KIND = Column(choice({kind: kind for kind in ("leg", "move", *KINDS)}), "leg")
+_KIND = Column(choice({kind: kind for kind in ("leg", "move", *INSTRUMENTS)}), "leg")
 
 
 def read_readings(
@@ -100,8 +101,8 @@ def readings_of_table(
     """Readings of any kind from a table of cells; arguments as for `read_readings`."""
     machine = machine_file or nominal_machine_file()
     kinds = table.values("kind", _KIND)
-    of_tool = [k for k, kind in enumerate(kinds) if kind in KINDS]
-    others = [k for k, kind in enumerate(kinds) if kind not in KINDS]
+    of_tool = [k for k, kind in enumerate(kinds) if kind in INSTRUMENTS]
+    others = [k for k, kind in enumerate(kinds) if kind not in INSTRUMENTS]
     legs = any(kinds[k] == "leg" for k in others)
     found: list[Readings] = []
     if legs or not of_tool:
@@ -124,7 +125,7 @@ def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool)
         *by_leg(TRAVELLED, legs), "reading_mrad", "sigma_mrad",
     )  # fmt: skip
     kinds = [k for k in every.values("kind", _KIND) if k != "move"]
-    reading = ["reading_mrad" if k == "incline" else "reading_mm" for k in kinds]
+    reading = [f"reading_{INSTRUMENTS[k].unit}" for k in kinds]
     warnings = every.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
     _check_firmware(every, machine)
     table, fields = recorded(every, moved, names, machine)
@@ -165,10 +166,10 @@ def _setups(table: Table, kinds: list[Any]) -> tuple[tuple[ToolSetup, ...], Ints
     cells = {key: table.values(key, TOOL_COLUMNS[key]) for key in ("setup", *BESIDE, TURNED)}
     beside, turned = list(zip(*(cells[key] for key in BESIDE), strict=True)), cells[TURNED]
     for row, kind in enumerate(kinds):
-        if any(beside[row]) and kind == "incline":
+        if any(beside[row]) and INSTRUMENTS[kind].angular:
             empty = ", ".join(BESIDE)
             table.fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
-        if turned[row] and kind != "plate":
+        if turned[row] and not INSTRUMENTS[kind].touches:
             table.fail(f"only a plate is turned on its seat ({TURNED}), nothing of a {kind}", row)
     first, setup = mountings(
         table,
@@ -183,14 +184,14 @@ def _directions(table: Table, kinds: list[Any]) -> list[tuple[int, int]]:
     found = table.values("direction", TOOL_COLUMNS["direction"])
     cells = table.values("direction", Column(str, ""))
     for row, (kind, cell) in enumerate(zip(kinds, cells, strict=True)):
-        if kind in DIRECTED and not cell:
+        if INSTRUMENTS[kind].axes and not cell:
             table.fail(f"a reading of kind {kind} needs its direction: x, y or z", row)
     return found
 
 
 def _second(table: Table, names: tuple[str, ...], kinds: list[Any], machine: MachineFile) -> Array:
     found = np.full((len(kinds), 3), np.nan)
-    rows = [k for k, kind in enumerate(kinds) if kind == "distance"]
+    rows = [k for k, kind in enumerate(kinds) if INSTRUMENTS[kind].paired]
     if not rows:
         return found
     for name in names:
@@ -204,7 +205,7 @@ def _either(table: Table, kinds: list[Any], mm: str, mrad: str) -> Array:
     """A column of millimetres or, for inclinations, of milliradians."""
     lengths = np.array(table.values(mm, ROW_COLUMNS[mm]))
     angles = np.array(table.values(mrad, READING_MRAD if mm == "reading_mm" else SIGMA_MRAD))
-    return np.where([kind == "incline" for kind in kinds], angles, lengths)
+    return np.where([INSTRUMENTS[kind].angular for kind in kinds], angles, lengths)
 
 
 def check_tool(campaign: ToolCampaign, fail: Fail) -> None:
@@ -217,16 +218,16 @@ def check_tool(campaign: ToolCampaign, fail: Fail) -> None:
     )
     if len(same):
         fail("the two commands of this distance are the same: correct one", int(same[0]))
-    short = np.flatnonzero(campaign.of_kind("distance") & (campaign.reading <= 0))
+    short = np.flatnonzero(campaign.paired & (campaign.reading <= 0))
     if len(short):
         fail("a distance must be above 0: correct it", int(short[0]))
-    bars = np.flatnonzero(campaign.of_kind("ballbar"))
+    bars = np.flatnonzero(campaign.about_ball)
     # Lengths, not deviations: these are of any sign and near zero.
     length = np.abs(campaign.reading[bars])
     turned = campaign.reading[bars] < 0
     if turned.any() and not turned.all() and length.min() > length.max() / 2:
         wrong = turned if turned.mean() < 0.5 else ~turned
         fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
-    metres = np.abs(campaign.reading[campaign.of_kind("distance")])
+    metres = np.abs(campaign.reading[campaign.paired])
     if len(metres) and metres.max() < 1e-3:
         fail("all distances are below 1 mm: give millimetres, not metres", 0)

@@ -26,7 +26,7 @@ from orthoglide.observations.columns import (
     by_leg,
 )
 from orthoglide.observations.tcp import TcpPoints
-from orthoglide.observations.tool import DIRECTED, ToolCampaign
+from orthoglide.observations.tool import ToolCampaign
 
 Row = dict[str, str]
 """From column to text."""
@@ -71,7 +71,7 @@ def campaign_rows(
     machine = machine_file or nominal_machine_file()
     dials = isinstance(campaign, Campaign)
     rho = dials and machine.controller == Controller()
-    legs, angles = machine.geometry.leg_names, campaign.of_kind("incline")
+    legs, angles = machine.geometry.leg_names, campaign.angular
     timed = np.isfinite(campaign.time).any()
     taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
     columns: Columns = {
@@ -115,14 +115,14 @@ def _of_dials(campaign: Campaign) -> Columns:
 def _of_tool(campaign: ToolCampaign, machine: MachineFile) -> Columns:
     """The columns that readings of the tool have of their own."""
     named = [
-        ("-" if sign < 0 else "") + LEGS[axis] if kind in DIRECTED else ""
-        for axis, sign, kind in zip(campaign.axis, campaign.sign, campaign.kind, strict=True)
+        ("-" if sign < 0 else "") + LEGS[axis] if campaign.setups[k].instrument.axes else ""
+        for axis, sign, k in zip(campaign.axis, campaign.sign, campaign.setup, strict=True)
     ]
     second = shown_commands(campaign.second, machine, by_leg(SECOND, machine.geometry.leg_names))
     beside = zip(BESIDE, campaign.beside.T, strict=True)
     return {
         "direction": _told(named),
-        **(second if campaign.of_kind("distance").any() else {}),
+        **(second if campaign.paired.any() else {}),
         "firmware": _told([machine.firmware] * len(campaign)),
         **{name: numbers(values, MM) if values.any() else None for name, values in beside},
         TURNED: numbers(campaign.turned_by) if campaign.turned_by.any() else None,

@@ -15,7 +15,7 @@ from orthoglide.planning.observability import (
     observability as observability,
 )
 from orthoglide.planning.owning import (
-    INSTRUMENTS as INSTRUMENTS,
+    TAKEN_BY as TAKEN_BY,
     Owned as Owned,
     owned_instruments as owned_instruments,
     sheets_of as sheets_of,

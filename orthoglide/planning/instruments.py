@@ -21,8 +21,8 @@ from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.numerals import compact
-from orthoglide.observations.tool import Kind
 from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.criteria import EffectSeparation
 from orthoglide.planning.owning import tool_sheet
@@ -41,7 +41,7 @@ Pair = tuple[Explanation, Explanation]
 
 
 @dataclass(frozen=True)
-class Instrument:
+class Proposal:
     """Readings that could be taken."""
 
     brief: str  # what they are
@@ -54,7 +54,7 @@ class Instrument:
 class Decision:
     """What an instrument's readings would decide."""
 
-    instrument: Instrument  # that reads
+    proposal: Proposal  # whose readings
     # sigmas between each two explanations of one cause, the likelier one first
     apart: dict[Pair, float]
 
@@ -105,17 +105,17 @@ def _likeliest_first(cause: Cause) -> list[Explanation]:
 # -- what could be read ----------------------------------------------------------------------------
 
 
-def _instruments(problem: Problem) -> Iterator[Instrument]:
+def _instruments(problem: Problem) -> Iterator[Proposal]:
     """Those that need least first."""
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
         for k, f in enumerate(problem.factors)
         if isinstance(f, ToolReadings)
         for s, setup in enumerate(f.points.setups)
-        if setup.kind == "plate"
+        if setup.instrument.touches
     ]
     if plates:
-        yield Instrument(
+        yield Proposal(
             f"a mesh with the plate turned by {_TURNED:.0f} degrees",
             f" on its seat, as a setup of its own with {_TURNED:.0f} under turned_deg (of a "
             f"printer: a profile of its own, imported with --turned NAME={_TURNED:.0f})",
@@ -123,22 +123,21 @@ def _instruments(problem: Problem) -> Iterator[Instrument]:
             _turned(problem, *max(plates)[1:]),
         )
     long = f"{_LONGER * 1e3:.0f}"
-    several: tuple[tuple[Kind, float, str, str, str], ...] = (
-        ("distance", 0.0, "distances between holes or pillars", " around the rim and across it, "
-         "each with its own width and the part's shrinkage", _SHEET.format("distance")),
-        ("incline", 0.0, "a level on the platform", ", read about x and y around the rim",
-         _SHEET.format("incline")),
-        ("distance", _LONGER, f"distances by a tool {long} mm longer", ", a pen or a rod, around "
-         f"the rim and across it, commanded {long} mm higher, as a setup of their own with -{long} "
-         "under beside_z_mm", ""),
-    )  # fmt: skip
-    for kind, longer, brief, how, told in several:
-        sheet = tool_sheet(problem.machine, kind, longer)
+    several = [
+        (i, 0.0, i.words, i.how, _SHEET.format(i.kind)) for i in INSTRUMENTS.values() if i.how
+    ]
+    several += [
+        (i, _LONGER, f"{i.reads} by a tool {long} mm longer", f", a pen or a rod, around the rim "
+         f"and across it, commanded {long} mm higher, as a setup of their own with -{long} under "
+         f"beside_z_mm", "")
+        for i in INSTRUMENTS.values() if i.how and i.paired
+    ]  # fmt: skip
+    for instrument, longer, brief, how, told in several:
+        sheet = tool_sheet(problem.machine, instrument, longer)
         sigma = expected_sigma(sheet, problem.machine.spec.instruments)
         factor = replace(ToolReadings.of(sheet, problem.machine), sigma=sigma)
-        unit = "mrad" if kind == "incline" else "mm"
-        known = f"{how}, to {compact(float(sigma[0]) * 1e3, 2)} {unit} each"
-        yield Instrument(brief, known, told, _alone(problem, problem.last, factor))
+        known = f"{how}, to {compact(float(sigma[0]) * 1e3, 2)} {instrument.unit} each"
+        yield Proposal(brief, known, told, _alone(problem, problem.last, factor))
 
 
 def _turned(problem: Problem, k: int, setup: int, factor: ToolReadings) -> Problem:
@@ -208,7 +207,7 @@ def _of(one: Explanation, problem: Problem) -> Array:
 
 def _sentence(one: Decision, causes: Sequence[Cause], several: Sequence[Decision]) -> str:
     said = [text for cause in causes for text in _of_cause(one, cause, several)]
-    i = one.instrument
+    i = one.proposal
     return f"{i.brief}{i.how}: {'; '.join(said)}{i.sheet}"
 
 
@@ -226,7 +225,7 @@ def _of_cause(one: Decision, cause: Cause, several: Sequence[Decision]) -> Itera
         yield f"it tells {_quoted(first)} from {listed}, by {least}"
     if left:
         a, b = left[0]
-        others = [d.instrument.brief for d in several if d.apart[a, b] >= _TELLS]
+        others = [d.proposal.brief for d in several if d.apart[a, b] >= _TELLS]
         yield (
             f"it does not tell {_quoted(a)} from {_quoted(b)}, "
             f"{f'for that take {others[0]}' if others else 'as none of these does'}"

@@ -9,29 +9,21 @@ import numpy as np
 
 from orthoglide.errors import UnreachableError, check_word
 from orthoglide.geometry import Array
+from orthoglide.instruments import INSTRUMENTS, Instrument
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, protocol
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.tool import KINDS, Kind
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
 from orthoglide.threads import on_one_thread
 
-INSTRUMENTS: dict[str, str] = {
-    "leg": "dials on the legs",
-    "tcp": "a tracker at the tool",
-    "plate": "a probe on a plate",
-    "distance": "distances between holes or pillars",
-    "ballbar": "a ball bar",
-    "incline": "a level on the platform",
-}
+TAKEN_BY = {"leg": "dials on the legs"} | {kind: one.words for kind, one in INSTRUMENTS.items()}
 """Kinds of readings, and what takes them."""
 
 LARGEST = 3.0
 """Tolerances: an effect that is found only from more on counts as not shown."""
 
-_AROUND, _HALVINGS, _SIDE = 12, 12, 7
-_DIRECTIONS: dict[Kind, tuple[int, ...]] = {"tcp": (0, 1, 2), "incline": (0, 1)}
+_AROUND, _HALVINGS = 12, 12
 
 
 @dataclass(frozen=True)
@@ -49,7 +41,7 @@ class Gain:
             told.append(f"show {', '.join(self.shown)}")
         if self.named:
             told.append(f"tell {', '.join(self.named)} from all else")
-        return f"{INSTRUMENTS[self.kind]} would {' and '.join(told) or 'tell nothing more'}"
+        return f"{TAKEN_BY[self.kind]} would {' and '.join(told) or 'tell nothing more'}"
 
 
 @dataclass(frozen=True)
@@ -67,7 +59,7 @@ class Owned:
     gains: tuple[Gain, ...]
 
     def __repr__(self) -> str:
-        listed = ", ".join(f"{INSTRUMENTS[k]} ({len(s)})" for k, s in self.sheets.items())
+        listed = ", ".join(f"{TAKEN_BY[k]} ({len(s)})" for k, s in self.sheets.items())
         return f"<Owned: {listed}>"
 
     def to_fill_in(self) -> list[ToolCampaign]:
@@ -105,7 +97,7 @@ def owned_instruments(
         sheets = {k: chosen.get(k, s) for k, s in sheets.items() if k in chosen or k == "leg"}
     tells = smallest_effects(machine, list(sheets.values()), seed=seed)
     gains = []
-    for kind in INSTRUMENTS:
+    for kind in TAKEN_BY:
         if kind not in sheets and (kind != "leg" or machine.geometry.dialled):
             more = [*sheets.values(), sheet_of(machine, kind)]
             of_machine = {e.name for e in machine.catalogue.effects if not e.of_dial}
@@ -150,7 +142,7 @@ def sheets_of(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings]:
         InputError: for a kind that there is not, or that this machine does not take.
     """
     for kind in kinds:
-        check_word("instrument", kind, INSTRUMENTS)
+        check_word("instrument", kind, TAKEN_BY)
     return {kind: sheet_of(machine, kind) for kind in dict.fromkeys(kinds)}
 
 
@@ -162,22 +154,21 @@ def sheet_of(machine: Machine, kind: str) -> Readings:
     """
     if kind == "leg":
         return protocol("sweep", machine.geometry)
-    (own,) = (k for k in KINDS if k == kind)
-    return tool_sheet(machine, own)
+    return tool_sheet(machine, INSTRUMENTS[kind])
 
 
-def tool_sheet(machine: Machine, kind: Kind, longer: float = 0.0) -> ToolCampaign:
+def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) -> ToolCampaign:
     """The same of an instrument at the tool.
 
     Args:
         machine: as it is believed to be.
-        kind: of readings.
+        instrument: that reads.
         longer: by how much the tool is than the machine's, metres; the platform stays so much
             higher.
     """
     up = np.array([0.0, 0.0, longer])
-    points, others, ball = _places(machine, kind, up)
-    axes = np.array(_DIRECTIONS.get(kind, (0,)))
+    points, others, ball = _places(machine, instrument, up)
+    axes = np.array(instrument.axes or (0,))
     n = len(points) * len(axes)
     # Of places that circles share, to what files hold: else a second visit would be no repeat.
     at = np.round(machine.with_only({}).inverse(points + up), DECIMALS)
@@ -185,11 +176,11 @@ def tool_sheet(machine: Machine, kind: Kind, longer: float = 0.0) -> ToolCampaig
     second = np.full((n, 3), np.nan)
     if others is not None:
         second = machine.with_only({}).inverse(others + up)
-    reading = np.linalg.norm(points - ball, axis=1) if kind == "ballbar" else np.zeros(n)
+    reading = np.linalg.norm(points - ball, axis=1) if instrument.about_ball else np.zeros(n)
     nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
     return ToolCampaign(
-        name=kind,
-        setups=(ToolSetup(kind, kind, (0.0, 0.0, -longer)),),
+        name=instrument.kind,
+        setups=(ToolSetup(instrument.kind, instrument.kind, (0.0, 0.0, -longer)),),
         setup=np.zeros(n, dtype=np.int64),
         axis=np.tile(axes, len(points)),
         sign=np.ones(n),
@@ -209,28 +200,20 @@ def tool_sheet(machine: Machine, kind: Kind, longer: float = 0.0) -> ToolCampaig
     ).in_order()  # fmt: skip
 
 
-def _places(machine: Machine, kind: Kind, up: Array) -> tuple[Array, Array | None, Array]:
+def _places(
+    machine: Machine, instrument: Instrument, up: Array
+) -> tuple[Array, Array | None, Array]:
     """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
     machine's own tool has to be within reach.
     """
-    ring = _ring()
-    flat = _widest(machine, lambda r: r * ring + up)
-    if kind == "plate":
-        side = np.linspace(-1.0, 1.0, _SIDE)
-        grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        grid = grid[np.hypot(*grid.T) <= 1 + 1e-9]
-        return flat * np.column_stack([grid, np.zeros(len(grid))]), None, np.zeros(3)
-    if kind == "distance":
-        ends = np.array([(a, (a + k) % _AROUND) for k in (2, 4, 6) for a in range(_AROUND)
-                         if k < 6 or a < 6])  # fmt: skip
-        return flat * ring[ends[:, 0]], flat * ring[ends[:, 1]], np.zeros(3)
-    if kind == "incline":
-        return np.concatenate([np.zeros((1, 3)), flat * ring]), None, np.zeros(3)
-    high = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else np.zeros(3)
-    circles = np.concatenate([ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]])
-    round_ = _widest(machine, lambda r: r * (circles + high) + up)
-    points = round_ * (circles + high)
-    return points, None, round_ * high
+    ring, high = _ring(), np.zeros(3)
+    points, others = instrument.places(ring)
+    outline = ring
+    if points[:, 2].any():
+        high = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else high
+        outline = points + high
+    size = _widest(machine, lambda r: r * outline + up)
+    return size * (points + high), None if others is None else size * others, size * high
 
 
 def _ring() -> Array:

@@ -11,10 +11,11 @@ import numpy as np
 from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import expected_sigma
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.observations import ToolCampaign
 from orthoglide.planning.criteria import RivalSeparation
 from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.owning import INSTRUMENTS, sheets_of
+from orthoglide.planning.owning import sheets_of
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.rivals import Rival
 from orthoglide.planning.suggestions import DECIDES, Pairs, Suggestion, to_separate, usual_load
@@ -22,7 +23,7 @@ from orthoglide.posterior import FullPosterior, Located
 from orthoglide.posterior.members import Members
 
 _MOST = 6  # places that are parted, the likeliest
-_AT_TOOL = tuple(kind for kind in INSTRUMENTS if kind not in ("leg", "plate"))
+_AT_TOOL = tuple(kind for kind, one in INSTRUMENTS.items() if not one.touches)
 """A plate may have any shape, which a free function of any part draws as well."""
 
 
@@ -99,8 +100,8 @@ def _at_tool(members: Members) -> Iterator[Suggestion]:
         told = {pair: s for pair, s in every[kind].items() if s >= DECIDES}
         more = f" (and {len(told) - 1} further pairs)" if told.keys() - {min(told)} else ""
         yield Suggestion(
-            f"to tell the places apart measure with {INSTRUMENTS[kind]}: expected to separate "
-            f"{said(min(told), told[min(told)])}{more}; a sheet for it: orthoglide design "
+            f"to tell the places apart measure with {INSTRUMENTS[kind].words}: expected to "
+            f"separate {said(min(told), told[min(told)])}{more}; a sheet for it: orthoglide design "
             f"--owns {kind} --machine machine.toml --out {kind}.csv",
             "none", max(told.values()), None,
         )  # fmt: skip

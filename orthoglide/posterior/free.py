@@ -16,6 +16,7 @@ from orthoglide.fit.problem import Factor
 from orthoglide.fit.surface import own_shapes
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
+from orthoglide.instruments import Instrument
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Model
@@ -27,19 +28,19 @@ _APART = 3.0  # times their scatter, by which readings of both ways have to diff
 
 def one_surface(problem: Problem) -> bool:
     """Whether plates and distances on them are all that was read."""
-    return _kinds(problem) <= {"plate", "distance"}
+    return all(i and (i.touches or i.paired) for i in _instruments(problem))
 
 
 def only_plates(problem: Problem) -> bool:
     """Whether plates are all that was read."""
-    return _kinds(problem) <= {"plate"}
+    return all(i and i.touches for i in _instruments(problem))
 
 
-def _kinds(problem: Problem) -> set[str]:
-    """Of instruments that read; dials and points are another."""
+def _instruments(problem: Problem) -> list[Instrument | None]:
+    """That read; ``None`` for dials, and for points."""
     tools = problem.tool_campaigns
-    others = ["other"] * (len(problem.factors) - len(tools))
-    return {*others, *(s.kind for tool in tools for s in tool.setups)}
+    others = [None] * (len(problem.factors) - len(tools))
+    return [*others, *(s.instrument for tool in tools for s in tool.setups)]
 
 
 def places_of(problem: Problem) -> tuple[Place, ...]:
@@ -113,7 +114,7 @@ def plates(problem: Problem) -> tuple[Array, Array]:
         if not isinstance(factor, ToolReadings):
             continue
         for k, setup in enumerate(factor.points.setups):
-            if setup.kind == "plate":
+            if setup.instrument.touches:
                 at = np.flatnonzero(factor.setup == k)
                 for shape, size in own_shapes(factor.place[at]):
                     column = np.zeros((len(problem.measured), 1))

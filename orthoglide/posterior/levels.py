@@ -35,7 +35,7 @@ class _Sense:
 
     def of(self, points: ToolCampaign) -> ToolCampaign:
         """The same readings with that meaning."""
-        level = points.of_kind("incline")
+        level = points.angular
         sign = np.where(level, np.take(self.signs, points.axis % 2), 1.0) * points.sign
         axis = np.where(level & self.exchanged, 1 - points.axis, points.axis)
         reading = np.where(level, self.factor, 1.0) * points.reading
@@ -67,7 +67,7 @@ def check_levels(known: FullPosterior) -> None:
     levels = [
         f"{source(f.points)}, setup {s.name!r}"
         for f in problem.points if isinstance(f, ToolReadings)
-        for s in f.points.setups if s.kind == "incline"
+        for s in f.points.setups if s.instrument.angular
     ]  # fmt: skip
     if not levels:
         return

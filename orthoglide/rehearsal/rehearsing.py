@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 from orthoglide.errors import InputError, NumericsError
+from orthoglide.instruments import Probe
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign, Readings, ToolCampaign, protocol, read_readings
 from orthoglide.observations.protocols import Kind
@@ -85,7 +86,7 @@ def _sheets(
     if sheet is not None and owns:
         raise InputError("sheet and owns exclude each other: each instrument has its own sheet")
     if sheet is None:
-        kinds = owns or (("leg",) if machine.geometry.dialled else ("plate",))
+        kinds = owns or (("leg",) if machine.geometry.dialled else (Probe.kind,))
         return tuple(sheets_of(machine, kinds).values())
     if isinstance(sheet, Campaign | ToolCampaign):
         return (sheet,)

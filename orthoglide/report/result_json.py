@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
 from orthoglide.geometry import LEGS
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine_file import machine_text
 from orthoglide.machine_file.posterior import posterior_bytes
 from orthoglide.report.wording import headline, located_words
@@ -110,7 +111,7 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
         **_mrad(noise=after.problem.one_reading.turn),
         "noise_source": after.problem.noise_source,
         "noise_of": {
-            kind: {"mrad" if kind == "incline" else "mm": _mm(sigma), "source": source}
+            kind: {getattr(INSTRUMENTS.get(kind), "unit", "mm"): _mm(sigma), "source": source}
             for kind, (sigma, source) in after.problem.noises.items()
         },
         "sigma_scale": number(after.sigma_scale),

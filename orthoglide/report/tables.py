@@ -14,7 +14,6 @@ from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
 from orthoglide.observations import Campaign, TcpPoints, ToolCampaign
 from orthoglide.observations.columns import of_commands
-from orthoglide.observations.tool import DIRECTED
 from orthoglide.text import csv_text
 
 if TYPE_CHECKING:
@@ -119,7 +118,7 @@ def _cells(campaign: Campaign, row: int) -> list[Any]:
 
 def _tool_cells(tool: ToolCampaign, row: int) -> list[Any]:
     setup, direction = tool.setups[tool.setup[row]], ""
-    if setup.kind in DIRECTED:
+    if setup.instrument.axes:
         direction = f"{'-' if tool.sign[row] < 0 else ''}{LEGS[tool.axis[row]]}"
     return [
         tool.name, tool.line[row], setup.name, "", direction, tool.posture[row],

@@ -161,7 +161,7 @@ def _plate(fit: Estimate) -> _Plate | None:
         rest = problem.measured[rows] - fit.at.value[rows]
         for place, setup in enumerate(factor.points.setups):
             own = np.flatnonzero(factor.setup == place)
-            if setup.kind != "plate" or len(own) < 3:
+            if not setup.instrument.touches or len(own) < 3:
                 continue
             places = slopes[own, :2]
             plane = np.asarray(-np.linalg.lstsq(_plane(places), rest[own], rcond=None)[0])

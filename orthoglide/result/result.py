@@ -18,6 +18,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import cause_short
 from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import Framed
+from orthoglide.instruments import Tracker
 from orthoglide.judging import HoldOut, TcpErrors
 from orthoglide.klipper import Corrections, firmware_of
 from orthoglide.machine import Machine
@@ -253,13 +254,13 @@ class Result(Framed):
     @cached_property
     def instruments(self) -> dict[str, str]:
         """Kinds of readings that were taken, ``leg``, ``plate`` ..., and what takes them."""
-        from orthoglide.planning import INSTRUMENTS
+        from orthoglide.planning import TAKEN_BY
 
         problem = self.after.problem
         several = (*problem.campaigns, *problem.tool_campaigns)
         kinds = {setup.kind for campaign in several for setup in campaign.setups}
-        kinds |= {"tcp"} if len(several) < len(problem.factors) else set()
-        return {kind: words for kind, words in INSTRUMENTS.items() if kind in kinds}
+        kinds |= {Tracker.kind} if len(several) < len(problem.factors) else set()
+        return {kind: words for kind, words in TAKEN_BY.items() if kind in kinds}
 
     @property
     def stopped(self) -> str:
