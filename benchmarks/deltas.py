@@ -15,8 +15,9 @@ import numpy as np
 from benchmarks import held_out
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.fit.surface import own_shapes
-from orthoglide.klipper import Firmware, import_printer
+from orthoglide.klipper import import_printer
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Firmware
 from orthoglide.observations import ToolCampaign
 from orthoglide.report.wording import claim
 

@@ -321,11 +321,11 @@ def judge(verdict: Verdict) -> Verdict:
 
 
 def _missing(left: Left) -> bool:
-    """Whether a cause or place is missing from the list: something significant is left, or only a
-    background beyond all tolerances, or errors without structure, which explain what they like and
-    so nothing, leave nothing.
+    """Whether a cause or place is missing from the list: something significant is left, or that was
+    not looked at, or only a background beyond all tolerances, or errors without structure, which
+    explain what they like and so nothing, leave nothing.
     """
-    return left.p_value < SIGNIFICANT or left.rare > EVEN
+    return not left.p_value >= SIGNIFICANT or left.rare > EVEN
 
 
 def _word(found: Outstanding, left: Left) -> Word:

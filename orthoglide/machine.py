@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -186,8 +187,18 @@ class Machine:
 
         Raises:
             InputError: for a name that is no parameter of the machine or one campaign's, a value
-                that is no number, and a standard deviation that is none or of another parameter.
+                that is no number or must be in another unit, and a standard deviation that is none
+                or of another parameter.
         """
+        for name, value in values.items():
+            if not isinstance(value, Real):
+                raise InputError(f"{name} must be a number, not {value!r}")
+            if abs(value) > _ABSURD * self.tolerance(name):
+                unit = self.catalogue.effect_of(name).unit
+                raise InputError(
+                    f"{name} = {value:g} is {abs(value) / self.tolerance(name):.0f} times its "
+                    f"tolerance: give SI units, not {unit.spoken.name or 'those of files'}"
+                )
         return self._with(dict(self.spec.parameters), values, sigmas or {})
 
     def with_only(
@@ -352,6 +363,9 @@ class Machine:
     def readings(self, campaign: Campaign) -> Array:
         """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""
         return self.model.readings(self.values, campaign)
+
+
+_ABSURD = 1e3  # tolerances: so large is a value in another unit, a thousandth of SI
 
 
 def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:

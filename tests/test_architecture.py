@@ -220,7 +220,7 @@ OF_ONE_LAYOUT = {
     "mechanism/seed.py:commands": "how far a point is beyond a bar's reach",
     "planning/owning.py:_widest": "a size between 0 and L that is searched for",
     # Names that files have
-    "klipper/firmware.py": "the firmware's own names of its towers",
+    "machine_file/firmware.py": "the firmware's own names of its towers",
     "observations/columns.py": "columns of the Orthoglide's commands",
     "observations/columns.py:command_names": "says which of them to keep",
     "observations/writing.py:command_columns": "tells columns of commands from others",

@@ -93,7 +93,8 @@ def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
     old, new = rows(1, "sweep", **bent), rows(2, "sweep", **shimmed)
     found = compared(machine, old, new)
     assert [str(d.parameter) for d in found.differences if d.changed] == ["rail_bow.x.z"]
-    assert found.sentences[0].startswith("rail bow of leg x toward z changed from 0.2")
+    said = "rail bow of leg x with its ends toward z changed from 0.2"
+    assert found.sentences[0].startswith(said)
 
 
 def test_both_sides_have_readings(machine: og.Machine) -> None:

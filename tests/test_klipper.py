@@ -18,10 +18,10 @@ from orthoglide.closing import close_loop
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import LOUD
-from orthoglide.klipper import Firmware, import_printer
+from orthoglide.klipper import import_printer
 from orthoglide.klipper.firmware import refitted
 from orthoglide.machine import Machine
-from orthoglide.machine_file import machine_text, parse_machine_file
+from orthoglide.machine_file import Firmware, machine_text, parse_machine_file
 from orthoglide.observations import campaign_rows, campaign_text, read_readings, readings_from_rows
 from orthoglide.result.corrections import corrections
 from tests.klipper_files import DATA, simulated_cfg

@@ -366,7 +366,7 @@ def test_arrows_over_the_workspace_are_the_errors_that_the_report_speaks_of(
 
 
 def test_what_is_shown_of_commands_and_numbers(campaign: og.Campaign) -> None:
-    worn = og.Machine.nominal().with_parameters(ERRORS)
+    worn = og.Machine.nominal().with_parameters(ERRORS, dict.fromkeys(ERRORS, 1e-5))
     found = og.compensate(worn, [[0.0, 0.0, 0.0], [0.01, 0.005, 0.0]])
     frame = found.to_frame()
     assert frame[["rho_x_mm", "rho_y_mm", "rho_z_mm"]].to_numpy() == pytest.approx(found.rho * 1e3)

@@ -43,7 +43,8 @@ def check(
 ) -> None:
     """Tell what changed between two states of a machine: after a repair, or a year.
 
-    OLD and NEW are campaigns, or results (result.json), of which the readings are taken.
+    OLD and NEW are campaigns, or results (their folder or result.json), of which the readings are
+    taken.
     """
     from orthoglide.report.folder import check_folder
 
@@ -93,6 +94,13 @@ def _readings(
     from orthoglide.machine import Machine
     from orthoglide.request import request_of
 
+    if path.suffix == ".toml":
+        raise InputError(
+            f"{path} is a machine file, which has no readings: give the result.json beside it, or "
+            f"the campaign"
+        )
+    if path.is_dir():
+        path = path / "result.json"
     if path.suffix == ".json":
         request = request_of(read_result(path), str(path), effects)
         if given is not None:

@@ -71,12 +71,11 @@ def export(
     calibrated URDF with its loop closures.
     """
     from orthoglide.control import export_files
-    from orthoglide.klipper import firmware_of
     from orthoglide.report.folder import check_folder
 
     check_folder(out)
     machine = opt.load_machine(machine_path, effects_file)
-    if zeros_only and firmware_of(machine) is not None:
+    if zeros_only and machine.spec.printer is not None:
         raise InputError(
             "--zeros-only has no effect: the firmware of this machine takes all its numbers or none"
         )

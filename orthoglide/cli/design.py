@@ -32,7 +32,7 @@ _OTHERWISE = (
 @click.argument("campaigns", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
 @opt.machine()
 @click.option("--out", type=opt.PATH, metavar="SHEET.csv",
-              help="Measuring sheet to write, with a page to print beside it.")  # fmt: skip
+              help="Measuring sheet to write; for dials with a page to print.")  # fmt: skip
 @click.option("--free", type=opt.Names(), default=(), metavar="NAME,...",
               help="Effects or parameters it is for.  [default: zeros and bar lengths; with "
                    "--criterion discriminate all that a design can show]")  # fmt: skip
@@ -118,6 +118,7 @@ def _of_owned(
     quiet: bool,
 ) -> None:
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
+    from orthoglide.instruments import INSTRUMENTS
     from orthoglide.observations import readings_text
     from orthoglide.planning import TAKEN_BY, owned_instruments
     from orthoglide.planning.wording import detectable_rows
@@ -133,11 +134,16 @@ def _of_owned(
             sheets = found.to_fill_in()
             if not sheets:
                 raise InputError("dials alone have sheets of their own: orthoglide protocol")
-            write_texts({out: readings_text(sheets, machine.spec)})
+            write_texts({out: readings_text(sheets, machine.spec, places=True)})
             moves = sum(len(sheet.moves) for sheet in sheets)
-            between = f"; {moves} rows are moves: go there, read nothing" if moves else ""
+            between = f"; rows of kind move ({moves}): go there, read nothing" if moves else ""
             lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "
                           f"tool, to be filled in{between}"]  # fmt: skip
+            placed = machine.spec.kinematics is not None
+            if placed:
+                lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
+            for one in (INSTRUMENTS[sheet.name] for sheet in sheets):
+                lines.append(f"{one.words}: {(placed and one.fill_place) or one.fill}.")
     hidden = len(found.tells.invisible)
     line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)

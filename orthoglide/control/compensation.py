@@ -19,7 +19,14 @@ from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import APPROACHED, POINT, TRAVELLED, by_leg, of_commands
+from orthoglide.observations.columns import (
+    APPROACHED,
+    PLACE,
+    POINT,
+    TRAVELLED,
+    by_leg,
+    of_commands,
+)
 from orthoglide.prediction import Conditions
 
 RESOLUTION = 1e-9
@@ -33,7 +40,12 @@ NOT_COVERED = (
 )
 """What the expected accuracy does not cover."""
 
-_ENDS = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm")
+_ENDS = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm",
+         "uncompensated_shape_mm")  # fmt: skip
+_UNKNOWN = (
+    "the machine file says nothing of how well its parameters are known, and so nothing is known "
+    "of how near these commands bring the real machine: give the calibrated.toml of a result"
+)
 _ROUNDS = 12
 _FAR = 0.02  # metres, more than any effect moves a command
 
@@ -51,10 +63,13 @@ class Compensation(Framed):
         predicted: TCP that the commands reach on this machine ``(n, 3)``, metres.
         uncompensated: TCP ``(n, 3)`` that the nominal machine's commands would reach, metres.
         shape_sigma: standard deviation of the TCP along each base axis ``(n, 3)``, metres, after
-            the best translation over the workspace; from what is known of the parameters.
+            the best translation over the workspace; from what is known of the parameters, and nan
+            where the machine file says nothing of that.
         place_sigma: the same of that translation ``(3,)``: where the machine as a whole sits.
         independent: whether the parameters were taken for independent.
         legs: how they are called.
+        sent: where the controller of a delta believes that it sends the tool ``(n, 3)``, metres;
+            ``None`` of other machines.
     """
 
     wanted: Array
@@ -67,16 +82,20 @@ class Compensation(Framed):
     place_sigma: Array
     independent: bool
     legs: LegNames = ORTHOGLIDE.names
+    sent: Array | None = None
 
     def __len__(self) -> int:
         return len(self.wanted)
 
     def __repr__(self) -> str:
-        before, after = (float(np.mean(e)) * 1e3 for e in (self.error_before, self.accuracy))
-        return (
-            f"<Compensation of {len(self)} points: {after:.3f} mm off to expect on average, "
-            f"{before:.3f} mm by the nominal commands>"
-        )
+        before, after = (float(np.mean(e)) * 1e3 for e in (self.shape_before, self.shape))
+        told = f": {after:.3f} mm off to expect on average, {before:.3f} mm by the nominal commands"
+        return f"<Compensation of {len(self)} points{told if self.is_known else ''}>"
+
+    @property
+    def is_known(self) -> bool:
+        """Whether anything is known of the machine's parameters."""
+        return bool(np.isfinite(self.place_sigma).all())
 
     @property
     def columns(self) -> dict[str, list[Any]]:
@@ -90,9 +109,10 @@ class Compensation(Framed):
             POINT: self.wanted * 1e3,
             of_commands(self.legs): self.rho * 1e3,
             by_leg(TRAVELLED, legs): self.travel * 1e3,  # the same columns on other layouts
+            **({} if self.sent is None else {PLACE: self.sent * 1e3}),
             by_leg(APPROACHED, legs): self.approach,
             by_leg("sigma_{}_mm"): self.shape_sigma * 1e3,
-            _ENDS: np.column_stack([*ends, self.error_before]) * 1e3,
+            _ENDS: np.column_stack([*ends, self.error_before, self.shape_before]) * 1e3,
         }
         return {n: v[:, k].tolist() for names, v in groups.items() for k, n in enumerate(names)}
 
@@ -105,6 +125,12 @@ class Compensation(Framed):
     def error_before(self) -> Array:
         """Distance by which the nominal machine's commands would miss ``(n,)``, metres."""
         return np.linalg.norm(self.uncompensated - self.wanted, axis=1)
+
+    @property
+    def shape_before(self) -> Array:
+        """Expected distance after the best translation by the nominal commands, rms ``(n,)``."""
+        off = self.uncompensated - self.wanted
+        return np.sqrt(np.sum((off - off.mean(axis=0)) ** 2 + self.shape_sigma**2, axis=1))
 
     @property
     def shape(self) -> Array:
@@ -122,7 +148,9 @@ class Compensation(Framed):
         return np.hypot(self.shape, self.place)
 
     def __str__(self) -> str:
-        before, shape = self.error_before * 1e3, self.shape * 1e3
+        if not self.is_known:
+            return "\n".join([f"{len(self)} points", _UNKNOWN, *_ALWAYS])
+        before, shape = self.shape_before * 1e3, self.shape * 1e3
         how = (
             "from the parameters' sigmas, taken for independent; values that the readings only "
             "see together make this too large"
@@ -130,16 +158,25 @@ class Compensation(Framed):
             else "from the parameters' covariance"
         )
         lines = [
-            f"{len(self)} points: without compensation the TCP would miss by {before.mean():.4f} "
-            f"mm on average, {before.max():.4f} mm at most",
-            f"with it, expect {np.sqrt(np.mean(shape**2)):.4f} mm rms, {shape.max():.4f} mm at the "
-            f"worst point, after one translation of everything (one standard deviation, {how})",
+            f"{len(self)} points: without compensation expect the TCP to be off by "
+            f"{_rms(before):.4f} mm rms, {before.max():.4f} mm at the worst point",
+            f"with it, expect {_rms(shape):.4f} mm rms, {shape.max():.4f} mm at the worst point: "
+            f"both after one translation of everything (one standard deviation, {how})",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
-            "the commands count as the controller does now: enter no new zero besides",
-            "not covered: " + "; ".join(NOT_COVERED),
+            *_ALWAYS,
         ]
         return "\n".join(lines)
+
+
+_ALWAYS = (
+    "the commands count as the controller does now: enter no new zero besides",
+    "not covered: " + "; ".join(NOT_COVERED),
+)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def compensate(
@@ -200,12 +237,17 @@ def compensate(
         *_shape_and_place(machine, Conditions.at(rho, **arriving)),
         machine.spec.posterior is None,
         machine.geometry.layout.names,
+        None if (known := machine.spec.kinematics) is None else known.places(rho),
     )
 
 
 def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
-    """Sigmas after the best translation over the workspace ``(n, 3)``, and of that ``(3,)``."""
+    """Sigmas after the best translation over the workspace ``(n, 3)``, and of that ``(3,)``; nan
+    where nothing is known of the parameters.
+    """
     names, covariance = machine.posterior.names, machine.posterior.covariance
+    if not names:
+        return np.full((len(at.command), 3), np.nan), np.full(3, np.nan)
     slopes, place = tcp_slopes(machine, names, at), tcp_slopes(machine, names).mean(axis=0)
     return _spread(slopes - place, covariance), _spread(place, covariance)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from dataclasses import dataclass
 
@@ -79,5 +80,7 @@ def export_files(
 
 
 def _digits(millimetres: float) -> str:
+    if math.isnan(millimetres):
+        return ""
     text = f"{millimetres:.6f}"
     return text.lstrip("-") if float(text) == 0 else text

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from orthoglide.klipper import WHERE, Corrections, Firmware, corrections_of, firmware_of
+from orthoglide.klipper import WHERE, Corrections, corrections_of
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Firmware
 
 _LACKING = (
     "There are none: the plate is the firmware's z = 0, and no readings of it are kept with this "
@@ -63,5 +64,5 @@ class FirmwareNumbers:
 
 def firmware_numbers(machine: Machine) -> FirmwareNumbers | None:
     """Those of a machine that was imported from its firmware; ``None`` of another."""
-    old = firmware_of(machine)
+    old = machine.spec.printer
     return None if old is None else FirmwareNumbers(old, corrections_of(machine))

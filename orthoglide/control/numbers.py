@@ -128,6 +128,7 @@ class ControllerNumbers(Framed):
         expected: errors of the TCP, by what is corrected.
         firmware: numbers of the firmware that a machine was imported from, which then are given in
             the place of all others; ``None`` of another machine.
+        calibrated: whether the machine file has any parameter at all.
     """
 
     name: str
@@ -138,6 +139,7 @@ class ControllerNumbers(Framed):
     checks: tuple[ZeroCheck, ...]
     expected: dict[str, ExpectedError]
     firmware: FirmwareNumbers | None = None
+    calibrated: bool = True
     _index = "drive"
 
     def __repr__(self) -> str:
@@ -204,8 +206,8 @@ class ControllerNumbers(Framed):
                 checks="\n".join(_fill(f"- {c}") for c in self.checks)
                 or (_NONE if self.names == ORTHOGLIDE.names else _fill(_UNDIALLED)),
             ),
-            alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)),
-            rest=_rest(self.beyond),
+            alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)) if self.calibrated else "",
+            rest=_rest(self.beyond) if self.calibrated else _fill(_NOMINAL),
         )
 
 
@@ -254,6 +256,7 @@ def controller_numbers(
         check_zeros(machine, held.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
         firmware_numbers(machine),
+        bool(machine.spec.parameters),
     )
 
 
@@ -302,6 +305,10 @@ _NONE = "- no zero moves by what a dial on a leg shows."
 _UNDIALLED = (
     "- no dial is set against the legs of this machine: enter them with the tool well clear, then "
     "read the tool again as for the calibration. A zero with the wrong sign doubles what was off."
+)
+_NOMINAL = (
+    "The machine file holds no calibration: these are its nominal numbers, and nothing is known of "
+    "how far the real machine is off. Give the calibrated.toml of a result."
 )
 _CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the numbers in brackets
 are what the controller shows for {legs}.

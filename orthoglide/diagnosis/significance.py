@@ -27,7 +27,7 @@ BACKGROUND = 0.02
 class Left:
     """Whether a fit leaves anything beyond the noise, whatever its shape."""
 
-    p_value: float  # of as much being left by noise alone
+    p_value: float  # of as much being left by noise alone; nan where that was not looked at
     # probability that the machine is beyond its tolerances altogether, or that stations have errors
     # without structure
     rare: float = 0.0

@@ -63,6 +63,7 @@ class Effect:
         plate: of an effect of a probed plate: its shapes, each behind what follows the setup in
             its parameter's name.
         names: of legs and directions, of the layout that it belongs to.
+        points: what of it a positive value moves along its direction, with "toward".
     """
 
     name: str
@@ -81,6 +82,7 @@ class Effect:
     dial: Callable[[DialReading, Any], Any] | None = None
     plate: tuple[tuple[str, Shape], ...] = ()
     names: LegNames = Orthoglide.names
+    points: str = "toward"
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():

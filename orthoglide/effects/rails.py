@@ -131,6 +131,7 @@ RAIL_BOW = Effect(
     0.02,
     because="a ground rail bolted to a milled face is straight to two hundredths",
     sentence="the rail is bent: its middle stands off the line between its ends",
+    points="with its ends toward",
     look_at="the rail against a straight edge, its bolts and what lies under it",
     members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _bow),)),
     words=Words(

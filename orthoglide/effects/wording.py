@@ -104,9 +104,11 @@ def parameter_words(parameter: Parameter) -> str:
         return f"{words} of setup {parameter.setup}{part}{where}"
     if parameter.member:
         return f"{words}, {parameter.member.replace('.', ' ')}{where}"
-    if _sided(CATALOGUE.by_name.get(parameter.effect), parameter.direction):
+    effect = CATALOGUE.by_name.get(parameter.effect)
+    if _sided(effect, parameter.direction):
+        points = "toward" if effect is None else effect.points
         way = toward(parameter.direction, 1.0)
-        return f"{words} of leg {parameter.leg} toward {way}{where}"
+        return f"{words} of leg {parameter.leg} {points} {way}{where}"
     tail = {"sin": ", sine", "cos": ", cosine"}
     if parameter.effect in CATALOGUE.by_name:  # what an own effect does along b, it alone knows
         tail |= {"a": " about its axis", "b": " about its pivots"}

@@ -116,6 +116,11 @@ class Problem:
         return (*dials, *self.points)
 
     @property
+    def of_dials(self) -> bool:
+        """Whether dials on the legs are all that was read."""
+        return bool(self.campaigns) and not self.points
+
+    @property
     def tool_campaigns(self) -> tuple[ToolCampaign, ...]:
         """Readings of the tool but TCP points."""
         return tuple(p.points for p in self.points if isinstance(p.points, ToolCampaign))

@@ -23,6 +23,7 @@ class BallBar(Instrument):
     kind = "ballbar"
     words = "a ball bar"
     reads = "the ball bar"
+    fill = "reading_mm is the bar's length, or how much longer it is than at some place"
     repeatability = 5e-6
     slip_alone = 1e-4
     about_ball = True

@@ -26,6 +26,7 @@ class Distance(Instrument):
     kind = "distance"
     words = "distances between holes or pillars"
     reads = "distances"
+    fill = "reading_mm is the distance between the two places of the row"
     how = " around the rim and across it, each with its own width and the part's shrinkage"
     repeatability = 5e-5  # a calliper's, as owners of linear deltas repeat it
     paired = True

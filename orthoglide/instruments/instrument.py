@@ -57,6 +57,8 @@ class Instrument(ABC):
         kind: what files call its readings, and the machine file its table.
         words: what takes the readings.
         reads: what is read; ``{}`` stands for the axis.
+        fill: what to write on a sheet.
+        fill_place: what to write where its rows say places, if that is another way.
         how: said behind ``words`` of readings that are proposed to tell causes apart; empty where
             none are.
         repeatability: standard deviation of one reading where nothing is known.
@@ -73,6 +75,8 @@ class Instrument(ABC):
     kind: ClassVar[str]
     words: ClassVar[str]
     reads: ClassVar[str]
+    fill: ClassVar[str]
+    fill_place: ClassVar[str] = ""
     how: ClassVar[str] = ""
     repeatability: ClassVar[float]
     slip: ClassVar[float] = 1e-3

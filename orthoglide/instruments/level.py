@@ -19,6 +19,7 @@ class Level(Instrument):
     kind = "incline"
     words = "a level on the platform"
     reads = "the platform's turn about {}"
+    fill = "reading_mrad is the platform's turn about the direction, right-handed: 1 mm a metre"
     how = ", read about x and y around the rim"
     repeatability = 2e-5
     slip = slip_alone = 2e-3

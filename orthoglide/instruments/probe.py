@@ -18,6 +18,11 @@ class Probe(Instrument):
     kind = "plate"
     words = "a probe on a plate"
     reads = "the plate's height"
+    fill = "reading_mm is how high the tip is above the plate at the row's command"
+    fill_place = (
+        "go down until it touches and write the height that the machine shows then under z_mm; "
+        "reading_mm is 0 where the nozzle touches, else how high it is as the probe triggers"
+    )
     repeatability = 2e-5  # a probe's touch, as owners of linear deltas repeat it
     touches = True
 

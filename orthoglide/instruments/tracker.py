@@ -16,6 +16,7 @@ class Tracker(Instrument):
     kind = "tcp"
     words = "a tracker at the tool"
     reads = "the tool along {}"
+    fill = "reading_mm is the tool's coordinate along the direction"
     repeatability = 1e-5
     slip_alone = 2e-4
     axes = (0, 1, 2)

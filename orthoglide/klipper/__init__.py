@@ -12,10 +12,6 @@ from orthoglide.klipper.corrections import (
     Corrections as Corrections,
     corrections_of as corrections_of,
 )
-from orthoglide.klipper.firmware import (
-    Firmware as Firmware,
-    firmware_of as firmware_of,
-)
 from orthoglide.klipper.importing import (
     Imported as Imported,
     import_printer as import_printer,

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.klipper.firmware import FITTED, Firmware, shifted
+from orthoglide.klipper.firmware import FITTED, shifted
 from orthoglide.klipper.stored import CALIBRATION, PROBE
+from orthoglide.machine_file import Firmware
 from orthoglide.notes import Note
 from orthoglide.numerals import signed
 from orthoglide.observations import ToolCampaign

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from orthoglide.klipper.firmware import TOWERS, Firmware, firmware_of
 from orthoglide.machine import Machine
+from orthoglide.machine_file import TOWERS, Firmware
 from orthoglide.numerals import signed
 
 WHERE = (
@@ -71,7 +71,7 @@ class Corrections:
 
 def corrections_of(machine: Machine) -> Corrections | None:
     """Those that were kept with a machine; ``None`` where its readings gave none."""
-    old, kept = firmware_of(machine), machine.spec.provenance.get("klipper")
+    old, kept = machine.spec.printer, machine.spec.provenance.get("klipper")
     if old is None or not isinstance(kept, Mapping):
         return None
     try:

@@ -1,143 +1,15 @@
-"""What the firmware believes of a delta, its equations, and the numbers that would serve it best.
-
-With tower i at angle t_i and the one radius R, arms A_i, endstops e_i above the plate, a carriage
-at height h_i holds the nozzle at (x, y, z) where
-``h_i = z + sqrt(A_i^2 - (R cos t_i - x)^2 - (R sin t_i - y)^2)``; at the endstop
-``h_i = e_i + sqrt(A_i^2 - R^2)``, and stored positions count steps down from there.
-"""
+"""The firmware's numbers of a machine, and those that would serve it best."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.errors import InputError
-from orthoglide.files import sha256
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
-from orthoglide.reduction.spheres import intersect_spheres
-
-TOWERS = ("a", "b", "c")
-Triple = tuple[float, float, float]
+from orthoglide.machine_file import Firmware
 
 _STEPS = 30
-
-
-@dataclass(frozen=True)
-class Firmware:
-    """The numbers of ``[printer]`` and ``[stepper_*]``."""
-
-    # horizontal distance from nozzle to tower joints with the nozzle in the centre, metres
-    delta_radius: float
-    angle: Triple  # of the towers, degrees
-    arm: Triple  # length of the arms, metres
-    endstop: Triple  # height of the nozzle in the centre with this carriage at its endstop, metres
-
-    @property
-    def at_endstop(self) -> Array:
-        """Height of the carriages at their endstops ``(3,)``, metres."""
-        return np.array(self.endstop) + np.sqrt(np.array(self.arm) ** 2 - self.delta_radius**2)
-
-    @property
-    def mean_arm(self) -> float:
-        """What the machine file has as the length of its bars, metres."""
-        return round(float(np.mean(self.arm)), 6)
-
-    @property
-    def zero(self) -> float:
-        """Height of the carriages at mechanical zero of the machine file, metres."""
-        return float(np.sqrt(self.mean_arm**2 - self.delta_radius**2))
-
-    @property
-    def towers(self) -> Array:
-        """Where the towers stand ``(3, 2)``, metres."""
-        turn = np.deg2rad(np.array(self.angle))
-        return self.delta_radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-
-    def heights(self, p: Array) -> Array:
-        """Heights of the carriages ``(n, 3)`` that the firmware commands for points ``(n, 3)``.
-
-        Raises:
-            InputError: for points out of its arms' reach.
-        """
-        flat = p[:, None, :2] - self.towers
-        square = np.array(self.arm) ** 2 - np.sum(flat**2, axis=-1)
-        if not (square > 0).all():
-            raise InputError("a point lies out of the reach of the arms that the firmware knows")
-        return np.asarray(p[:, 2:] + np.sqrt(square))
-
-    def points(self, heights: Array) -> Array:
-        """Where the firmware believes the nozzle is ``(n, 3)``, for heights ``(n, 3)``.
-
-        Raises:
-            UnreachableError: where its arms do not meet.
-        """
-        centres = np.concatenate(
-            [np.broadcast_to(self.towers, (len(heights), 3, 2)), heights[:, :, None]], axis=2
-        )
-        return intersect_spheres(centres, np.array(self.arm))
-
-    def as_dict(self) -> dict[str, Any]:
-        """As provenance keeps it, millimetres and degrees."""
-        return {
-            "delta_radius_mm": _mm(self.delta_radius),
-            "angle_deg": [round(v, 9) for v in self.angle],
-            "arm_length_mm": [_mm(v) for v in self.arm],
-            "position_endstop_mm": [_mm(v) for v in self.endstop],
-        }
-
-    @property
-    def mark(self) -> str:
-        """What tells these numbers from others, short; no spreadsheet takes it for a number."""
-        text = json.dumps(self.as_dict(), sort_keys=True)
-        return f"klipper-{sha256(text.encode())[:8]}"
-
-    @classmethod
-    def of(cls, found: Mapping[str, Any]) -> Firmware:
-        """From provenance."""
-        a, b, c = (
-            tuple(float(v) * unit for v in found[key])
-            for key, unit in (
-                ("angle_deg", 1.0), ("arm_length_mm", 1e-3), ("position_endstop_mm", 1e-3),
-            )
-        )  # fmt: skip
-        return cls(float(found["delta_radius_mm"]) * 1e-3, _three(a), _three(b), _three(c))
-
-    def lines(self) -> list[str]:
-        """As a ``printer.cfg`` has it."""
-        found = ["[printer]", f"delta_radius: {self.delta_radius * 1e3:.6f}"]
-        for name, angle, arm, endstop in zip(
-            TOWERS, self.angle, self.arm, self.endstop, strict=True
-        ):
-            found += [
-                f"[stepper_{name}]", f"angle: {angle:.6f}", f"arm_length: {arm * 1e3:.6f}",
-                f"position_endstop: {endstop * 1e3:.6f}",
-            ]  # fmt: skip
-        return found
-
-
-def firmware_of(machine: Machine) -> Firmware | None:
-    """What the firmware believes of a machine that was imported; ``None`` of another."""
-    kept = machine.spec.provenance.get("klipper")
-    if not isinstance(kept, Mapping):
-        return None
-    try:
-        return Firmware.of(kept)
-    except (KeyError, TypeError, ValueError):  # the table was edited
-        return None
-
-
-def _three(values: tuple[float, ...]) -> Triple:
-    a, b, c = values
-    return a, b, c
-
-
-def _mm(metres: float) -> float:
-    return round(metres * 1e3, 9)
 
 
 FITTED = 6

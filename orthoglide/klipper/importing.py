@@ -16,11 +16,10 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.agreeing import Disagreement, disagreements
 from orthoglide.klipper.config import Config, read_config
-from orthoglide.klipper.firmware import TOWERS, Firmware
 from orthoglide.klipper.rods import rods_words
 from orthoglide.klipper.stored import CALIBRATION, CALLIPER, PROBE, Stored, probe_section
 from orthoglide.layout import LinearDelta
-from orthoglide.machine_file import Instrument, MachineFile, ParameterValue
+from orthoglide.machine_file import TOWERS, Firmware, Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign
 from orthoglide.text import shown
@@ -118,6 +117,12 @@ def _firmware(config: Config) -> Firmware:
         arms.append(tower.number("arm_length", arm_a, 10, 5000) * 1e-3)
         ends.append(tower.number("position_endstop", endstop_a, 1, 10000) * 1e-3)
         angles.append(tower.number("angle", angle, -720, 720))
+        if not 0.5 * ends[0] < ends[-1] < 2 * ends[0]:
+            tower.fail(
+                "position_endstop",
+                f"is {ends[-1] * 1e3:g} mm, and that of tower {TOWERS[0]} {ends[0] * 1e3:g}: "
+                f"carriages of one machine stop at about one height; give both in millimetres",
+            )
         if arms[-1] <= 1.02 * radius:
             tower.fail(
                 "arm_length",
@@ -136,13 +141,16 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
     low = min(np.floor((low - 1e-3) * 1e3) * 1e-3, -1e-3)
     high = max(np.ceil((max(high, (firmware.at_endstop - zero).max())) * 1e3) * 1e-3, 1e-3)
     radius = round(firmware.delta_radius + PLATFORM, 9)
-    geometry = Geometry(
-        arm,
-        WIDTH,
-        PLATFORM,
-        (round(float(low), 6), round(float(high), 6)),
-        LinearDelta((radius,) * 3, firmware.angle, (0.0, 0.0, -DROP)),
-    )
+    stroke = (round(float(low), 6), round(float(high), 6))
+    layout = LinearDelta((radius,) * 3, firmware.angle, (0.0, 0.0, -DROP))
+    try:
+        geometry = Geometry(arm, WIDTH, PLATFORM, stroke, layout)
+    except InputError as error:
+        config.section(f"stepper_{TOWERS[0]}").fail(
+            "position_endstop",
+            f"does not go with the stored positions ({error}): give it in millimetres, or probe "
+            f"again",
+        )
     catalogue = catalogue_of(LinearDelta.names)
     length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
     lengths = {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from orthoglide.klipper.firmware import TOWERS, Firmware, firmware_of
 from orthoglide.machine import Machine
+from orthoglide.machine_file import TOWERS, Firmware
 
 _SPREAD = 5e-4  # metres by which rods of one set do not differ
 _EVEN = 5e-5  # within which they are taken as alike
@@ -31,7 +31,7 @@ def doubted_rods(machine: Machine) -> str:
     """The same of an imported machine whose arms cannot be those of one set of rods, unless its
     file says that they were measured: by a sigma beside lengths near the stored ones.
     """
-    firmware = firmware_of(machine)
+    firmware = machine.spec.printer
     if firmware is None or _spread(firmware) <= _SPREAD or _measured(machine, firmware):
         return ""
     return rods_words(firmware)

@@ -15,7 +15,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.config import Config
 from orthoglide.klipper.entries import Section
-from orthoglide.klipper.firmware import TOWERS, Firmware
+from orthoglide.machine_file import TOWERS, Firmware
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign, ToolSetup
 
@@ -29,6 +29,7 @@ one of two pillars' widths is taken off, and pillars differ by a tenth of a mill
 
 _FULL_STEPS = 200
 _FAR = 3e-3  # metres by which a stored place may miss the one that the stored numbers give
+_SAME = 2e-5  # metres: a height that is stored with another offset of the probe differs by more
 _PROBES = (
     "probe", "bltouch", "smart_effector", "load_cell_probe", "probe_eddy_current", "beacon",
     "cartographer", "scanner", "dockable_probe",
@@ -98,7 +99,7 @@ class Stored:
         return p
 
     def _heights(self) -> Iterator[dict[str, Any]]:
-        section, (_, beside) = self.config.section("delta_calibrate"), _probe(self.config)
+        section, (offset, beside) = self.config.section("delta_calibrate"), _probe(self.config)
         for word, setup in (("height", "heights"), ("manual_height", "manual-heights")):
             found: list[tuple[float, Array, Array]] = []
             numbers = _numbers(section, word)
@@ -113,6 +114,16 @@ class Stored:
                     f"the {word}s of [delta_calibrate] lie {off * 1e3:+.1f} mm off by the endstops "
                     f"that are stored now: they are taken as of the same machine with endstops "
                     f"changed since; if anything else was changed, run DELTA_CALIBRATE again",
+                    "heights",
+                ))  # fmt: skip
+            stored = float(np.median([height for height, _, _ in found])) if found else offset
+            if word == "height" and offset and abs(stored - offset) > _SAME:
+                self.notes.append(Note(
+                    f"the heights of [delta_calibrate] were stored with a z_offset of "
+                    f"{stored * 1e3:g} mm, and it is {offset * 1e3:g} mm now: new endstops go by "
+                    f"the heights as they were stored, and the nozzle may end "
+                    f"{abs(stored - offset) * 1e3:.2g} mm too high or too low; run DELTA_CALIBRATE "
+                    f"again",
                     "heights",
                 ))  # fmt: skip
             for k, (height, travel, p) in zip(numbers, found, strict=True):

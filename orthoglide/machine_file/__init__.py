@@ -1,5 +1,10 @@
 """The machine file (TOML): what is known of one machine, read strictly and written exactly."""
 
+from orthoglide.machine_file.firmware import (
+    TOWERS as TOWERS,
+    DeltaKinematics as DeltaKinematics,
+    Firmware as Firmware,
+)
 from orthoglide.machine_file.model import (
     Controller as Controller,
     Dial as Dial,

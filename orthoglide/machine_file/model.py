@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.geometry import Array, Geometry
+from orthoglide.layout import LinearDelta
+from orthoglide.machine_file.firmware import DeltaKinematics, Firmware
 from orthoglide.machine_file.posterior import Posterior
 
 SCHEMA = 1
@@ -131,6 +133,28 @@ class MachineFile:
         """Mark of the firmware's numbers that travel was computed with; empty of others."""
         kept = self.provenance.get("klipper")
         return str(kept.get("numbers", "")) if isinstance(kept, Mapping) else ""
+
+    @property
+    def printer(self) -> Firmware | None:
+        """What the firmware believes of a machine that was imported; ``None`` of another."""
+        kept = self.provenance.get("klipper")
+        if not isinstance(kept, Mapping):
+            return None
+        try:
+            return Firmware.of(kept)
+        except (KeyError, TypeError, ValueError):  # the table was edited
+            return None
+
+    @property
+    def kinematics(self) -> DeltaKinematics | None:
+        """Where the controller of a delta sends the carriages for a place, by its firmware's
+        numbers where these are known; ``None`` of other machines.
+        """
+        if not isinstance(self.geometry.layout, LinearDelta):
+            return None
+        return (
+            DeltaKinematics.of(self.geometry) if self.printer is None else self.printer.kinematics
+        )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "catalogue", self.catalogue.of_layout(self.geometry.layout))

@@ -95,7 +95,8 @@ def check_filled(reading: Array, fail: Fail) -> None:
     if len(empty) == len(reading):
         fail("has no readings yet: fill in reading_mm", 0)
     if len(empty):
-        fail("reading_mm is empty: fill it in or remove the row", int(empty[0]))
+        more = f", and in {len(empty) - 1} rows more" if len(empty) > 1 else ""
+        fail(f"reading_mm is empty{more}: fill it in or remove the row", int(empty[0]))
 
 
 def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail) -> None:

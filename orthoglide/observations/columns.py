@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import INSTRUMENTS
@@ -33,6 +33,10 @@ NAN = float("nan")
 
 TRAVELLED, SECOND, APPROACHED = "travel_{}_mm", "travel_{}2_mm", "approach_{}"
 """Columns of the controller's values, of a distance's second command, of each drive's last move."""
+
+
+PLACE, SECOND_PLACE = ("x_mm", "y_mm", "z_mm"), ("x2_mm", "y2_mm", "z2_mm")
+"""Columns of where a delta's controller was sent, and of a distance's second place."""
 
 
 def by_leg(column: str, legs: tuple[str, str, str] = LEGS) -> tuple[str, ...]:
@@ -71,6 +75,7 @@ ROW_COLUMNS: dict[str, Column] = {
 """What each row has of its own, besides its command and approach; of ``kind``: is it a move?"""
 
 _COMMAND = Column(number(MM))
+_HEIGHT = Column(number(MM), NAN)  # empty of a place that is to be touched
 _ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
 DIRECTION_OF_MOVE = Column(SIGN, 0)
 
@@ -103,7 +108,12 @@ SIGMA_MRAD = Column(positive(MM, TURNS), NAN)
 def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str, ...]:
     """The three columns that hold the commands: joint coordinates or the controller's values."""
     if machine is not None and not machine.geometry.dialled:
-        return of_commands(machine.geometry.layout.names)
+        own = of_commands(machine.geometry.layout.names)
+        if not set(PLACE) & set(table.names) or machine.kinematics is None:
+            return own
+        if set(own) & set(table.names):
+            table.fail(f"has both {own[0]} and {PLACE[0]}: keep the three columns of one kind")
+        return PLACE
     if "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"
@@ -194,5 +204,32 @@ def mountings(
 
 def commands(table: Table, names: tuple[str, ...], machine: MachineFile) -> Array:
     """Joint coordinates ``(n, 3)``, metres, of a table's commands, all within the stroke."""
+    if names == PLACE:
+        height = np.nan_to_num(columns(table, names[2:], _HEIGHT))
+        given = np.hstack([columns(table, names[:2], _COMMAND), height])
+    else:
+        given = columns(table, names, _COMMAND)
     travelled = names[0].startswith("travel")
-    return check_commands(columns(table, names, _COMMAND), travelled, machine, table.fail)
+    if names[0] in (PLACE[0], SECOND_PLACE[0]) and (kinematics := machine.kinematics):
+        travel = kinematics.travel(given)
+        far = np.flatnonzero(np.isnan(travel).any(axis=1))
+        if len(far):
+            table.fail(
+                f"{', '.join(names)} is a place that no arm reaches: correct it", int(far[0])
+            )
+        given, travelled = machine.controller.from_rho(travel, machine.geometry), True
+    return check_commands(given, travelled, machine, table.fail)
+
+
+def untouched(table: Table, names: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Which rows say where to go down, and not yet at what height it touched ``(n,)``."""
+    if names != PLACE:
+        return np.zeros(len(table.rows), dtype=bool)
+    return np.isnan(columns(table, names[2:], _HEIGHT)[:, 0])
+
+
+def second_names(names: tuple[str, ...], legs: tuple[str, str, str]) -> tuple[str, ...]:
+    """The three columns of a distance's second command, as its first has its own."""
+    if names == PLACE:
+        return SECOND_PLACE
+    return by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)

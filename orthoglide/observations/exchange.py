@@ -47,9 +47,11 @@ def readings_rows(
     return campaign_rows(given, machine_file)
 
 
-def readings_text(given: Sequence[Readings], machine_file: MachineFile | None = None) -> str:
-    """The CSV text of one file of readings of several kinds; arguments as for `write_campaign`."""
-    rows = [row for one in given for row in readings_rows(one, machine_file)]
+def readings_text(
+    given: Sequence[Readings], machine_file: MachineFile | None = None, *, places: bool = False
+) -> str:
+    """The CSV text of one file of readings of several kinds; arguments as for `campaign_rows`."""
+    rows = [row for one in given for row in campaign_rows(one, machine_file, places=places)]
     names = dict.fromkeys(name for row in rows for name in row)
     return csv_text([{name: row.get(name, "") for name in names} for row in rows])
 

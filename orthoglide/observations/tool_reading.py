@@ -32,6 +32,8 @@ from orthoglide.observations.columns import (
     commands,
     mountings,
     recorded,
+    second_names,
+    untouched,
 )
 from orthoglide.observations.reading import campaign_of_table
 from orthoglide.observations.table import Column, Table, choice, read_table, rows_table
@@ -119,7 +121,7 @@ def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool)
     moved = [kind == "move" for kind in every.values("kind", _KIND)]
     legs = machine.geometry.leg_names
     names, approach = command_names(every, machine), by_leg(APPROACHED, legs)
-    second = by_leg(names[0].partition("_")[0] + "_{}2_mm", legs)
+    second = second_names(names, legs)
     known = (
         *TOOL_COLUMNS, *ROW_COLUMNS, *SETUP_COLUMNS, *names, *second, *approach, *RHO,
         *by_leg(TRAVELLED, legs), "reading_mrad", "sigma_mrad",
@@ -141,7 +143,9 @@ def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool)
         warnings=warnings,
         **fields
         | {
-            "reading": _either(table, kinds, "reading_mm", "reading_mrad"),
+            "reading": np.where(
+                untouched(table, names), np.nan, _either(table, kinds, "reading_mm", "reading_mrad")
+            ),
             "sigma": _either(table, kinds, "sigma_mm", "sigma_mrad"),
         },
     )
@@ -212,7 +216,9 @@ def check_tool(campaign: ToolCampaign, fail: Fail) -> None:
     """Refuses readings of the tool that cannot be meant as they stand; ``fail`` raises."""
     empty = np.flatnonzero(np.isnan(campaign.reading))
     if len(empty):
-        fail("the reading is empty: fill it in or remove the row", int(empty[0]))
+        more = f"; so are {len(empty) - 1} more" if len(empty) > 1 else ""
+        fail(f"the reading is empty, or the height of a touch{more}: fill it in or remove the row",
+             int(empty[0]))  # fmt: skip
     same = np.flatnonzero(
         (np.abs(campaign.second - campaign.command) < 1e-6).all(axis=1) & (campaign.reading > 0)
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from orthoglide import text, units
 from orthoglide.geometry import LEGS, Array
-from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
+from orthoglide.machine_file import Controller, DeltaKinematics, MachineFile, nominal_machine_file
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.columns import (
@@ -18,9 +18,11 @@ from orthoglide.observations.columns import (
     APPROACHED,
     BESIDE,
     MM,
+    PLACE,
     POINT,
     RHO,
     SECOND,
+    SECOND_PLACE,
     TRAVELLED,
     TURNED,
     by_leg,
@@ -34,6 +36,7 @@ Row = dict[str, str]
 Columns = dict[str, Sequence[Any] | None]
 """Cells by column; None where a column says nothing."""
 
+_PLACED = 9  # decimals of a metre, of where a tool is sent
 _MOUNTING = ("setup", "leg", "direction", "gauge_mm", "bar")
 
 
@@ -55,7 +58,10 @@ def command_columns(row: Row) -> list[str]:
 
 
 def campaign_rows(
-    campaign: Campaign | ToolCampaign, machine_file: MachineFile | None = None
+    campaign: Campaign | ToolCampaign,
+    machine_file: MachineFile | None = None,
+    *,
+    places: bool = False,
 ) -> list[Row]:
     """The rows of a file of readings, moves included; optional columns only where they say
     something.
@@ -64,6 +70,8 @@ def campaign_rows(
         campaign: of dials or of the tool; readings that are nan are left empty.
         machine_file: whose layout and controller count; the nominal one if None. Commands are as
             the controller shows them, and joint coordinates with dials where it counts as these do.
+        places: commands are where the tool is sent, where the machine file knows how its controller
+            sends it there.
 
     Returns:
         From column to text; all rows have the same columns, in the order of FORMAT's table.
@@ -71,6 +79,7 @@ def campaign_rows(
     machine = machine_file or nominal_machine_file()
     dials = isinstance(campaign, Campaign)
     rho = dials and machine.controller == Controller()
+    kinematics = machine.kinematics if places and not dials else None
     legs, angles = machine.geometry.leg_names, campaign.angular
     timed = np.isfinite(campaign.time).any()
     taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
@@ -79,8 +88,8 @@ def campaign_rows(
         "setup": [campaign.setups[k].name for k in campaign.setup],
         **dict.fromkeys(("leg", "direction")),
         "posture": campaign.posture,
-        **_commands(campaign.command, machine, rho),
-        **dict.fromkeys(("gauge_mm", "bar", *by_leg(SECOND, legs))),
+        **_commands(campaign.command, machine, rho, kinematics),
+        **dict.fromkeys(("gauge_mm", "bar", *by_leg(SECOND, legs), *SECOND_PLACE)),
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
         **_approaches(campaign.approach, legs),
@@ -92,9 +101,12 @@ def campaign_rows(
         "sigma_mm": _told(_numbers_of(~angles, campaign.sigma)),
         "sigma_mrad": _told(_numbers_of(angles, campaign.sigma)),
     }
-    own = _of_dials(campaign) if isinstance(campaign, Campaign) else _of_tool(campaign, machine)
+    if isinstance(campaign, Campaign):
+        own = _of_dials(campaign)
+    else:
+        own = _of_tool(campaign, machine, kinematics)
     rows = rows_of(columns | own)
-    moves = rows_of(_commands(campaign.moves.command, machine, rho))
+    moves = rows_of(_commands(campaign.moves.command, machine, rho, kinematics))
     return _with_moves(rows, campaign, moves, _MOUNTING if dials else ("setup",))
 
 
@@ -112,13 +124,19 @@ def _of_dials(campaign: Campaign) -> Columns:
     }
 
 
-def _of_tool(campaign: ToolCampaign, machine: MachineFile) -> Columns:
+def _of_tool(
+    campaign: ToolCampaign, machine: MachineFile, kinematics: DeltaKinematics | None
+) -> Columns:
     """The columns that readings of the tool have of their own."""
     named = [
         ("-" if sign < 0 else "") + LEGS[axis] if campaign.setups[k].instrument.axes else ""
         for axis, sign, k in zip(campaign.axis, campaign.sign, campaign.setup, strict=True)
     ]
-    second = shown_commands(campaign.second, machine, by_leg(SECOND, machine.geometry.leg_names))
+    second = (
+        shown_commands(campaign.second, machine, by_leg(SECOND, machine.geometry.leg_names))
+        if kinematics is None
+        else _places(campaign.second, kinematics, SECOND_PLACE)
+    )
     beside = zip(BESIDE, campaign.beside.T, strict=True)
     return {
         "direction": _told(named),
@@ -126,6 +144,20 @@ def _of_tool(campaign: ToolCampaign, machine: MachineFile) -> Columns:
         "firmware": _told([machine.firmware] * len(campaign)),
         **{name: numbers(values, MM) if values.any() else None for name, values in beside},
         TURNED: numbers(campaign.turned_by) if campaign.turned_by.any() else None,
+        **({} if kinematics is None else _touches(campaign, kinematics)),
+    }
+
+
+def _touches(campaign: ToolCampaign, kinematics: DeltaKinematics) -> Columns:
+    """Heights and readings where a plate is still to be touched: the height is what is read."""
+    open_ = campaign.touching & np.isnan(campaign.reading)
+    if not open_.any():
+        return {}
+    height = _places(campaign.command, kinematics, PLACE)[PLACE[2]]
+    read = _numbers_of(~campaign.angular, campaign.reading)
+    return {
+        PLACE[2]: ["" if is_open else cell for cell, is_open in zip(height, open_, strict=True)],
+        "reading_mm": ["0" if is_open else cell for cell, is_open in zip(read, open_, strict=True)],
     }
 
 
@@ -180,11 +212,26 @@ def _with_moves(
     return [row for _, row in sorted(found, key=lambda at: at[0])]
 
 
-def _commands(command: Array, machine: MachineFile, rho: bool) -> dict[str, list[str]]:
-    """Cells of commands ``(n, 3)``: joint coordinates, or what the controller shows."""
+def _commands(
+    command: Array, machine: MachineFile, rho: bool, kinematics: DeltaKinematics | None = None
+) -> dict[str, list[str]]:
+    """Cells of commands ``(n, 3)``: joint coordinates, what the controller shows, or where it sends
+    the tool.
+    """
+    if kinematics is not None:
+        return _places(command, kinematics, PLACE)
     if rho:
         return {name: numbers(command[:, axis], MM) for axis, name in enumerate(RHO)}
     return shown_commands(command, machine, by_leg(TRAVELLED, machine.geometry.leg_names))
+
+
+def _places(
+    command: Array, kinematics: DeltaKinematics, names: Sequence[str]
+) -> dict[str, list[str]]:
+    """Cells of where a controller sends the tool for commands ``(n, 3)``; nan is empty."""
+    found, told = np.full(command.shape, np.nan), np.isfinite(command).all(axis=1)
+    found[told] = np.round(kinematics.places(command[told]), _PLACED) + 0.0
+    return {name: numbers(found[:, axis], MM) for axis, name in enumerate(names)}
 
 
 def shown_commands(

@@ -24,6 +24,7 @@ LARGEST = 3.0
 """Tolerances: an effect that is found only from more on counts as not shown."""
 
 _AROUND, _HALVINGS = 12, 12
+_PLACED = 4  # decimals of a metre: places that people can type
 
 
 @dataclass(frozen=True)
@@ -170,12 +171,8 @@ def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) ->
     points, others, ball = _places(machine, instrument, up)
     axes = np.array(instrument.axes or (0,))
     n = len(points) * len(axes)
-    # Of places that circles share, to what files hold: else a second visit would be no repeat.
-    at = np.round(machine.with_only({}).inverse(points + up), DECIMALS)
-    command = np.repeat(at, len(axes), axis=0)
-    second = np.full((n, 3), np.nan)
-    if others is not None:
-        second = machine.with_only({}).inverse(others + up)
+    command = np.repeat(_sent(machine, points + up), len(axes), axis=0)
+    second = np.full((n, 3), np.nan) if others is None else _sent(machine, others + up)
     reading = np.linalg.norm(points - ball, axis=1) if instrument.about_ball else np.zeros(n)
     nothing, count = np.full(n, np.nan), np.arange(1, n + 1)
     return ToolCampaign(
@@ -192,7 +189,7 @@ def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) ->
         load=np.zeros(n),
         repeat=np.ones(n, dtype=np.int64),
         order=count,
-        posture=tuple(" ".join(f"{v * 1e3:.0f}" for v in p) for p in np.repeat(
+        posture=tuple(" ".join(f"{v * 1e3 + 0.0:.0f}" for v in p) for p in np.repeat(
             points, len(axes), axis=0)),
         reading=reading,
         sigma=nothing,
@@ -213,7 +210,18 @@ def _places(
         high = np.array([0.0, 0.0, 1.0]) if machine.geometry.layout.hanging else high
         outline = points + high
     size = _widest(machine, lambda r: r * outline + up)
-    return size * (points + high), None if others is None else size * others, size * high
+    ball, others = size * high, None if others is None else np.round(size * others, _PLACED)
+    return np.round(size * (points + high), _PLACED) + 0.0, others, ball
+
+
+def _sent(machine: Machine, p: Array) -> Array:
+    """Commands ``(n, 3)`` by which the controller sends the tool to places ``(n, 3)``.
+
+    Of places that circles share, to what files hold: else a second visit would be no repeat.
+    """
+    kinematics = machine.spec.kinematics
+    found = machine.with_only({}).inverse(p) if kinematics is None else kinematics.travel(p)
+    return np.asarray(np.round(found, DECIMALS))
 
 
 def _ring() -> Array:

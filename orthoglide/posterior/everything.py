@@ -122,8 +122,10 @@ class FullPosterior:
         """Whether the machine found predicts the readings about as its linearisation does, and no
         worse than the base: else what it leaves was never looked at.
         """
-        near = self.about.apart < _UNSETTLED
-        return near and self.after.scores.chi2 <= self.before.scores.chi2 + self.after.scores.dof
+        before, after = self.before.scores, self.after.scores
+        # A few readings have no degree of freedom left: less than one in chi2 is nothing.
+        near = after.chi2 <= before.chi2 + max(after.dof, 1.0)
+        return near and self.about.apart < _UNSETTLED
 
     @property
     def share(self) -> float:

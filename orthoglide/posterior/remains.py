@@ -41,7 +41,7 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     """
     mixture = posterior.mixture
     if not posterior.settled:
-        return Left(0.0, mixture.rare)
+        return Left(np.nan, mixture.rare)
     told = mixture.told(found.names)
     p = untold = _best(posterior, told)
     if p < _ENOUGH:

@@ -80,7 +80,7 @@ def score_rows(result: Result) -> list[ScoreRow]:
             ("stations left out, rms", "mm", "cv_rms"),
             ("stations left out, rms", "mrad", "turn_cv_rms"),
         )
-        if unit in stages[0].left.shown
+        if unit in stages[0].left.shown and any(math.isfinite(getattr(s, name)) for s in stages)
     ]
     held = result.hold_out
     if held is not None:

@@ -144,7 +144,7 @@ def _weighed(result: Result) -> str:
         given = f"the {base} set right" + (" and all of it in the model" if result.improved else "")
     if result.posterior is not None and result.posterior.mixture.linear.unnamed.any():
         given += " and small shapes of the plate's own"
-    of = "the dial" if _dials_alone(result) else "the readings"
+    of = "the dial" if result.after.problem.of_dials else "the readings"
     what = f"the noise of {of}"
     if any(w.kind == "side" for w in result.warnings):
         what = "what repeats scatter by: noise of the readings, or lost motion of the machine"
@@ -220,17 +220,14 @@ def _nothing_explains(result: Result) -> str:
     )
 
 
-def _dials_alone(result: Result) -> bool:
-    problem = result.after.problem
-    return bool(problem.campaigns) and not problem.points
-
-
 def _why_significant(result: Result) -> str:
     """What is left against the noise: its size, or its pattern where it is no larger."""
     noise, left = result.after.problem.one_reading, result.after.scores.left
-    whose = "the dial's noise" if _dials_alone(result) else "the noise of one"
+    whose = "the dial's noise" if result.after.problem.of_dials else "the noise of one"
     if any(left.shown[unit] > of_one for unit, of_one in noise.shown.items()):
         return f"Single readings are left with {left.said()} rms, where {whose} is {noise.said()}."
+    if math.isnan(result.left.p_value):
+        return "What was found predicts other readings than it was found by: nothing is claimed."
     return (
         f"What is left of single readings ({left.said()} rms) is no larger than {whose} of "
         f"{noise.said()}; it is significant by its pattern over setups and postures, which noise "
@@ -239,9 +236,10 @@ def _why_significant(result: Result) -> str:
 
 
 def _causes(result: Result) -> str:
-    said = [sentence(f"{c.chosen.words}{alternatives(c)}") for c in result.effects]
-    said += [sentence(located_words(found)) for found in result.located]
-    return " ".join([said[0], *(f"Besides, {s[:1].lower()}{s[1:]}" for s in said[1:])])
+    told = [f"{c.chosen.words}{alternatives(c)}" for c in result.effects]
+    told += map(located_words, result.located)
+    besides = (f"Besides, {one[:1].lower()}{one[1:]}" for one in told[1:])
+    return " ".join(map(sentence, (told[0], *besides)))
 
 
 def located_words(found: Located) -> str:

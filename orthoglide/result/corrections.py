@@ -12,9 +12,10 @@ from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
-from orthoglide.klipper import Corrections, Firmware
+from orthoglide.klipper import Corrections
 from orthoglide.klipper.firmware import refitted
 from orthoglide.machine import Machine
+from orthoglide.machine_file import Firmware
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
 

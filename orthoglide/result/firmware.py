@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import Corrections, disagreements, doubted_rods, firmware_of
+from orthoglide.klipper import Corrections, disagreements, doubted_rods
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
@@ -85,7 +85,7 @@ class FirmwareAdvice:
 
 def apart(request: Request) -> Iterator[Note]:
     """Readings of an imported machine that are not of one plate and one set of its numbers."""
-    if (old := firmware_of(request.machine)) is not None:
+    if (old := request.machine.spec.printer) is not None:
         read = [c for c in request.points if isinstance(c, ToolCampaign)]
         yield from (one.note for one in disagreements(old, read))
 
@@ -101,7 +101,7 @@ def firmware_advice(
         fit: the last one.
         causes: that were added.
     """
-    old = firmware_of(machine)
+    old = machine.spec.printer
     if old is None:
         return None
     every = [one for cause in causes for one in cause.explanations]

@@ -20,7 +20,7 @@ from orthoglide.fit import Estimate, Scores
 from orthoglide.frames import Framed
 from orthoglide.instruments import Tracker
 from orthoglide.judging import HoldOut, TcpErrors
-from orthoglide.klipper import Corrections, firmware_of
+from orthoglide.klipper import Corrections
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Campaign
@@ -169,7 +169,7 @@ class Result(Framed):
 
     @cached_property
     def _corrections(self) -> Corrections | None:
-        old = firmware_of(self.request.machine)
+        old = self.request.machine.spec.printer
         return None if old is None else corrections(old, self._machine, self.after)
 
     @property
