@@ -693,3 +693,25 @@ def test_the_text_of_commands_has_a_row_a_point() -> None:
     text = commands_text(compensate(Machine.nominal(), circle(5)))
     assert text.count("\n") == 6
     assert "-0.000000" not in text
+
+
+def test_a_file_without_a_calibration_promises_nothing() -> None:
+    found = compensate(Machine.nominal(), circle(4))
+    assert "nothing is known of how near" in str(found)
+    assert "expect" not in str(found)
+    rows = list(csv.DictReader(io.StringIO(commands_text(found))))
+    assert {row["expected_mm"] for row in rows} == {""}
+    text = controller_numbers(Machine.nominal()).text()
+    assert "The machine file holds no calibration" in " ".join(text.split())
+    assert "Nothing else was identified" not in text
+
+
+def test_what_compensation_gains_is_told_after_the_same_translation() -> None:
+    """A zero that is off moves everything alike, and is no error of shape by either commands."""
+    worn = Machine.nominal().with_parameters({"joint_offset.x": 1e-3}, {"joint_offset.x": 2e-6})
+    found = compensate(worn, circle(6))
+    assert found.error_before == pytest.approx(np.full(6, 1e-3), rel=0.15)
+    assert found.shape_before.max() < 2e-4
+    assert (found.shape_before > found.shape - 1e-9).all()
+    rms = 1e3 * np.sqrt(np.mean(found.shape_before**2))
+    assert f"without compensation expect the TCP to be off by {rms:.4f} mm rms" in str(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,11 @@ import pytest
 import orthoglide as og
 from benchmarks.attribution_cases import base_errors
 from benchmarks.attribution_run import campaign as campaign_of, points_of
+from orthoglide.diagnosis.significance import Left
 from orthoglide.errors import InputError
 from orthoglide.notes import Note
+from orthoglide.report.result_json import result_text
+from orthoglide.report.wording import evidence
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -180,3 +184,30 @@ def test_a_command_recorded_wrongly_is_blamed_on_no_part(number: int, beside: fl
     assert not verdict.located
     assert verdict.tcp is not None
     assert verdict.tcp["translation"].after[0] < 0.02e-3
+
+
+def test_a_few_readings_of_a_sound_machine_are_no_fault() -> None:
+    """Nothing is left over for a test: it had been significant below a millionth."""
+    sheet, off = og.protocol("sweep"), {"joint_offset.x": 1e-3, "leg_length.y": 3e-5}
+    campaign = og.simulate(og.Machine.nominal().with_parameters(off), sheet, noise=5e-6, seed=4)
+    rows = np.flatnonzero(campaign.leg == 0)
+    rng, words = np.random.default_rng(6), []
+    for count in (4, 5, 5, 6, 6):
+        chosen = np.sort(rng.choice(rows, count, replace=False))
+        try:
+            verdict = og.close_loop(campaign.subset(chosen), MACHINE)
+        except InputError:  # these determine nothing
+            continue
+        words.append(verdict.word)
+        assert verdict.left.p_value > 0.01
+    assert len(words) > 2
+    assert set(words) == {"adequate"}
+
+
+def test_what_was_not_looked_at_has_no_probability() -> None:
+    verdict = og.close_loop(rig(2), MACHINE)
+    lost = replace(verdict, word="unexplained", left=Left(float("nan")))
+    said = evidence(lost)
+    assert "it was found by: nothing is claimed" in said or "Single readings are left" in said
+    assert "probability" not in said
+    assert json.loads(result_text(lost))["left"]["lack_of_fit_p"] is None

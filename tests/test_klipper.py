@@ -652,3 +652,30 @@ def test_readings_behind_a_gap_are_read_and_half_ones_refused(tmp_path: Path) ->
     file.write_text("".join(x for x in lines if not x.startswith("#*# height3 =")))
     with pytest.raises(FileError, match="height3 is missing"):
         import_printer(file)
+
+
+def test_heights_of_another_offset_of_the_probe_are_told(tmp_path: Path) -> None:
+    text = (DATA / "t1-stock.cfg").read_text()
+    told = imported_text(tmp_path, text.replace("z_offset: -0.24", "z_offset: 0.16"))
+    (note,) = (n for n in told if "z_offset" in n)
+    assert "stored with a z_offset of -0.24 mm, and it is 0.16 mm now" in note
+    assert "0.4 mm too high or too low" in note
+    assert not [n for n in imported_text(tmp_path, text) if "z_offset" in n]
+
+
+def test_an_endstop_in_inches_is_told_by_its_line(tmp_path: Path) -> None:
+    one = simulated_cfg(DeltaRig()).replace("position_endstop: 300", "position_endstop: 11.81", 1)
+    stored = (DATA / "t1-stock.cfg").read_text()
+    every = re.sub(
+        r"(position_endstop *[:=] *)([\d.]+)",
+        lambda found: f"{found[1]}{float(found[2]) / 25.4:.5f}", stored,
+    )  # fmt: skip
+    for text in (one, every):
+        with pytest.raises(FileError, match=r"line \d+: \[stepper_[ab]\] position_endstop .*milli"):
+            imported_text(tmp_path, text)
+
+
+def imported_text(folder: Path, text: str) -> list[str]:
+    """What is told on importing a file of that text."""
+    (folder / "printer.cfg").write_text(text)
+    return [str(note) for note in import_printer(folder / "printer.cfg").notes]

@@ -220,3 +220,14 @@ def test_out_of_reach() -> None:
 def test_tolerances_are_by_family() -> None:
     assert NOMINAL.tolerance("joint_offset.x") == 2e-3
     assert NOMINAL.tolerance("axis_tilt.x.y") == NOMINAL.tolerance("axis_tilt") == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [({"axis_tilt.y.z": 2.5}, "2500 times its tolerance: give SI units, not mrad"),
+     ({"leg_length.x": 0.3}, "6000 times its tolerance: give SI units, not mm"),
+     ({"joint_offset.x": "0.5e-3"}, "joint_offset.x must be a number, not '0.5e-3'")],
+)  # fmt: skip
+def test_values_in_other_units_are_refused(values: Any, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        NOMINAL.with_parameters(values)
