@@ -243,6 +243,6 @@ def _limits(problem: Problem, fault: Fault) -> tuple[float, float]:
     """Least and largest size at which a machine can be where a fault says that it was."""
     ((drive, _),) = fault.commands
     geometry = problem.machine.geometry
-    written = np.concatenate([c.command for c in problem.campaigns])[fault.rows[0], drive]
+    written = problem.of_dials("command")[fault.rows[0], drive]
     travel = float(written - geometry.zero[drive])
     return geometry.stroke[0] - _BEYOND - travel, geometry.stroke[1] + _BEYOND - travel

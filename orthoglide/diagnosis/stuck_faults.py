@@ -29,7 +29,7 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
         setups: scatter of all of them.
     """
     problem = means.problem
-    runs = [(s, run) for s in range(problem.setup_count) for run in _runs(problem, s)]
+    runs = [(s, run) for s in range(len(problem.setups)) for run in _runs(problem, s)]
     scale = noise_scale(problem, setups)
     found = []
     residual = base.estimate.nuisance.weighing.metres(base.residual[: base.count])
@@ -54,7 +54,7 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
 def _runs(problem: Problem, setup: int) -> Iterator[Rows]:
     """Longest runs of equal readings over several postures."""
     rows = in_order(problem, setup)
-    commands = np.concatenate([c.command for c in problem.campaigns])
+    commands = problem.of_dials("command")
     cuts = np.flatnonzero(np.diff(problem.measured[rows]) != 0) + 1
     for run in np.split(rows, cuts):
         if len(run) >= _EQUAL and len(np.unique(commands[run], axis=0)) > 1:

@@ -61,12 +61,11 @@ def reduction_fit(
     # Visits to a station differ in nothing that the reduction knows: their mean says it all.
     weighing = nuisance.weighing
     chosen = weighing.first
-    group = np.concatenate(
-        [np.full(len(c), k, dtype=np.intp) for k, c in enumerate(problem.campaigns)]
-    )
+    campaigns = problem.campaigns
+    group = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
     command, leg, axis, gauge, sign = (column[chosen] for column in _dials(problem))
-    maps = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
-    for k in range(len(problem.campaigns)):
+    maps = np.zeros((len(campaigns), 6, len(problem.unknowns) + 1))
+    for k in range(len(campaigns)):
         names, matrix = problem.elementary(k)
         for name, weights in zip(names, matrix, strict=True):
             maps[k, _SIX.index(name), :-1] += weights
@@ -96,8 +95,7 @@ def reduction_fit(
 
 def _dials(problem: Problem) -> list[Any]:
     """Command ``(n, 3)``, leg, axis, gauge and sign ``(n,)`` of every reading of a dial."""
-    columns = ("command", "leg", "axis", "gauge", "sign")
-    return [np.concatenate([getattr(c, name) for c in problem.campaigns]) for name in columns]
+    return [problem.of_dials(name) for name in ("command", "leg", "axis", "gauge", "sign")]
 
 
 def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -> CrossCheck | None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
-from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations import Campaign, Setup, ToolCampaign
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
@@ -288,10 +289,14 @@ class Problem:
             first += len(factor.setup_names) or 3
         return np.concatenate(found)
 
-    @property
-    def setup_count(self) -> int:
-        """Mountings of dials in all campaigns together."""
-        return sum(len(c.setups) for c in self.campaigns)
+    @cached_property
+    def setups(self) -> tuple[Setup, ...]:
+        """Mountings of dials, numbered over all campaigns."""
+        return tuple(s for c in self.campaigns for s in c.setups)
+
+    def of_dials(self, column: str) -> NDArray[Any]:
+        """A column of all readings of dials, such as ``command``, stacked ``(n, ...)``."""
+        return np.concatenate([getattr(c, column) for c in self.campaigns])
 
     @cached_property
     def station(self) -> NDArray[np.int64]:

@@ -152,8 +152,7 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
         return float("nan")
     count = np.bincount(place)
     average = np.bincount(place, residual[dials]) / count
-    order = np.concatenate([c.order for c in problem.campaigns])
-    row = np.lexsort((order, setup))
+    row = np.lexsort((problem.of_dials("order"), setup))
     first = place[row[np.unique(setup[row], return_index=True)[1]]]  # a place a setup
     home = np.zeros(len(count), dtype=np.int64)
     home[place] = setup

@@ -84,7 +84,7 @@ def _problem(name: str, values: Values, like: Problem) -> Problem:
     if like.prior is not None:  # everything is free, at what was learned of it
         return like
     catalogue = like.machine.catalogue
-    setups = tuple(s.name for c in like.campaigns for s in c.setups)
+    setups = tuple(s.name for s in like.setups)
     try:
         own = set(catalogue.elementary(name, setups))
     except InputError:  # a name for people: what has a value is free
