@@ -185,6 +185,8 @@ def scales(linear: Linear) -> tuple[Scale, ...]:
     return tuple(Scale(basis, share) for share in linear.shares for basis in grid)
 
 
-def whole(name: str, places: Sequence[int], *, free: bool, chance: float = 1.0) -> Group:
+def whole(
+    name: str, places: Sequence[int] | NDArray[np.intp], *, free: bool, chance: float = 1.0
+) -> Group:
     """A group of coefficients, each for itself."""
     return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free, chance)
