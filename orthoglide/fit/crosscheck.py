@@ -130,7 +130,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
     fitted = value + nuisance.fitted(problem.measured - value)
     weighing = nuisance.weighing
     apart = fitted - linear.readings[weighing.station]
-    size = float(np.linalg.norm(weighing.whiten(apart)) / np.linalg.norm(nuisance.weight))
+    size = float(np.linalg.norm(weighing.whiten(apart)) / np.linalg.norm(weighing.weight))
     return CrossCheck(
         difference,
         float(np.max(np.abs(apart), initial=0.0)),
@@ -164,4 +164,4 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
     residual = np.concatenate([nuisance.project(problem.measured - value), -x / problem.prior_sd])
     basis, _ = np.linalg.qr(jacobian)
     bound = float(np.linalg.norm(remainder) + np.linalg.norm(basis.T @ residual))
-    return bound / float(np.linalg.norm(nuisance.weight))
+    return bound / float(np.linalg.norm(nuisance.weighing.weight))

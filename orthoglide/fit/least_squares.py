@@ -83,11 +83,6 @@ class Nuisances:
         return np.linalg.qr(self.augmented / np.where(scale > 0, scale, 1.0))[0]
 
     @property
-    def weight(self) -> Array:
-        """1 / sigma of each row ``(n,)``."""
-        return self.weighing.weight
-
-    @property
     def count(self) -> int:
         """Number of columns."""
         return self.columns.shape[1]

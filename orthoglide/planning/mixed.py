@@ -69,7 +69,7 @@ def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, i
     wide = with_others(problem, [effect.name for effect in excited_effects(problem)])
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(problem.unknowns))])
     nuisance = estimate.nuisance
-    weight = nuisance.weight[:, None]
+    weight = nuisance.weighing.weight[:, None]
     columns = linearise(wide, x).jacobian * wide.tolerance * weight
     datums = nuisance.columns * weight
     size = np.linalg.norm(datums, axis=0)
