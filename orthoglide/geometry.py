@@ -64,10 +64,7 @@ def axial(matrices: Array) -> Array:
 
 
 def axis_index(name: str) -> int:
-    """Index of a leg or base axis.
-
-    Args:
-        name: ``"x"``, ``"y"`` or ``"z"``.
+    """Index of a leg or base axis, ``"x"``, ``"y"`` or ``"z"``.
 
     Returns:
         0, 1 or 2.

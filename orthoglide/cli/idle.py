@@ -24,11 +24,8 @@ def exclude(one: str, *others: str, because: str) -> None:
 
 
 def need(one: str, *others: str) -> None:
-    """Refuse an option that has no effect without one of others.
-
-    Args:
-        one: the parameter, by the name it has in Python.
-        others: of which one must be given too.
+    """Refuse an option that has no effect without one of others, by the names that they have in
+    Python.
 
     Raises:
         InputError: where it is given explicitly, and none of the others.

@@ -97,12 +97,10 @@ class Findings:
 
 
 def examine(estimate: Estimate) -> Findings:
-    """Find faults of the data, and changes between campaigns, that no cause explains as well.
+    """Find faults of the data, and changes between campaigns, that no cause explains as well, from
+    the fit of the base model.
 
     Every test here is closed form: the answer has no seed.
-
-    Args:
-        estimate: the fit of the base model.
     """
     narrow = estimate.problem.at_tolerance()
     if narrow is not estimate.problem:
@@ -221,10 +219,6 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     """The problem without the faulty rows; a knocked setup becomes two, with a datum each.
 
     Noise that was taken from the repeats is taken from those that are left.
-
-    Args:
-        problem: in which the blunders were found.
-        blunders: to be set aside.
 
     Raises:
         InputError: where nothing is left of a campaign.

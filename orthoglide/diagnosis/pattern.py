@@ -33,10 +33,7 @@ _PERIODS = 60
 
 
 def describe_left(estimate: Estimate) -> tuple[str, ...]:
-    """What is left of the readings, in sentences without a full stop; only what is significant.
-
-    Args:
-        estimate: the last fit.
+    """What the last fit leaves, in sentences without a full stop; only what is significant.
 
     Returns:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs

@@ -201,14 +201,11 @@ def _behind(values: Array, station: Rows) -> Array:
 
 
 def median_scatter(setups: Sequence[Scatter], least: float) -> float:
-    """Squared scatter of all readings about their stations, whitened, whatever some of them do.
+    """Squared scatter of all readings about their stations, whitened, whatever some of them do; no
+    less than ``least``, which stands where nothing repeats.
 
     The median of the setups, or of the stations where that is less: a slip in most setups is none
     in most stations.
-
-    Args:
-        setups: their scatter.
-        least: that it may be; taken where nothing repeats.
     """
     able = [scatter for scatter in setups if scatter.dof >= 2]
     if not able:

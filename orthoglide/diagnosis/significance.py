@@ -37,11 +37,7 @@ class Left:
 
 
 def left_over(estimate: Estimate) -> Left:
-    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`.
-
-    Args:
-        estimate: the fit.
-    """
+    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`."""
     p = estimate.scores.lack_of_fit_p
     return Left(p if np.isfinite(p) else 1.0)
 

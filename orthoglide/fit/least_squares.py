@@ -107,12 +107,7 @@ class Nuisances:
 
 
 def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
-    """Nuisances of all factors.
-
-    Args:
-        problem: gives the factors and the noise.
-        slopes: of a linearisation; frozen for a fit.
-    """
+    """Nuisances of all factors, by the slopes of a linearisation; they are frozen for a fit."""
     blocks = [f.nuisances(s) for f, s in zip(problem.factors, slopes, strict=True)]
     widths = np.cumsum([0, *(b.columns.shape[1] for b in blocks)])
     columns = np.zeros((len(problem.measured), int(widths[-1])))

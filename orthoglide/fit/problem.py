@@ -53,11 +53,7 @@ class Unknown:
 def rows_about(
     known: Posterior, unknowns: Sequence[Unknown]
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """What is known of a machine's parameters as whitened rows about the unknowns.
-
-    Args:
-        known: of elementary parameters.
-        unknowns: ``P`` of them.
+    """What is known of a machine's elementary parameters as whitened rows about ``P`` unknowns.
 
     Returns:
         Matrix ``(k, P)`` and target ``(k,)`` of ``|matrix x - target|^2``, and which of the

@@ -61,13 +61,7 @@ class Scores:
 
 
 def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
-    """Score a fit.
-
-    Args:
-        problem: readings, noise, priors.
-        nuisance: of the fit.
-        at: linearisation at the fit.
-    """
+    """Score a fit, by the linearisation there."""
     here = normal(problem, at, nuisance)
     rest = problem.measured - at.value
     residual = rest - nuisance.fitted(rest)

@@ -17,10 +17,8 @@ from orthoglide.fit.solving import assessed
 
 
 def tempered(found: Estimate) -> Estimate:
-    """The values where readings are as noisy as the fit leaves them; scores by their own noise.
-
-    Args:
-        found: a fit; returned as it is where nothing significant is left of the readings.
+    """The values where readings are as noisy as the fit leaves them; scores by their own noise. A
+    fit that leaves nothing significant is returned as it is.
 
     Raises:
         SolverError: where the steps do not settle.

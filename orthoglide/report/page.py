@@ -44,12 +44,8 @@ class Section:
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
-    """The report as HTML.
-
-    Args:
-        result: what was found.
-        drawings: figures.
-        sheet: the text of ``next_measurements.csv``; empty where nothing is proposed.
+    """The report as HTML; ``sheet`` is the text of ``next_measurements.csv``, empty where nothing
+    is proposed.
     """
     searches = result.request.searches
     return rendered(

@@ -28,12 +28,7 @@ if TYPE_CHECKING:
 
 
 def summary(result: Result, ranked: bool = False) -> str:
-    """What a person wants to see at the end of a run.
-
-    Args:
-        result: what was found.
-        ranked: with all causes that were tried.
-    """
+    """What a person wants to see at the end of a run, ``ranked`` with all causes tried."""
     from rich.text import Text
 
     parts: list[Text | Table] = [

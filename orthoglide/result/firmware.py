@@ -93,13 +93,8 @@ def apart(request: Request) -> Iterator[Note]:
 def firmware_advice(
     found: Corrections | None, machine: Machine, fit: Estimate, causes: Sequence[Cause]
 ) -> FirmwareAdvice | None:
-    """Advice for a machine that was imported; ``None`` for others.
-
-    Args:
-        found: new numbers, where the plate was touched.
-        machine: calibrated, with what its firmware stored.
-        fit: the last one.
-        causes: that were added.
+    """Advice for a machine that was imported, with new numbers where the plate was touched;
+    ``None`` for others.
     """
     old = firmware_of(machine)
     if old is None:
