@@ -130,7 +130,7 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
-    check = cross_check(problem, nuisance, at.x, at.value)
+    check = cross_check(problem, nuisance, at)
     return assessed(problem, nuisance, at, used, iterations, optimality, check)
 
 

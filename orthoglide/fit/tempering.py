@@ -29,7 +29,7 @@ def tempered(found: Estimate) -> Estimate:
         return found
     heavier, nuisance = _known_better(problem, found.sigma_scale), found.nuisance
     at, more = solve_nested(heavier, nuisance, found.at)
-    check = cross_check(heavier, nuisance, at.x, at.value)
+    check = cross_check(heavier, nuisance, at)
     again = assessed(
         problem, nuisance, at, found.method, found.iterations + more, found.optimality, check
     )
