@@ -126,4 +126,4 @@ def _point_cells(points: TcpPoints, point: int, axis: int) -> list[Any]:
 
 def _mm(metres: float) -> str:
     """Millimetres to a nanometre, milliradians to a nanoradian: further digits are rounding."""
-    return f"{round(float(metres) * 1e3, 6) + 0.0:.6f}"
+    return f"{metres * 1e3:z.6f}"
