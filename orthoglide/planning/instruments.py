@@ -81,7 +81,8 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
     of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
     by that first stands what needs least.
     """
-    pairs = [pair for cause in causes for pair in combinations(_likeliest_first(cause), 2)]
+    ranked = (sorted(cause.explanations, key=lambda one: -one.probability) for cause in causes)
+    pairs = [pair for likeliest_first in ranked for pair in combinations(likeliest_first, 2)]
     if not pairs:
         return ()
     several = [
@@ -93,10 +94,6 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
         for one in several
         if one.probability > 0
     )
-
-
-def _likeliest_first(cause: Cause) -> list[Explanation]:
-    return sorted(cause.explanations, key=lambda one: -one.probability)
 
 
 # -- what could be read ----------------------------------------------------------------------------

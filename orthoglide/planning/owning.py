@@ -213,7 +213,8 @@ def _places(machine: Machine, kind: Kind, up: Array) -> tuple[Array, Array | Non
     """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
     machine's own tool has to be within reach.
     """
-    ring = _ring()
+    t = np.arange(_AROUND) * 2 * np.pi / _AROUND
+    ring = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
     flat = _widest(machine, lambda r: r * ring + up)
     if kind == "plate":
         side = np.linspace(-1.0, 1.0, _SIDE)
@@ -231,11 +232,6 @@ def _places(machine: Machine, kind: Kind, up: Array) -> tuple[Array, Array | Non
     round_ = _widest(machine, lambda r: r * (circles + high) + up)
     points = round_ * (circles + high)
     return points, None, round_ * high
-
-
-def _ring() -> Array:
-    t = np.arange(_AROUND) * 2 * np.pi / _AROUND
-    return np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
 
 
 def _widest(machine: Machine, points: Callable[[float], Array]) -> float:

@@ -103,13 +103,9 @@ def firmware_advice(
     return FirmwareAdvice(
         doubted_rods(machine),
         found,
-        tuple(_beyond(one) for one in every),
+        tuple(f"{one.words}: {confirm(one) or f'look at {one.look_at}'}" for one in every),
         tuple(u for one in every if (u := _unseen(machine, fit, one)) is not None),
     )
-
-
-def _beyond(one: Explanation) -> str:
-    return f"{one.words}: {confirm(one) or f'look at {one.look_at}'}"
 
 
 def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> Unseen | None:
