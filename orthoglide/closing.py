@@ -162,10 +162,6 @@ def close_loop(
 def run(request: Request, progress: Progress | None = None) -> Verdict:
     """Do what was asked: once, or again from the request that a result keeps.
 
-    Args:
-        request: what to do.
-        progress: called with each step; any callable will do.
-
     Raises:
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.

@@ -259,11 +259,8 @@ class Mixture(Search):
         return drawn
 
     def averaged(self, known: int) -> Averaged:
-        """Everything over all states and scales that count.
-
-        Args:
-            known: the first so many coefficients have their covariance in any case, others where
-                their group stands out with some probability.
+        """Everything over all states and scales that count: the ``known`` first coefficients have
+        their covariance in any case, others where their group stands out with some probability.
         """
         best = {g for g, _ in self.best}
         likely = [

@@ -188,11 +188,8 @@ def closures_text(geometry: Geometry) -> str:
 
 
 def write(folder: str | Path, geometry: Geometry | None = None) -> tuple[Path, Path]:
-    """Write the URDF and its sidecar into a folder, which is made where it is missing.
-
-    Args:
-        folder: where to.
-        geometry: the machine's dimensions; without it, the published machine's.
+    """Write the URDF and its sidecar, of the published machine or one of other dimensions, into a
+    folder, which is made where it is missing.
 
     Returns:
         Paths of the URDF and of the sidecar.
