@@ -197,9 +197,6 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
 def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
     """Parameters that the commands allow for, SI, by what the controller is given.
 
-    Args:
-        machine: calibrated.
-
     Returns:
         ``now``: nothing; ``zeros``: the best zeros alone; ``zeros_and_lengths``: bar lengths
         besides; ``compensated``: everything. :func:`expected_error` says what each leaves.

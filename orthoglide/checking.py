@@ -255,13 +255,8 @@ def _told_apart(
 def _one_value_each(
     together: Verdict, past: Sequence[ToolCampaign], names: list[str], later: Collection[str]
 ) -> Estimate:
-    """A fit of all readings with one value of each parameter before and one after.
-
-    Args:
-        together: both states closed together.
-        past: readings of the tool that this left out.
-        names: of the parameters.
-        later: names of the new campaigns.
+    """A fit of all readings with one value of each parameter before and one in the later campaigns;
+    closing both states together left out the tool's readings of the ``past``.
     """
     problem, request = together.before.problem, together.request
     # Rows taken for faulty have lost their weight there.
@@ -272,12 +267,7 @@ def _one_value_each(
 
 
 def _two_states(problem: Problem, later: Collection[str]) -> Problem:
-    """What every campaign has for itself, joined to one value in the old ones and one in the new.
-
-    Args:
-        problem: with unknowns that each belong to one campaign.
-        later: names of the new ones.
-    """
+    """What every campaign has for itself, joined to one value before and one in the later ones."""
     joined: dict[tuple[str, bool], Unknown] = {}
     for unknown in problem.unknowns:
         at = next(k for k, parts in enumerate(unknown.parts) if parts)

@@ -162,10 +162,6 @@ def close_loop(
 def run(request: Request, progress: Progress | None = None) -> Verdict:
     """Do what was asked: once, or again from the request that a result keeps.
 
-    Args:
-        request: what to do.
-        progress: called with each step; any callable will do.
-
     Raises:
         InputError: where the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
@@ -222,9 +218,6 @@ def _set_right(
 ) -> tuple[Estimate, tuple[Blunder, ...], tuple[Change, ...], list[str]]:
     """Set faulty rows aside, and let what changed between campaigns change.
 
-    Args:
-        read: the fit of the readings as they stand.
-
     Returns:
         The fit then, the faults, the changes, and the parameters of those that are causes.
     """
@@ -251,12 +244,7 @@ def _set_right(
 
 
 def _with_rivals(read: Estimate, blunders: Sequence[Blunder]) -> tuple[Blunder, ...]:
-    """Readings that seem to mean something else may be right: of a machine that no catalogue knows.
-
-    Args:
-        read: the fit of the readings as they stand.
-        blunders: faults of the data.
-    """
+    """Readings that seem to mean something else may be right: of a machine in no catalogue."""
     from orthoglide.diagnosis.blunders import MEANINGS, without
 
     others = [b for b in blunders if b.kind not in MEANINGS]

@@ -56,12 +56,8 @@ def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -
 
 
 def html_table(caption: str, columns: Mapping[str, Sequence[Any]], rows: int = 20) -> str:
-    """An HTML table of columns, its long middle left out.
-
-    Args:
-        caption: above it.
-        columns: of equal length, by name; floats are shown with five digits.
-        rows: to show at most.
+    """An HTML table of columns by name, its long middle left out; floats are shown with five
+    digits.
     """
     lines = list(zip(*columns.values(), strict=True))
     if len(lines) > rows:

@@ -28,11 +28,8 @@ _LARGEST = 10.0  # metres
 
 
 def vectors(values: ArrayLike, name: str) -> Array:
-    """Points or commands ``(..., 3)``, metres.
-
-    Args:
-        values: numbers.
-        name: what they are called where they are refused.
+    """Points or commands ``(..., 3)``, metres; ``name`` is what they are called where they are
+    refused.
 
     Raises:
         InputError: where the shape is another, or a number is not finite.
@@ -64,10 +61,7 @@ def axial(matrices: Array) -> Array:
 
 
 def axis_index(name: str) -> int:
-    """Index of a leg or base axis.
-
-    Args:
-        name: ``"x"``, ``"y"`` or ``"z"``.
+    """Index of a leg or base axis, ``"x"``, ``"y"`` or ``"z"``.
 
     Returns:
         0, 1 or 2.

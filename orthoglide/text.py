@@ -65,11 +65,8 @@ _FORMULA = re.compile(r"'*(?:[=@]|[+-](?![\w.]*$))")
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """CSV text; a cell that a spreadsheet would compute has an apostrophe before it.
-
-    Args:
-        names: the header.
-        rows: of cells; :func:`cell_text` takes the apostrophe off again.
+    """CSV text of a header and rows; a cell that a spreadsheet would compute has an apostrophe
+    before it, which :func:`cell_text` takes off again.
     """
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
@@ -93,11 +90,7 @@ def text_width() -> int:
 
 
 def is_terminal(err: bool = False) -> bool:
-    """Whether somebody sees the output as it comes.
-
-    Args:
-        err: of the error stream.
-    """
+    """Whether somebody sees the output, or the error stream, as it comes."""
     stream = sys.stderr if err else sys.stdout
     try:
         return stream is not None and stream.isatty()

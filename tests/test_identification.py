@@ -663,15 +663,15 @@ def test_cv_is_leaving_every_station_out(free: tuple[str, ...], priors: bool) ->
     found = identify(measured("standard"), MACHINE, free, priors=priors)
     problem, nuisance, at = found.problem, found.nuisance, found.at
     prior = np.diag(np.concatenate([1 / problem.prior_sd, np.sqrt(nuisance.precision)]))
-    columns = np.hstack([at.jacobian, nuisance.columns]) * nuisance.weight[:, None]
-    target = (problem.measured - at.value + at.jacobian @ at.x) * nuisance.weight
+    columns = np.hstack([at.jacobian, nuisance.columns]) * nuisance.weighing.weight[:, None]
+    target = (problem.measured - at.value + at.jacobian @ at.x) * nuisance.weighing.weight
     station, errors = problem.place, []
     for k in range(station.max() + 1):
         out = station == k
         matrix = np.vstack([columns[~out], prior])
         right = np.concatenate([target[~out], np.zeros(len(prior))])
         solution = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
-        errors.extend((target[out] - columns[out] @ solution) / nuisance.weight[out])
+        errors.extend((target[out] - columns[out] @ solution) / nuisance.weighing.weight[out])
     assert found.scores.cv_rms == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-6)
     assert found.scores.cv_rms > found.scores.rms
 

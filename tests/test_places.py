@@ -104,7 +104,7 @@ def test_a_touch_without_its_height_is_not_read_yet(tmp_path: Path) -> None:
 def test_places_are_not_mixed_with_travel_and_are_within_reach(tmp_path: Path) -> None:
     row = next(row for row in sheet("tcp") if row["kind"] == "tcp")
     both = row | {f"travel_{leg}_mm": "0" for leg in "abc"}
-    with pytest.raises(FileError, match="has both travel_a_mm and x_mm"):
+    with pytest.raises(FileError, match="has travel_a_mm and x_mm, and they disagree"):
         read(tmp_path / "both.csv", [both])
     with pytest.raises(FileError, match=r"line 2: x_mm, y_mm, z_mm is a place that no arm reaches"):
         read(tmp_path / "far.csv", [row | {"x_mm": "900", "reading_mm": "1"}])

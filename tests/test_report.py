@@ -356,7 +356,7 @@ def test_figures_are_svg_with_a_panel_a_setup(which: str) -> None:
         assert "var(--fig-ink)" in inline
         assert not [code for code in PALETTE.values() if code in inline]
     shown = panels(drawings["readings"])
-    assert len(shown) == estimate.problem.setup_count
+    assert len(shown) == len(estimate.problem.setups)
     titles = [f"{s.name}: leg" for c in estimate.problem.campaigns for s in c.setups]
     for title, panel in zip(titles, shown, strict=True):
         assert title in panel

@@ -45,11 +45,7 @@ def _install(context: click.Context, _: click.Parameter, shell: str | None) -> N
 
 
 def install(command: click.Command, shell: str) -> Path:
-    """Write a shell's completion script where that shell looks for it.
-
-    Args:
-        command: the program's.
-        shell: one of `SHELLS`.
+    """Write the completion script of one of `SHELLS` where that shell looks for it.
 
     Raises:
         FileError: where a file of somebody else's stands there, or none can be written.

@@ -9,12 +9,8 @@ from orthoglide.errors import InputError
 
 
 def exclude(one: str, *others: str, because: str) -> None:
-    """Refuse options that have no effect beside another.
-
-    Args:
-        one: the parameter that counts where it is given, by the name it has in Python.
-        others: those that would be ignored then.
-        because: why, as a clause.
+    """Refuse options that have no effect beside another, by the names that they have in Python;
+    ``because`` says why, as a clause.
 
     Raises:
         InputError: where it is given explicitly, and one of the others too.
@@ -24,11 +20,8 @@ def exclude(one: str, *others: str, because: str) -> None:
 
 
 def need(one: str, *others: str) -> None:
-    """Refuse an option that has no effect without one of others.
-
-    Args:
-        one: the parameter, by the name it has in Python.
-        others: of which one must be given too.
+    """Refuse an option that has no effect without one of others, by the names that they have in
+    Python.
 
     Raises:
         InputError: where it is given explicitly, and none of the others.

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 # Coordinates may begin with a minus sign, which would else be read as options.
 _NUMBERS = {"ignore_unknown_options": True}
-_DIGITS = 6  # of a millimetre
 
 
 class _Coordinate(click.ParamType):
@@ -176,8 +175,7 @@ def _within(machine: Machine, rho: Array, fail: Fail) -> Array:
 
 
 def _number(metres: float) -> str:
-    text = f"{metres * 1e3:.{_DIGITS}f}"
-    return text.lstrip("-") if float(text) == 0 else text
+    return f"{metres * 1e3:z.6f}"
 
 
 def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> None:

@@ -94,11 +94,6 @@ out_or_nothing = out(False, "Folder for the results; nothing is written where ab
 def quantities(option: str, items: tuple[str, ...], catalogue: Catalogue) -> dict[str, float]:
     """``NAME=NUMBER`` of an option in SI; the number is in the unit of files, of TCP millimetres.
 
-    Args:
-        option: its name, for errors.
-        items: its values.
-        catalogue: of the effects that it may name.
-
     Raises:
         InputError: where one is not of this form, or names nothing.
     """
@@ -154,12 +149,8 @@ fit_options = together(
 
 
 def dial_sheet(path: Path, machine: Machine, otherwise: str) -> Campaign:
-    """A measuring sheet of dials on legs, filled in or not.
-
-    Args:
-        path: its file.
-        machine: that is to be measured.
-        otherwise: what to do with a sheet of readings at the tool, as a clause.
+    """A measuring sheet of dials on legs, filled in or not; ``otherwise`` is what to do with one of
+    readings at the tool, as a clause.
 
     Raises:
         FileError: where it cannot be read, or holds readings at the tool.

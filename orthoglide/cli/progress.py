@@ -18,12 +18,9 @@ _BETWEEN = 1.0  # seconds between two lines
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
-    """Show steps while they run.
+    """Show steps while they run, unless quiet.
 
     A stop that compiled code swallowed is heeded at every step, shown or not.
-
-    Args:
-        quiet: show nothing.
     """
     if quiet:
         yield lambda _: stop_if_asked()
@@ -68,12 +65,7 @@ def _bar() -> Iterator[Progress]:
 
 
 def share(step: Step, now: float) -> float:
-    """How far a run is when a step begins, per cent; never less than before.
-
-    Args:
-        step: that begins.
-        now: how far it was, per cent.
-    """
+    """How far a run is when a step begins, per cent; never less than ``now``, where it was."""
     if step.done is not None:
         return max(step.done, now)
     if now < step.begins:

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -127,37 +127,30 @@ def read_result(path: Path) -> dict[str, Any]:
     from orthoglide.files import decode, read_bytes
     from orthoglide.request import COMMANDS
 
+    def fail(message: str, line: int | None = None) -> NoReturn:
+        raise FileError(message, file=shown(path), line=line) from None
+
+    text = decode(read_bytes(path), path)
     try:
-        found = json.loads(decode(read_bytes(path), path))
+        found = json.loads(text)
     except json.JSONDecodeError as error:
-        raise FileError(
-            f"is not JSON ({error.msg}): give the result.json of a run",
-            file=shown(path), line=error.lineno,
-        ) from None  # fmt: skip
-    except FileError:
-        raise
+        fail(f"is not JSON ({error.msg}): give the result.json of a run", error.lineno)
     except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
-        raise FileError("is no result: give the result.json of a run", file=shown(path)) from None
+        fail("is no result: give the result.json of a run")
     if trouble := unseen_in(found):
-        raise FileError(trouble, file=shown(path))
+        fail(trouble)
     given = found.get("arguments") if isinstance(found, dict) else None
     if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
-        raise FileError(
-            "is of --fit-tcp, which kept no rows then: run that command again", file=shown(path)
-        )
+        fail("is of --fit-tcp, which kept no rows then: run that command again")
     needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
     missing = [n for n in needed if not isinstance(found, dict) or n not in found]
     if missing:
-        raise FileError(
-            f"has no {missing[0]!r}: give the result.json of a run as it was written",
-            file=shown(path),
-        )
+        fail(f"has no {missing[0]!r}: give the result.json of a run as it was written")
     if found["schema"] not in SCHEMAS or found["command"] not in COMMANDS:
-        raise FileError(
+        fail(
             f"is of schema {brief(str(found['schema']))}, command "
             f"{brief(str(found['command']))!r}: this version runs "
-            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again",
-            file=shown(path),
+            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
         )
     return found
 

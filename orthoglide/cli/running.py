@@ -82,14 +82,8 @@ def execute(
     as_json: bool = False,
     ranked: bool = False,
 ) -> None:
-    """Do what was asked, write the folder and say what was found.
-
-    Args:
-        read: gives the request.
-        out: folder for the results; nothing is written where absent.
-        quiet: no progress and no tables, one line where there is no folder.
-        as_json: print ``result.json`` and nothing else.
-        ranked: print all causes that were tried.
+    """Do what was asked, write the folder, where there is one, and say what was found; ``ranked``:
+    with all causes that were tried.
     """
     from orthoglide.report.folder import check_folder
 

@@ -56,12 +56,6 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
 def tell(text: str, line: str, quiet: bool, kept: bool) -> None:
     """Print what was found, or with ``--quiet`` one line of it where no file keeps it.
 
-    Args:
-        text: all that was found.
-        line: the same in one line.
-        quiet: whether that is enough.
-        kept: whether files have it.
-
     Raises:
         FileError: as `say`.
     """

@@ -31,7 +31,8 @@ def write_sheet(path: Path, sheet: Campaign, machine: Machine) -> str:
     from orthoglide.observations import campaign_text
     from orthoglide.report.sheet import sheet_page
 
-    page = page_beside(path)
+    page = path.with_suffix(".html")
+    page = page if page != path else path.with_name(path.name + ".html")
     told = (
         f"{click.format_filename(path)}: {len(sheet)} readings in {len(sheet.setups)} setups, to "
         f"be filled in as reading_mm; {len(sheet.moves)} rows are moves: go there, read nothing\n"
@@ -41,12 +42,6 @@ def write_sheet(path: Path, sheet: Campaign, machine: Machine) -> str:
     texts = {path: campaign_text(sheet, machine.spec), page: sheet_page(sheet, machine, shown_as)}
     write_texts(texts)
     return told
-
-
-def page_beside(path: Path) -> Path:
-    """Where the page to print of a sheet goes."""
-    page = path.with_suffix(".html")
-    return page if page != path else path.with_name(path.name + ".html")
 
 
 def write_results(out: Path, files: Mapping[str, str | bytes]) -> None:

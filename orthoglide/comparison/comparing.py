@@ -298,12 +298,8 @@ class Slice:
 def slices(
     machine: Machine, points: int = 41, circumstances: Circumstances | None = None
 ) -> tuple[Slice, ...]:
-    """Difference of mechanism and fitted reduction on three planes of the workspace.
-
-    Args:
-        machine: with its errors.
-        points: along each side of a plane, an odd number.
-        circumstances: see there.
+    """Difference of mechanism and fitted reduction on three planes of the workspace, with an odd
+    number of points along each side.
     """
     comparison = Comparison(machine, circumstances)
     six = comparison.fit_tcp(comparison.mechanism(machine.values)[0])

@@ -82,11 +82,8 @@ def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
     """
     found: dict[str, Row] = {}
     for row in rows:
-        if row.effect not in found or _worse(row, found[row.effect]):
+        worst = found.setdefault(row.effect, row)
+        apart = row.fitted.max - worst.fitted.max
+        if apart > SAME or (abs(apart) <= SAME and row.reading_rms > worst.reading_rms + SAME):
             found[row.effect] = row
     return tuple(found.values())
-
-
-def _worse(one: Row, other: Row) -> bool:
-    apart = one.fitted.max - other.fitted.max
-    return apart > SAME or (abs(apart) <= SAME and one.reading_rms > other.reading_rms + SAME)

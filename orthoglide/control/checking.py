@@ -56,7 +56,7 @@ class ZeroCheck:
 
 
 def _triple(shown: Shown) -> str:
-    return ", ".join(f"{round(v * 1e3, 3) + 0.0:.3f}" for v in shown)
+    return ", ".join(f"{v * 1e3:z.3f}" for v in shown)
 
 
 def _more(change: float) -> str:

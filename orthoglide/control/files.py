@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from dataclasses import dataclass
 
@@ -46,9 +45,10 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 def commands_text(found: Compensation) -> str:
     """Commands as CSV: the points, the commands, and what to expect."""
     shown = [
-        [f"{v:+.0f}" if name.startswith("approach") else _digits(v) for v in values]
+        [f"{v:+.0f}" if name.startswith("approach") else f"{v:z.6f}" for v in values]
         for name, values in found.columns.items()
     ]
+    shown = [["" if cell == "nan" else cell for cell in cells] for cells in shown]
     return csv_text(tuple(found.columns), zip(*shown, strict=True))
 
 
@@ -77,10 +77,3 @@ def export_files(
         CLOSURES_FILE: closures_text(machine.geometry),
         **parallel_robot_files(machine.geometry, tree),
     }
-
-
-def _digits(millimetres: float) -> str:
-    if math.isnan(millimetres):
-        return ""
-    text = f"{millimetres:.6f}"
-    return text.lstrip("-") if float(text) == 0 else text

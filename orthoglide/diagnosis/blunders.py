@@ -24,7 +24,6 @@ from orthoglide.diagnosis.faults import (
     message,
     parts,
     places,
-    setup_names,
     steps,
 )
 from orthoglide.diagnosis.fit_faults import fit_fault
@@ -98,12 +97,10 @@ class Findings:
 
 
 def examine(estimate: Estimate) -> Findings:
-    """Find faults of the data, and changes between campaigns, that no cause explains as well.
+    """Find faults of the data, and changes between campaigns, that no cause explains as well, from
+    the fit of the base model.
 
     Every test here is closed form: the answer has no seed.
-
-    Args:
-        estimate: the fit of the base model.
     """
     narrow = estimate.problem.at_tolerance()
     if narrow is not estimate.problem:
@@ -111,7 +108,7 @@ def examine(estimate: Estimate) -> Findings:
         estimate = solve(narrow, method="nested", start=estimate.x, widen=False)
     base = signatures(estimate)
     means = StationMeans.of(base)
-    setups = [Scatter.of(estimate, s) for s in range(estimate.problem.setup_count)]
+    setups = [Scatter.of(estimate, s) for s in range(len(estimate.problem.setups))]
     found = stuck_faults(base, means, setups)
     slips = searches(estimate.problem, setups)
     found += repeat_faults(estimate.problem, slips, found)
@@ -167,8 +164,7 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
 
 def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
     """The faults with what each explains once those before it are set aside."""
-    problem, names = base.estimate.problem, setup_names(base.estimate.problem)
-    n = base.count
+    problem, n = base.estimate.problem, base.count
     kept, shown = np.ones(n, dtype=bool), np.zeros((n, 0))
     chi2, rms = _left(base.estimate, kept, shown)
     blunders = []
@@ -183,7 +179,7 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
             Blunder(
                 fault.kind,
                 places(problem, fault.rows),
-                tuple(names[s] for s in fault.setups),
+                tuple(problem.setups[s].name for s in fault.setups),
                 message(problem, fault),
                 before - chi2,
                 with_it,
@@ -223,10 +219,6 @@ def without(problem: Problem, blunders: Sequence[Blunder]) -> Problem:
     """The problem without the faulty rows; a knocked setup becomes two, with a datum each.
 
     Noise that was taken from the repeats is taken from those that are left.
-
-    Args:
-        problem: in which the blunders were found.
-        blunders: to be set aside.
 
     Raises:
         InputError: where nothing is left of a campaign.

@@ -40,12 +40,8 @@ class Candidate:
 def candidates(
     names: Sequence[Parameter], effects: Sequence[Effect], catalogue: Catalogue
 ) -> tuple[Candidate, ...]:
-    """All candidates made of elementary unknowns: single, structured, and effects whole.
-
-    Args:
-        names: elementary unknowns at hand, campaigns included.
-        effects: to be considered.
-        catalogue: that they belong to.
+    """All candidates made of elementary unknowns, campaigns included: single, structured, and
+    effects whole.
     """
     found: dict[str, Candidate] = {}
     for effect in effects:

@@ -51,11 +51,7 @@ class Changes:
 
 
 def likeliest_changes(means: StationMeans) -> Changes | None:
-    """The changes that explain a residual best; ``None`` where nothing speaks for any.
-
-    Args:
-        means: of what a fit leaves.
-    """
+    """The changes that explain best what a fit leaves; ``None`` where nothing speaks for any."""
     problem, several = means.problem, visits(means.problem)
     if len(several) < 2:
         return None

@@ -79,11 +79,8 @@ class _Scores:
 
 
 def command_faults(means: StationMeans, known: Sequence[Fault]) -> list[Fault]:
-    """Commands which, put right, leave no more than noise, no effect of the machine beside them.
-
-    Args:
-        means: at the fit of the readings without the known faults.
-        known: faults found before; their rows take no part.
+    """Commands which, put right, leave no more than noise, no effect of the machine beside them;
+    rows of known faults take no part.
     """
     if not means.signatures.candidates:
         return []
@@ -131,12 +128,8 @@ def _begun(means: StationMeans) -> Signatures:
 
 
 def commands_beside(means: StationMeans, known: Sequence[Fault], before: float) -> list[Fault]:
-    """Commands which, put right, leave least beside one or two effects of the machine.
-
-    Args:
-        means: at the fit of the readings without the known faults.
-        known: faults found before; their rows take no part.
-        before: chi2 of the station means that the best effects alone leave.
+    """Commands which, put right, leave least beside one or two effects of the machine, of which the
+    best alone leave a chi2 ``before``; rows of known faults take no part.
     """
     problem, posture = means.problem, _free(means.problem, known)
     base = _begun(means)
@@ -166,15 +159,10 @@ def commands_beside(means: StationMeans, known: Sequence[Fault], before: float) 
 def settled(
     problem: Problem, fault: Fault, known: Sequence[Fault], before: float
 ) -> tuple[Fault, StationMeans] | None:
-    """A wrong command with its size found anew, and the station means with it put right.
+    """A wrong command of about some size with that found anew, and the station means, of which chi2
+    was ``before``, with it put right; rows of known faults take no part.
 
     Its evidence is the logarithm of what the readings leave of the sizes that it may have.
-
-    Args:
-        problem: with all unknowns that are free beside it.
-        fault: the posture and drive, and about what size.
-        known: faults found before; their rows take no part.
-        before: chi2 of the station means as they are.
 
     Returns:
         None where no size fits, or none that a machine could have been told.
@@ -243,6 +231,6 @@ def _limits(problem: Problem, fault: Fault) -> tuple[float, float]:
     """Least and largest size at which a machine can be where a fault says that it was."""
     ((drive, _),) = fault.commands
     geometry = problem.machine.geometry
-    written = np.concatenate([c.command for c in problem.campaigns])[fault.rows[0], drive]
+    written = problem.of_dials("command")[fault.rows[0], drive]
     travel = float(written - geometry.zero[drive])
     return geometry.stroke[0] - _BEYOND - travel, geometry.stroke[1] + _BEYOND - travel

@@ -20,9 +20,8 @@ def postures(problem: Problem) -> Rows:
     """Posture of each reading ``(n,)``: one for each campaign and command; -1 where no dial is."""
     campaigns = problem.campaigns
     number = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
-    command = np.concatenate([c.command for c in campaigns])
     found = np.full(len(problem.measured), -1)
-    found[: len(command)] = numbered(np.column_stack([number, command]))
+    found[: len(number)] = numbered(np.column_stack([number, problem.of_dials("command")]))
     return found
 
 

@@ -65,8 +65,7 @@ class Fault:
 def in_order(problem: Problem, setup: int) -> Rows:
     """Stacked rows of a setup, in the order they were taken."""
     rows = np.flatnonzero(problem.setup_of_row == setup)
-    order = np.concatenate([c.order for c in problem.campaigns])[rows]
-    return np.asarray(rows[np.argsort(order, kind="stable")])
+    return np.asarray(rows[np.argsort(problem.of_dials("order")[rows], kind="stable")])
 
 
 def clock(time: Array, order: Rows) -> Array:
@@ -75,17 +74,11 @@ def clock(time: Array, order: Rows) -> Array:
     return np.asarray(2 * (along - along.min()) / max(np.ptp(along), 1e-300) - 1)
 
 
-def setup_names(problem: Problem) -> tuple[str, ...]:
-    """Names of all setups, numbered over all campaigns."""
-    return tuple(s.name for c in problem.campaigns for s in c.setups)
-
-
 def datums(problem: Problem, fault: Fault) -> list[Rows]:
     """Rows that have a datum of their own: by setup and repeat, or all behind a knock."""
     if fault.sets_aside:
         return []
-    repeat = np.concatenate([c.repeat for c in problem.campaigns])
-    return parts(fault.kind, fault.rows, problem.setup_of_row, repeat)
+    return parts(fault.kind, fault.rows, problem.setup_of_row, problem.of_dials("repeat"))
 
 
 def steps(problem: Problem, fault: Fault) -> Array:
@@ -105,7 +98,7 @@ def parts(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
 def untouched(problem: Problem, faults: Sequence[Fault]) -> list[int]:
     """Setups in which no fault was found."""
     touched = {s for fault in faults for s in fault.setups}
-    return [s for s in range(problem.setup_count) if s not in touched]
+    return [s for s in range(len(problem.setups)) if s not in touched]
 
 
 def same_place(one: Fault, other: Fault) -> bool:
@@ -154,8 +147,7 @@ def message(problem: Problem, fault: Fault) -> str:
     at = places(problem, fault.rows)
     campaign = problem.campaigns[at[0][0]]
     lines = _listed([int(campaign.line[row]) for k, row in at if k == at[0][0]])
-    names = setup_names(problem)
-    setups = " and ".join(repr(names[s]) for s in fault.setups)
+    setups = " and ".join(repr(problem.setups[s].name) for s in fault.setups)
     plural = "s" * (len(fault.setups) > 1)
     return f"{source(campaign)}, {lines}, setup{plural} {setups}: {_clause(problem, fault)}"
 
@@ -209,7 +201,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
 def _mislabelled(problem: Problem, fault: Fault) -> str:
     """As what setup the readings fit: the other way round, of another leg, or of another dial."""
     if fault.kind == "sign":
-        setup = [s for c in problem.campaigns for s in c.setups][fault.setups[0]]
+        setup = problem.setups[fault.setups[0]]
         other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
         return (
             f"the readings fit with the opposite sign, so the dial counted the other way: look "
@@ -231,10 +223,10 @@ def _mislabelled(problem: Problem, fault: Fault) -> str:
 
 def _zeroed(problem: Problem, fault: Fault) -> str:
     """By how much the datum of each repeat is off that of the first."""
-    names, repeat = setup_names(problem), np.concatenate([c.repeat for c in problem.campaigns])
+    repeat = problem.of_dials("repeat")
     said: dict[str, list[str]] = {}
     for rows, size in zip(datums(problem, fault), fault.sizes, strict=True):
-        by = said.setdefault(names[problem.setup_of_row[rows[0]]], [])
+        by = said.setdefault(problem.setups[problem.setup_of_row[rows[0]]].name, [])
         by.append(f"{size * 1e3:+.3f} mm at repeat {repeat[rows[0]]}")
     several = len(said) > 1
     each = "; ".join(f"{name}: " * several + ", ".join(by) for name, by in said.items())
@@ -271,7 +263,7 @@ def _is_alone(problem: Problem, rows: Rows, drive: int, size: float) -> bool:
     """Whether it may be the drive: no other posture has it near, and it is off by little."""
     if abs(size) > _NEAR:
         return False
-    command = np.concatenate([c.command[:, drive] for c in problem.campaigns])
+    command = problem.of_dials("command")[:, drive]
     return bool((np.abs(np.delete(command, rows) - command[rows[0]]) > _NEAR).all())
 
 

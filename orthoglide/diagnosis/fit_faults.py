@@ -38,12 +38,8 @@ _SPOILT = 3.0  # resolutions that it must reach
 def fit_fault(
     means: StationMeans, setups: Sequence[Scatter], known: Sequence[Fault]
 ) -> Fault | Changes | None:
-    """The fault or changes that explain most of what a fit leaves, if they do better than effects.
-
-    Args:
-        means: at the fit of the readings without the known faults.
-        setups: scatter of all of them.
-        known: faults found before; their setups take no part.
+    """The fault or changes that explain most of what a fit without the known faults leaves, if they
+    do better than effects; setups of known faults take no part.
     """
     # Touches and distances show a change in few directions: it may hide in the chi2 of all.
     if means.problem.campaigns and not _lacking(means):

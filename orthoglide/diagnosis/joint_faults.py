@@ -41,11 +41,8 @@ _APART = 6.0  # log Bayes factor between the best fault and the next one of othe
 
 
 def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
-    """The sign, unit or exchange that fits with one or two effects where no effects fit alone.
-
-    Args:
-        means: at the fit of the readings without the known faults.
-        known: faults found before; their setups take no part.
+    """The sign, unit or exchange that fits with one or two effects where no effects fit alone;
+    setups of known faults take no part.
     """
     problem = means.problem
     if not (problem.campaigns and means.signatures.candidates) or means.dof < _FEWEST:

@@ -50,7 +50,7 @@ class Misreading:
         change = np.zeros(len(after.problem.measured))
         for s in self.labels:
             rows = in_order(before, s)
-            change[rows] = _readings_as(after.problem, x, rows, _setup(before, s)) - value[rows]
+            change[rows] = _readings_as(after.problem, x, rows, before.setups[s]) - value[rows]
         if not self.labels:
             a, b = (in_order(before, s) for s in self.fault.setups)
             change[a], change[b] = value[b] - value[a], value[a] - value[b]
@@ -82,12 +82,12 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         add("sign", rows, (s,), -1.0, -measured[rows])
         for factor in MISTAKEN:
             add("unit", rows, (s,), factor, factor * measured[rows])
-        setup = _setup(problem, s)
+        setup = problem.setups[s]
         for leg, axis in set(permutations(range(3), 2)) - {(setup.leg, setup.axis)}:
             fault = Fault("label", rows, (s,), 0.0, label=(leg, axis))
             if not _taken(problem, s, leg, axis):
                 relabel(fault, {s: replace(setup, leg=leg, axis=axis)})
-    commands = np.concatenate([c.command for c in problem.campaigns])
+    commands = problem.of_dials("command")
     campaign = np.repeat(range(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
     for one, other in combinations(setups, 2):
         if campaign[one] != campaign[other]:
@@ -98,7 +98,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
             add("exchanged_labels", rows, (one, other), 0.0, measured[np.concatenate([b, a])])
         # At the same commands, in the same order, labels are exchanged with the columns.
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
-            first, second = _setup(problem, one), _setup(problem, other)
+            first, second = problem.setups[one], problem.setups[other]
             labels = {one: replace(second, name=first.name)}
             labels[other] = replace(first, name=second.name)
             relabel(Fault("exchanged_labels", rows, (one, other), 1.0), labels)
@@ -113,18 +113,13 @@ def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
     return problem.machine.model.readings(problem.values(k, x), under)
 
 
-def _setup(problem: Problem, setup: int) -> Setup:
-    """Of all setups, numbered over all campaigns."""
-    return [s for c in problem.campaigns for s in c.setups][setup]
-
-
 def _taken(problem: Problem, setup: int, leg: int, axis: int) -> bool:
     """Whether another dial reads a leg along an axis, at the same place, while this one is read."""
     rows = in_order(problem, setup)
     k = campaign_of(problem, rows)
     campaign = problem.campaigns[k]
     own = campaign.order[rows - problem.rows[k].start]
-    place = (leg, axis, _setup(problem, setup).gauge, _setup(problem, setup).bar)
+    place = (leg, axis, problem.setups[setup].gauge, problem.setups[setup].bar)
     for number, other in enumerate(campaign.setups):
         if (other.leg, other.axis, other.gauge, other.bar) == place:
             order = campaign.order[campaign.setup == number]
@@ -135,7 +130,7 @@ def _taken(problem: Problem, setup: int, leg: int, axis: int) -> bool:
 
 def _labelled(problem: Problem, labels: Mapping[int, Setup]) -> Problem:
     """The problem with other labels of some setups, numbered over all campaigns."""
-    numbers = iter(range(problem.setup_count))
+    numbers = iter(range(len(problem.setups)))
     campaigns = tuple(
         replace(c, setups=tuple(labels.get(next(numbers), s) for s in c.setups))
         for c in problem.campaigns
@@ -153,8 +148,7 @@ def digits(problem: Problem, fault: Fault) -> float:
         return bool((off_grid(readings, step) < OFF_GRID).all())
 
     readings = problem.measured[rows]
-    dials = np.concatenate([c.reading for c in problem.campaigns])
-    if not on_grid(np.delete(dials, rows)):
+    if not on_grid(np.delete(problem.of_dials("reading"), rows)):
         return 0.0
     decimal = abs(np.log10(factor) - round(float(np.log10(factor)))) < 1e-9
     if not on_grid(readings * factor) or (on_grid(readings) and factor > 1):

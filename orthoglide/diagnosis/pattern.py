@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.faults import clock, setup_names
+from orthoglide.diagnosis.faults import clock
 from orthoglide.diagnosis.rest import rest_by_setup
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import fitted_basis, past
@@ -33,10 +33,7 @@ _PERIODS = 60
 
 
 def describe_left(estimate: Estimate) -> tuple[str, ...]:
-    """What is left of the readings, in sentences without a full stop; only what is significant.
-
-    Args:
-        estimate: the last fit.
+    """What the last fit leaves, in sentences without a full stop; only what is significant.
 
     Returns:
         Which setups and stations hold it, whether it is odd or even in travel, whether it differs
@@ -106,13 +103,13 @@ class _Rest:
     @cached_property
     def leg(self) -> NDArray[np.int64]:
         """Leg touched by each reading ``(n,)``."""
-        return np.concatenate([c.leg for c in self.problem.campaigns])
+        return self.problem.of_dials("leg")
 
     @cached_property
     def travel(self) -> Array:
         """Of the touched leg's carriage from mechanical zero ``(n,)``, metres."""
-        command = np.concatenate([c.command for c in self.problem.campaigns])
-        return command[np.arange(len(self.leg)), self.leg] - self.problem.machine.geometry.zero[0]
+        own = self.problem.of_dials("command")[np.arange(len(self.leg)), self.leg]
+        return np.asarray(own - self.problem.machine.geometry.zero[0])
 
     @cached_property
     def dominant(self) -> NDArray[np.int64]:
@@ -135,7 +132,7 @@ class _Rest:
 
     def by_setup(self, column: Array) -> Array:
         """A column of its own for every setup ``(n, setups)``."""
-        setups = np.arange(self.problem.setup_count)
+        setups = np.arange(len(self.problem.setups))
         return np.asarray((self.setup[:, None] == setups) * column[:, None])
 
     def p_value(self, columns: Array, by_reading: bool = False) -> tuple[float, float]:
@@ -170,9 +167,9 @@ def _where(rest: _Rest) -> str:
     setups = rest.dominant
     if not len(setups):
         return ""
-    names, every = setup_names(rest.problem), rest_by_setup(rest.estimate)
-    share = sum(one.share for one in every if one.setup in {names[k] for k in setups})
-    listed = " and ".join(names[k] for k in setups)
+    names, every = [rest.problem.setups[k].name for k in setups], rest_by_setup(rest.estimate)
+    share = sum(one.share for one in every if one.setup in names)
+    listed = " and ".join(names)
     return (
         f"setup{'s' * (len(setups) > 1)} {listed} hold{'s' * (len(setups) < 2)} {share:.0%} of it"
     )
@@ -193,15 +190,14 @@ def _single_station(rest: _Rest) -> str:
     few = len(np.unique(station[rest.setup == rest.setup[row]])) < _FEWEST_STATIONS
     if few or share < _MOSTLY or p * len(gains) >= ALPHA:
         return ""
-    posture = [label for c in rest.problem.campaigns for label in c.posture][row]
-    label = posture or f"{rest.travel[row] * 1e3:+.4g} mm"
-    name = setup_names(rest.problem)[rest.setup[row]]
+    label = rest.problem.of_dials("posture")[row] or f"{rest.travel[row] * 1e3:+.4g} mm"
+    name = rest.problem.setups[rest.setup[row]].name
     return f"a single station, posture {label} of setup {name}, holds {share:.0%} of it"
 
 
 def _parity(rest: _Rest) -> str:
     """Odd or even along the stroke of the touched leg's own axis, where most of it is."""
-    setups = rest.dominant if len(rest.dominant) else np.arange(rest.problem.setup_count)
+    setups = rest.dominant if len(rest.dominant) else np.arange(len(rest.problem.setups))
     gain, degrees = np.zeros(2), np.zeros(2)  # odd, even
     for k in setups:
         for power, column in enumerate(_polynomials(rest, int(k)), start=1):
@@ -233,7 +229,7 @@ def _polynomials(rest: _Rest, setup: int) -> Array:
 
 def _hysteresis(rest: _Rest) -> str:
     """Readings that differ by the side from which an axis came."""
-    approach = np.nan_to_num(np.concatenate([c.approach for c in rest.problem.campaigns]))
+    approach = np.nan_to_num(rest.problem.of_dials("approach"))
     found = []
     for column, leg in zip(approach.T, LEGS, strict=True):
         if len(np.unique(column[column != 0])) > 1:

@@ -61,13 +61,7 @@ def searches(problem: Problem, setups: Sequence[Scatter]) -> list[Slips]:
 
 
 def repeat_faults(problem: Problem, setups: Sequence[Slips], known: Sequence[Fault]) -> list[Fault]:
-    """Outliers and knocked stands that repeats show.
-
-    Args:
-        problem: of the readings.
-        setups: searches in all of them.
-        known: faults found before; their setups are left alone.
-    """
+    """Outliers and knocked stands that repeats show; setups of known faults are left alone."""
     free = untouched(problem, known)
     able = [s for s in setups if s.scatter.dof >= 2 and s.scatter.setup in free]
     found = [fault for slips in able for fault in slips.confirmed()]
@@ -93,15 +87,11 @@ def _zeroed(problem: Problem, faults: Sequence[Fault]) -> Iterator[Fault]:
 def scatter_faults(
     problem: Problem, setups: Sequence[Slips], known: Sequence[Fault]
 ) -> list[Fault]:
-    """Setups whose repeats do not repeat: by more than any dial scatters, slips set aside.
+    """Setups whose repeats do not repeat: by more than any dial scatters, slips set aside; those of
+    known faults are left alone.
 
     Noise that is taken from the repeats believes anything of them: here it is held against what
     the machine file says of the dial, or what dials are like.
-
-    Args:
-        problem: of the readings.
-        setups: searches in all of them.
-        known: faults found before; their setups are left alone.
 
     Raises:
         InputError: where most setups are like that: then none of their rows can be believed.

@@ -49,10 +49,9 @@ class Scatter:
         weight = 1 / np.hypot(problem.sigma, problem.common)[rows]
         station = numbered(problem.station[rows])
         rest = (problem.measured - estimate.at.value)[rows] * weight
-        time = np.concatenate([c.time for c in problem.campaigns])[rows]
-        along = clock(time, np.arange(len(rows)))
+        along = clock(problem.of_dials("time")[rows], np.arange(len(rows)))
         powers = along[:, None] ** [1, 2, 3] * weight[:, None]
-        repeat = np.concatenate([c.repeat for c in problem.campaigns])[rows]
+        repeat = problem.of_dials("repeat")[rows]
         fitted, none = estimate.residuals[rows] * weight, np.zeros((len(rows), 0))
         return cls(setup, rows, weight, station, repeat, rest, powers, fitted, none)
 
@@ -202,14 +201,11 @@ def _behind(values: Array, station: Rows) -> Array:
 
 
 def median_scatter(setups: Sequence[Scatter], least: float) -> float:
-    """Squared scatter of all readings about their stations, whitened, whatever some of them do.
+    """Squared scatter of all readings about their stations, whitened, whatever some of them do; no
+    less than ``least``, which stands where nothing repeats.
 
     The median of the setups, or of the stations where that is less: a slip in most setups is none
     in most stations.
-
-    Args:
-        setups: their scatter.
-        least: that it may be; taken where nothing repeats.
     """
     able = [scatter for scatter in setups if scatter.dof >= 2]
     if not able:

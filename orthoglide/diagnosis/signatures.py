@@ -56,11 +56,8 @@ class Signatures:
 
 
 def signatures(estimate: Estimate) -> Signatures:
-    """Linearise all effects of the catalogue at a fit; none where all of them are free already, as
-    those of the machine are since a calibration.
-
-    Args:
-        estimate: the fit, whose unknowns and nuisances are projected out.
+    """Linearise all effects of the catalogue at a fit, whose unknowns and nuisances are projected
+    out; none where all of them are free already, as those of the machine are since a calibration.
     """
     problem, nuisance = estimate.problem, estimate.nuisance
     effects = excited_effects(problem)

@@ -37,11 +37,7 @@ class Left:
 
 
 def left_over(estimate: Estimate) -> Left:
-    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`.
-
-    Args:
-        estimate: the fit.
-    """
+    """Test what a fit leaves against the noise: :attr:`Scores.lack_of_fit_p`."""
     p = estimate.scores.lack_of_fit_p
     return Left(p if np.isfinite(p) else 1.0)
 
@@ -93,7 +89,7 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
     step = resolution[:dials, None]
     if dials and (step > 0).all() and _on_grid(problem.measured[:dials], resolution[:dials]):
         value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
-        datum = rng.uniform(0, 1, (problem.setup_count, draws))[setup] * step
+        datum = rng.uniform(0, 1, (len(problem.setups), draws))[setup] * step
         shown = np.round((value + datum + noise[:dials]) / step) * step
         noise[:dials] = shown - value - datum
         return np.asarray(noise)

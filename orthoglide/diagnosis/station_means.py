@@ -177,11 +177,9 @@ class StationMeans:
         return float(evidence.max()), int(evidence.argmax())
 
     def explained(self, residuals: Array, cost: float = 0.0) -> list[Explained]:
-        """Residuals of station means ``(g, h)``, each with its best one or two effects, or none.
-
-        Args:
-            residuals: with what hypotheses change of them.
-            cost: log odds against any single effect, before the readings.
+        """Residuals of station means ``(g, h)``, with what hypotheses change of them, each with its
+        best one or two effects, or none; ``cost`` is the log odds against any single effect before
+        the readings.
         """
         evidences = self.scoring.evidences(residuals)
         single = np.flatnonzero([c.size == 1 for c in self.scoring.candidates])

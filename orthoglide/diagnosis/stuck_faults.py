@@ -21,15 +21,9 @@ _STEPS, _SIGMAS = 5.0, 6.0  # of the dial, and of the noise, that they must have
 
 
 def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter]) -> list[Fault]:
-    """Runs of equal readings that repeats contradict, or all other readings and the scatter.
-
-    Args:
-        base: at the fit.
-        means: the same as station means.
-        setups: scatter of all of them.
-    """
+    """Runs of equal readings that repeats contradict, or all other readings and the scatter."""
     problem = means.problem
-    runs = [(s, run) for s in range(problem.setup_count) for run in _runs(problem, s)]
+    runs = [(s, run) for s in range(len(problem.setups)) for run in _runs(problem, s)]
     scale = noise_scale(problem, setups)
     found = []
     residual = base.estimate.nuisance.weighing.metres(base.residual[: base.count])
@@ -54,7 +48,7 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
 def _runs(problem: Problem, setup: int) -> Iterator[Rows]:
     """Longest runs of equal readings over several postures."""
     rows = in_order(problem, setup)
-    commands = np.concatenate([c.command for c in problem.campaigns])
+    commands = problem.of_dials("command")
     cuts = np.flatnonzero(np.diff(problem.measured[rows]) != 0) + 1
     for run in np.split(rows, cuts):
         if len(run) >= _EQUAL and len(np.unique(commands[run], axis=0)) > 1:
@@ -62,12 +56,8 @@ def _runs(problem: Problem, setup: int) -> Iterator[Rows]:
 
 
 def _left_by_others(base: Signatures, run: Rows, effects: Sequence[int] = ()) -> Array:
-    """What a fit without a run's readings leaves of them, metres: how far the dial should move.
-
-    Args:
-        base: at the fit of all readings.
-        run: rows of the readings.
-        effects: places of candidates that the fit has besides, their tolerances as a prior.
+    """What a fit without a run's readings leaves of them, metres: how far the dial should move. It
+    has some effects besides, their tolerances as a prior.
     """
     beside = [base.of(base.candidates[k]) for k in effects]
     columns = np.hstack([base.fitted, *beside])

@@ -39,9 +39,6 @@ NOTHING: Evidence = (-np.inf, [])
 def check_repeats(estimate: Estimate) -> None:
     """Refuse readings of the tool that their repeats contradict.
 
-    Args:
-        estimate: a fit of all readings.
-
     Raises:
         InputError: naming file, line and setup, what it looks like and what to do.
     """

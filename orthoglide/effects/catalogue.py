@@ -210,10 +210,6 @@ class Catalogue(Mapping[str, Effect]):
         leg and direction, ``cyclic`` is + for x.y, y.z, z.x and - for the others, and every pair of
         axes has a symmetric and an antisymmetric member.
 
-        Args:
-            name: of the effect.
-            setups: for effects of the dial.
-
         Returns:
             From the member's name to the weight of each parameter.
         """

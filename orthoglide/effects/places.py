@@ -104,11 +104,7 @@ class Place:
         return self.two_sided and not self.of_dial
 
     def interval(self, stroke: Range) -> Range:
-        """First and last of its variable.
-
-        Args:
-            stroke: travel limits of the machine, metres.
-        """
+        """First and last of its variable, on a machine of some stroke, metres."""
         return (0.0, stroke[1] - stroke[0]) if self.against == "reversal" else self.span or stroke
 
     @cached_property
@@ -331,10 +327,8 @@ def dial_places(
 
 
 def all_dials(reading: Range) -> Place:
-    """Dials of one make, which read by the way that their plungers came, all by as much.
-
-    Args:
-        reading: smallest and largest predicted reading, metres.
+    """Dials of one make, which read by the way that their plungers came, all by as much, over some
+    range of readings, metres.
     """
     return Place("dial", -1, (), "", "approach", 0, _none, Level(), 10 * _UM, reading)
 
@@ -344,12 +338,8 @@ def _none(c: LegConditions) -> Any:
 
 
 def with_places(catalogue: Catalogue, names: Iterable[str], stroke: Range) -> Catalogue:
-    """A catalogue with the places to which some of the parameters belong.
-
-    Args:
-        catalogue: that may lack them.
-        names: of parameters.
-        stroke: travel limits of the machine, metres.
+    """A catalogue with the places to which some of the parameters belong, on a machine of some
+    stroke, metres.
     """
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:

@@ -124,13 +124,7 @@ def _shown(patterns: list[Pattern]) -> list[Pattern]:
 
 
 def draw_signatures(cause: Cause, after: Estimate, place: int) -> Drawing:
-    """What a cause and its rivals make of the readings.
-
-    Args:
-        cause: that was found.
-        after: the final fit.
-        place: of the cause, from 1.
-    """
+    """What a cause and its rivals make of the readings; its ``place`` counts from 1."""
     patterns = _shown(_patterns(cause, after))
     width, height = style.PANEL[0], 2.1
     figure, corners = style.sheet(len(patterns), height, strip=0.3)
@@ -179,12 +173,7 @@ def _draw_pattern(axes: Axes, pattern: Pattern) -> list[Line2D]:
 
 
 def draw_located(found: Located, place: int) -> Drawing:
-    """The curves of a class of places, each with its 95 % band.
-
-    Args:
-        found: the class.
-        place: of it, from 1.
-    """
+    """The curves of a class of places, each with its 95 % band; its ``place`` counts from 1."""
     width, height = style.PANEL[0], 2.1
     shown = found.members[:_MOST_PANELS]
     figure, corners = style.sheet(len(shown), height)

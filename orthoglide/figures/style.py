@@ -148,12 +148,8 @@ def few_ticks(axes: Axes, across: int = 4, up: int = 4) -> None:
 def sheet(
     count: int, height: float, strip: float = 0.0
 ) -> tuple[Figure, list[tuple[float, float]]]:
-    """A figure of small multiples, three abreast.
-
-    Args:
-        count: of them.
-        height: of each, inches.
-        strip: kept free above all, inches.
+    """A figure of small multiples, three abreast; ``height`` of each, and ``strip`` that is kept
+    free above all, are inches.
 
     Returns:
         The figure, and the top left corner of each, inches.

@@ -77,9 +77,6 @@ def _draw_level(axes: Axes, at: Array, values: Array, colour: str, most: float) 
 def draw_vectors(space: Workspace) -> Drawing:
     """Where the tool goes instead: arrows on three levels of z, as it is and with zeros and lengths
     set; up and down in colour.
-
-    Args:
-        space: of the result.
     """
     at, chosen = _levels(space)
     rows = (("now", space.now * 1e3), ("zeros and lengths set", space.left * 1e3))

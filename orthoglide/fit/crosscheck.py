@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import CrossCheckError
-from orthoglide.fit.least_squares import Nuisances
+from orthoglide.fit.least_squares import Linearised, Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
@@ -61,12 +61,11 @@ def reduction_fit(
     # Visits to a station differ in nothing that the reduction knows: their mean says it all.
     weighing = nuisance.weighing
     chosen = weighing.first
-    group = np.concatenate(
-        [np.full(len(c), k, dtype=np.intp) for k, c in enumerate(problem.campaigns)]
-    )
+    campaigns = problem.campaigns
+    group = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
     command, leg, axis, gauge, sign = (column[chosen] for column in _dials(problem))
-    maps = np.zeros((len(problem.campaigns), 6, len(problem.unknowns) + 1))
-    for k in range(len(problem.campaigns)):
+    maps = np.zeros((len(campaigns), 6, len(problem.unknowns) + 1))
+    for k in range(len(campaigns)):
         names, matrix = problem.elementary(k)
         for name, weights in zip(names, matrix, strict=True):
             maps[k, _SIX.index(name), :-1] += weights
@@ -96,18 +95,11 @@ def reduction_fit(
 
 def _dials(problem: Problem) -> list[Any]:
     """Command ``(n, 3)``, leg, axis, gauge and sign ``(n,)`` of every reading of a dial."""
-    columns = ("command", "leg", "axis", "gauge", "sign")
-    return [np.concatenate([getattr(c, name) for c in problem.campaigns]) for name in columns]
+    return [problem.of_dials(name) for name in ("command", "leg", "axis", "gauge", "sign")]
 
 
-def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -> CrossCheck | None:
-    """Compare an identification with the reduction and with system (11).
-
-    Args:
-        problem: the same.
-        nuisance: the frozen columns.
-        x: identified by the mechanism ``(P,)``, SI.
-        value: readings that the mechanism predicts at ``x`` ``(n,)``, datums apart, metres.
+def cross_check(problem: Problem, nuisance: Nuisances, at: Linearised) -> CrossCheck | None:
+    """Compare an identification, linearised where it ended, with the reduction and system (11).
 
     Returns:
         The differences, or ``None`` where the reduction cannot represent what was asked.
@@ -117,6 +109,7 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
     """
     if not problem.representable:
         return None
+    x, value = at.x, at.value
     # What ended on a bound is held there, and far from the start the legs need not meet.
     held = problem.on_bound(x)
     start = x if held.any() else problem.start
@@ -132,23 +125,24 @@ def cross_check(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -
     fitted = value + nuisance.fitted(problem.measured - value)
     weighing = nuisance.weighing
     apart = fitted - linear.readings[weighing.station]
-    size = float(np.linalg.norm(weighing.whiten(apart)) / np.linalg.norm(nuisance.weight))
+    size = float(np.linalg.norm(weighing.whiten(apart)) / np.linalg.norm(weighing.weight))
     return CrossCheck(
         difference,
         float(np.max(np.abs(apart), initial=0.0)),
-        _second_order_bound(problem, nuisance, x, value),
+        _second_order_bound(problem, nuisance, at),
         size,
         linear.values[:-1],
     )
 
 
-def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: Array) -> float:
+def _second_order_bound(problem: Problem, nuisance: Nuisances, at: Linearised) -> float:
     """Largest norm of the difference between nonlinear and linear fit that theory allows.
 
     With f(x) = J0 x + e and residual q of the nonlinear fit, the linear fit is P0 (f + q), P0 the
     projection on the linear system's columns: the difference is (1 - P0) e - P0 q, no longer than
     |e| + |P0 q| in the norm of the noise.
     """
+    x, value = at.x, at.value
     *dials, sign = _dials(problem)
     seen = reduction.observe(*dials, geometry=problem.machine.geometry)
     by_six = sign[:, None] * seen.gradient
@@ -166,4 +160,4 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, x: Array, value: 
     residual = np.concatenate([nuisance.project(problem.measured - value), -x / problem.prior_sd])
     basis, _ = np.linalg.qr(jacobian)
     bound = float(np.linalg.norm(remainder) + np.linalg.norm(basis.T @ residual))
-    return bound / float(np.linalg.norm(nuisance.weight))
+    return bound / float(np.linalg.norm(nuisance.weighing.weight))

@@ -39,12 +39,8 @@ def earlier_of(machine: Machine) -> Posterior | None:
 
 
 def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate:
-    """The fit with everything let go that has changed since the earlier calibration.
-
-    Args:
-        estimate: the fit with the earlier calibration as its prior; returned as it is where there
-            is none, or nothing has changed.
-        method: to solve again with.
+    """The fit with everything let go that has changed since the earlier calibration that is its
+    prior; as it is where there is none, or nothing has changed.
     """
     first = estimate.problem
     known = first.earlier
@@ -87,11 +83,8 @@ def _padded(x: Array, problem: Problem) -> Array:
 
 
 def _beside_plates(problem: Problem, bent: float) -> Problem:
-    """The problem with the shapes of probed plates, of which a calibration keeps nothing.
-
-    Args:
-        problem: of the fit; with dials, who know the machine, as it is.
-        bent: tolerances by which a plate may differ without a change.
+    """The problem with the shapes of probed plates, of which a calibration keeps nothing, and which
+    may differ by ``bent`` tolerances without a change; with dials, who know the machine, as it is.
     """
     if problem.campaigns:
         return problem

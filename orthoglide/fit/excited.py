@@ -35,11 +35,6 @@ def both_sides(approach: Array) -> NDArray[np.bool_]:
     return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
 
 
-def _approached(problem: Problem) -> bool:
-    sides = (f.conditions().approach for f in problem.factors)
-    return any(both_sides(side).any() for side in sides)
-
-
 def _varies(what: str) -> Callable[[Problem], bool]:
     def vary(problem: Problem) -> bool:
         for factor in problem.factors:
@@ -54,14 +49,12 @@ def _varies(what: str) -> Callable[[Problem], bool]:
     return vary
 
 
-def _loaded(problem: Problem) -> bool:
-    return any(f.conditions().load.any() for f in problem.factors)
-
-
 _MET: Mapping[str, Callable[[Problem], bool]] = {
-    "approach": _approached,
+    "approach": lambda problem: any(
+        both_sides(f.conditions().approach).any() for f in problem.factors
+    ),
     "time": _varies("time"),
     "temperature": _varies("temperature"),
-    "load": _loaded,
+    "load": lambda problem: any(f.conditions().load.any() for f in problem.factors),
     "pitch": lambda problem: problem.machine.spec.screw_pitch is not None,
 }

@@ -175,10 +175,14 @@ class TcpReadings:
         return np.zeros(len(self.measured), dtype=bool)
 
     @property
+    def declared(self) -> Array:
+        """Standard deviation of the coordinates of each point ``(m,)``, metres."""
+        return np.nan_to_num(self.points.sigma, nan=TCP_SIGMA)
+
+    @property
     def sigma(self) -> Array:
         """Standard deviation of each row, metres."""
-        declared = np.where(np.isfinite(self.points.sigma), self.points.sigma, TCP_SIGMA)
-        return np.asarray(np.repeat(declared[:, None], 3, axis=1)[self.known])
+        return np.asarray(self.declared[self.point])
 
     def rated(self) -> Iterator[tuple[str, Array, NoiseSource]]:
         """``points``, the standard deviations of its rows ``(n,)``, and where they come from."""
@@ -197,17 +201,15 @@ class TcpReadings:
 
     def silenced(self, rows: NDArray[np.bool_]) -> TcpReadings:
         """The same with the points of some rows ``(n,)`` without weight."""
-        declared = np.where(np.isfinite(self.points.sigma), self.points.sigma, TCP_SIGMA)
         silent = np.isin(np.arange(len(self.points)), self.point[rows])
-        sigma = np.where(silent, SILENT * declared, declared)
+        sigma = np.where(silent, SILENT * self.declared, self.declared)
         return replace(self, points=replace(self.points, sigma=sigma))
 
     def about(self, value: Array, _: Array) -> TcpReadings:
         """The same with the frame turned to where a machine has the rows ``(n,)``."""
         if self.frame != "rigid" or not self.known.all():
             return self
-        known = heard(np.nan_to_num(self.points.sigma, nan=TCP_SIGMA))
-        near = turned_near(self.points.p, value.reshape(-1, 3), known)
+        near = turned_near(self.points.p, value.reshape(-1, 3), heard(self.declared))
         return self if near is None else replace(self, points=replace(self.points, p=near))
 
     @property

@@ -83,11 +83,6 @@ class Nuisances:
         return np.linalg.qr(self.augmented / np.where(scale > 0, scale, 1.0))[0]
 
     @property
-    def weight(self) -> Array:
-        """1 / sigma of each row ``(n,)``."""
-        return self.weighing.weight
-
-    @property
     def count(self) -> int:
         """Number of columns."""
         return self.columns.shape[1]
@@ -112,12 +107,7 @@ class Nuisances:
 
 
 def nuisances(problem: Problem, slopes: tuple[Array, ...]) -> Nuisances:
-    """Nuisances of all factors.
-
-    Args:
-        problem: gives the factors and the noise.
-        slopes: of a linearisation; frozen for a fit.
-    """
+    """Nuisances of all factors, by the slopes of a linearisation; they are frozen for a fit."""
     blocks = [f.nuisances(s) for f, s in zip(problem.factors, slopes, strict=True)]
     widths = np.cumsum([0, *(b.columns.shape[1] for b in blocks)])
     columns = np.zeros((len(problem.measured), int(widths[-1])))

@@ -42,42 +42,39 @@ def loud_dials(estimate: Estimate) -> Iterator[Note]:
     Nothing is said where the noise was taken from the repeats, or from what is usual.
     """
     problem = estimate.problem
-    if not (told := _told(problem)):
+    if (told := _told(problem)) is None:
         return
+    figure, remedy = told
     every = _repeats(estimate)
     loud = [one for one in every if _is_loud([one], _CHANCE / len(every))]
     rest = [one for one in every if one not in loud]
     rather_all = 2 * len(loud) >= len(every) > 1 or len(loud) > _FEW or _is_loud(rest, _ALIKE, 1.0)
     if rather_all or (not loud and _is_loud(every)):
         yield Note(
-            f"repeats of the dials scatter by {_size(every)} mm, where {told}: "
-            f"{_remedy(problem)}, or look for what is loose",
+            f"repeats of the dials scatter by {_size(every)} mm, where {figure}: "
+            f"{remedy}, or look for what is loose",
             "scatter",
         )
         return
     for one in loud:
         yield Note(
-            f"{one.where}: repeats scatter by {_size([one])} mm, where {told}, which those of "
+            f"{one.where}: repeats scatter by {_size([one])} mm, where {figure}, which those of "
             f"other setups agree with: look for what is loose on this dial, its stand and its leg, "
             f"and read the setup again",
             "scatter",
         )
 
 
-def _told(problem: Problem) -> str:
-    """What was declared of the dials' noise, as a clause; empty where nothing was."""
+def _told(problem: Problem) -> tuple[str, str] | None:
+    """What was declared of the dials' noise, and where to correct it, as clauses."""
     repeatability, source_of = problem.machine.spec.dial.repeatability, problem.noise.source
     if source_of == "machine" and repeatability is not None:
-        return f"the machine file says {compact(repeatability * 1e3, 2)}"
+        figure = f"the machine file says {compact(repeatability * 1e3, 2)}"
+        return figure, "correct repeatability under [dial_mm]"
     if source_of == "declared" and problem.campaigns:
-        return f"{compact(problem.noise.typical * 1e3, 2)} was declared"
-    return ""
-
-
-def _remedy(problem: Problem) -> str:
-    if problem.noise.source == "declared":
-        return "correct what was declared"
-    return "correct repeatability under [dial_mm]"
+        figure = f"{compact(problem.noise.typical * 1e3, 2)} was declared"
+        return figure, "correct what was declared"
+    return None
 
 
 def _repeats(estimate: Estimate) -> list[_Repeats]:

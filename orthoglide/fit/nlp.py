@@ -52,14 +52,6 @@ class NlpResult:
     iterations: int  # of IPOPT
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Distinct postures of one factor and where its rows (or points) find theirs."""
-
-    conditions: Conditions
-    place: NDArray[np.intp]
-
-
 class Nlp:
     """The programme of one problem; built once, solved for as many sets of readings as wanted.
 
@@ -73,11 +65,12 @@ class Nlp:
         self._scale = scale
         self._unit = float(np.median(problem.sigma))  # of readings, datums and closures
         self._turn = self._unit / problem.machine.geometry.L  # of angles
-        self._layouts = [_layout(problem, k) for k in range(len(problem.factors))]
+        # Distinct postures of each factor, and where its rows (or points) find theirs.
+        self._postures = [_distinct(problem, k) for k in range(len(problem.factors))]
         self._functions = closure_functions(
             problem.machine.model.mechanism.tree, problem.machine.model.mechanism.tree.free
         )
-        self.postures = sum(len(layout.conditions) for layout in self._layouts)
+        self.postures = sum(len(conditions) for conditions, _ in self._postures)
         x = ca.MX.sym("x", len(problem.unknowns))
         joints = ca.MX.sym("joints", 21, self.postures)
         z = ca.MX.sym("z", nuisance.count)
@@ -107,22 +100,23 @@ class Nlp:
         """Closures of all postures, and predicted rows of all factors, as MX."""
         model = problem.machine.model
         closures, rows, first = [], [], 0
-        for k, (factor, layout) in enumerate(zip(problem.factors, self._layouts, strict=True)):
-            count = len(layout.conditions)
+        each = zip(problem.factors, self._postures, strict=True)
+        for k, (factor, (conditions, place)) in enumerate(each):
+            count = len(conditions)
             values = _values(problem, k, x)
             theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
             moves = model.displacement.map(count)(
-                ca.repmat(theta, 1, count), ca.DM(model.seen(layout.conditions).T)
+                ca.repmat(theta, 1, count), ca.DM(model.seen(conditions).T)
             )
-            travel = ca.DM((layout.conditions.command - model.geometry.zero).T)
+            travel = ca.DM((conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]
             closures.append(self._functions.residual.map(count)(own, given))
             outputs = self._functions.outputs.map(count)(own, given)
             if isinstance(factor, DialReadings):
-                rows.append(_dials(model, factor, outputs, layout.place, values))
+                rows.append(_dials(model, factor, outputs, place, values))
             elif isinstance(factor, TcpReadings):
-                rows.append(_coordinates(factor, outputs, layout.place))
+                rows.append(_coordinates(factor, outputs, place))
             first += count
         return ca.horzcat(*closures), ca.vertcat(*rows)
 
@@ -164,10 +158,9 @@ class Nlp:
         """Free joints ``(K, 21)`` that close every posture at the unknowns ``x``."""
         model = problem.machine.model
         found = []
-        for k, layout in enumerate(self._layouts):
-            values = problem.values(k, x)
-            moves = model.displacements(values, layout.conditions)
-            given = model.mechanism.given(layout.conditions.command, moves)
+        for k, (conditions, _) in enumerate(self._postures):
+            moves = model.displacements(problem.values(k, x), conditions)
+            given = model.mechanism.given(conditions.command, moves)
             found.append(model.mechanism.batch.close(given))
         return np.concatenate(found)
 
@@ -182,12 +175,10 @@ def _weighed(rows: Any, weighing: Weighing) -> Any:
     return ca.sparsify(matrix) @ rows
 
 
-def _layout(problem: Problem, factor: int) -> _Layout:
+def _distinct(problem: Problem, factor: int) -> tuple[Conditions, NDArray[Any]]:
     names, _ = problem.elementary(factor)
-    conditions, place = problem.machine.model.merged(
-        problem.factors[factor].conditions(), [*names, *problem.held[factor]]
-    )
-    return _Layout(conditions, place)
+    every = problem.factors[factor].conditions()
+    return problem.machine.model.merged(every, [*names, *problem.held[factor]])
 
 
 def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
-from orthoglide.observations import Campaign, ToolCampaign
+from orthoglide.observations import Campaign, Setup, ToolCampaign
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
@@ -52,11 +53,7 @@ class Unknown:
 def rows_about(
     known: Posterior, unknowns: Sequence[Unknown]
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """What is known of a machine's parameters as whitened rows about the unknowns.
-
-    Args:
-        known: of elementary parameters.
-        unknowns: ``P`` of them.
+    """What is known of a machine's elementary parameters as whitened rows about ``P`` unknowns.
 
     Returns:
         Matrix ``(k, P)`` and target ``(k,)`` of ``|matrix x - target|^2``, and which of the
@@ -116,7 +113,7 @@ class Problem:
         return (*dials, *self.points)
 
     @property
-    def of_dials(self) -> bool:
+    def dials_alone(self) -> bool:
         """Whether dials on the legs are all that was read."""
         return bool(self.campaigns) and not self.points
 
@@ -293,10 +290,14 @@ class Problem:
             first += len(factor.setup_names) or 3
         return np.concatenate(found)
 
-    @property
-    def setup_count(self) -> int:
-        """Mountings of dials in all campaigns together."""
-        return sum(len(c.setups) for c in self.campaigns)
+    @cached_property
+    def setups(self) -> tuple[Setup, ...]:
+        """Mountings of dials, numbered over all campaigns."""
+        return tuple(s for c in self.campaigns for s in c.setups)
+
+    def of_dials(self, column: str) -> NDArray[Any]:
+        """A column of all readings of dials, such as ``command``, stacked ``(n, ...)``."""
+        return np.concatenate([getattr(c, column) for c in self.campaigns])
 
     @cached_property
     def station(self) -> NDArray[np.int64]:

@@ -61,13 +61,7 @@ class Scores:
 
 
 def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
-    """Score a fit.
-
-    Args:
-        problem: readings, noise, priors.
-        nuisance: of the fit.
-        at: linearisation at the fit.
-    """
+    """Score a fit, by the linearisation there."""
     here = normal(problem, at, nuisance)
     rest = problem.measured - at.value
     residual = rest - nuisance.fitted(rest)
@@ -152,8 +146,7 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
         return float("nan")
     count = np.bincount(place)
     average = np.bincount(place, residual[dials]) / count
-    order = np.concatenate([c.order for c in problem.campaigns])
-    row = np.lexsort((order, setup))
+    row = np.lexsort((problem.of_dials("order"), setup))
     first = place[row[np.unique(setup[row], return_index=True)[1]]]  # a place a setup
     home = np.zeros(len(count), dtype=np.int64)
     home[place] = setup

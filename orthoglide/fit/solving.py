@@ -130,7 +130,7 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     nuisance = nuisances(problem, near.slopes)
     at, iterations, used = _solved(problem, nuisance, first, near, method)
     optimality = _verified(problem, nuisance, at, first)
-    check = cross_check(problem, nuisance, at.x, at.value)
+    check = cross_check(problem, nuisance, at)
     return assessed(problem, nuisance, at, used, iterations, optimality, check)
 
 
@@ -200,7 +200,8 @@ def _solved(
     if method == "reduction":
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
-    elastic, tool = _elastic(problem), any(isinstance(p, ToolReadings) for p in problem.points)
+    elastic = any(problem.machine.model.is_elastic(f.conditions()) for f in problem.factors)
+    tool = any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
         raise InputError("the programme closes unloaded loops: take the nested method under load")
     if tool and method == "nlp":
@@ -230,12 +231,6 @@ def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
         if not beyond.any():
             return x, iterations
         x, held = np.clip(x, -problem.bound, problem.bound), held | beyond
-
-
-def _elastic(problem: Problem) -> bool:
-    """Whether stiffness moves any of the postures."""
-    model = problem.machine.model
-    return any(model.is_elastic(factor.conditions()) for factor in problem.factors)
 
 
 def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, first: Linearised) -> float:

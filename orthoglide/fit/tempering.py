@@ -17,10 +17,8 @@ from orthoglide.fit.solving import assessed
 
 
 def tempered(found: Estimate) -> Estimate:
-    """The values where readings are as noisy as the fit leaves them; scores by their own noise.
-
-    Args:
-        found: a fit; returned as it is where nothing significant is left of the readings.
+    """The values where readings are as noisy as the fit leaves them; scores by their own noise. A
+    fit that leaves nothing significant is returned as it is.
 
     Raises:
         SolverError: where the steps do not settle.
@@ -31,7 +29,7 @@ def tempered(found: Estimate) -> Estimate:
         return found
     heavier, nuisance = _known_better(problem, found.sigma_scale), found.nuisance
     at, more = solve_nested(heavier, nuisance, found.at)
-    check = cross_check(heavier, nuisance, at.x, at.value)
+    check = cross_check(heavier, nuisance, at)
     again = assessed(
         problem, nuisance, at, found.method, found.iterations + more, found.optimality, check
     )

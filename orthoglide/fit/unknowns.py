@@ -103,18 +103,9 @@ def build_problem(
     points: Sequence[Beside] = (),
     earlier: Posterior | None = None,
 ) -> Problem:
-    """Put an identification together.
-
-    Args:
-        machine: dimensions, tolerances, parameters to hold or to start from.
-        campaigns: dial readings.
-        free: effects, parameters or structured members.
-        noise: of the dial readings.
-        own: what each campaign has for itself, see :func:`build_unknowns`; it need not be free.
-        priors: whether tolerances act as priors.
-        bounds: by unknown or effect, SI; the value stays within plus and minus.
-        points: readings of the tool.
-        earlier: what an earlier calibration says.
+    """Put an identification together; arguments as of :func:`identify`, but the noise of the dial
+    readings, readings of the tool as ``points``, and what an earlier calibration says. What is own
+    to each campaign need not be free.
 
     Raises:
         InputError: where these do not fit together.

@@ -52,10 +52,6 @@ def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iter
     A cause in the machine lifts and bends all surfaces alike; between two of them the plate or the
     endstops were moved, the plate was bent, or the firmware's numbers were changed. A plate that is
     known to be turned takes its shape along: its surface is not compared.
-
-    Args:
-        firmware: its present numbers.
-        campaigns: as imported.
     """
     alike = list[_Surface]()
     for campaign in sorted(campaigns, key=lambda c: c.name != CALIBRATION):

@@ -108,11 +108,8 @@ def posterior_path(path: str | os.PathLike[str]) -> Path:
 
 
 def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
-    """The content of that file, the same bytes for the same numbers.
-
-    Args:
-        posterior: what to keep.
-        digest: sha256 of the machine file that it belongs to.
+    """The content of that file, the same bytes for the same numbers; ``digest`` is the sha256 of
+    the machine file that it belongs to.
     """
     arrays = {
         "names": np.array(posterior.names, dtype=np.str_),
@@ -132,11 +129,8 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
 
 
 def read_posterior(path: str | os.PathLike[str], digest: str) -> Posterior | None:
-    """The covariance kept beside a machine file; ``None`` where there is none.
-
-    Args:
-        path: of the machine file.
-        digest: sha256 of its content.
+    """The covariance kept beside a machine file of which this is the sha256; ``None`` where there
+    is none.
 
     Raises:
         FileError: where the file is damaged or belongs to another machine file.

@@ -20,11 +20,6 @@ def check_travel(document: Document, geometry: Geometry, provenance: Mapping[str
     A firmware counts from where its own radius and arms put a carriage: the joints of the platform
     may stand further out than was assumed, but only together with those of the carriages.
 
-    Args:
-        document: for the error.
-        geometry: as the file has it.
-        provenance: of the file, as it stands there.
-
     Raises:
         FileError: naming the line and what would be right.
     """

@@ -48,10 +48,6 @@ def write_machine_file(
 def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
     """A machine file and, where its covariance is known, the file of that, by name.
 
-    Args:
-        machine: what to write.
-        path: of the machine file.
-
     Raises:
         InputError: where the machine holds what no machine file can.
     """
@@ -65,11 +61,7 @@ def machine_files(machine: MachineFile, path: str) -> dict[str, str | bytes]:
 
 
 def machine_text(machine: MachineFile, file: str = "") -> str:
-    """The text of a machine file, which reads back exactly.
-
-    Args:
-        machine: what to write.
-        file: its name, for errors.
+    """The text of a machine file, which reads back exactly; errors name the ``file``.
 
     Raises:
         InputError: where the machine holds what no machine file can.

@@ -89,13 +89,7 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
 
 
 def following(verdict: Verdict, number: int, room: int) -> Next:
-    """What to do after so many sheets.
-
-    Args:
-        verdict: of everything read so far.
-        number: of sheets so far.
-        room: readings that may still be taken.
-    """
+    """What to do after so many sheets, where there is room for so many readings more."""
     machine, taken = verdict.request.machine, sum(map(len, verdict.request.campaigns))
     left = verdict.word in ("partial", "unexplained")
     rivals = _in_play(verdict)

@@ -62,10 +62,7 @@ class Record:
         ]
 
     def open(self, first: Campaign) -> bool:
-        """Read what the file holds, or begin it; whether it was there.
-
-        Args:
-            first: sheet that it begins with.
+        """Read what the file holds, or begin it with a sheet; whether it was there.
 
         Raises:
             FileError: where it is no file of this kind, or cannot be written.

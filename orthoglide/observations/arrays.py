@@ -47,13 +47,8 @@ def numbered(table: Array | Ints) -> Ints:
 
 
 def hold(owner: Any, what: str, kinds: Mapping[str, Kind], counted: str) -> None:
-    """Put arrays of their kind in place of what a frozen value was made with.
-
-    Args:
-        owner: the value.
-        what: it is, for a message.
-        kinds: of its arrays, by name.
-        counted: the array that says how many entries there are.
+    """Put arrays of their kind in place of what a frozen value was made with, as many entries as
+    the array ``counted`` has; ``what`` it is stands in messages.
 
     Raises:
         InputError: naming the array, and its right shape or the first wrong entry.

@@ -113,12 +113,8 @@ def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail
 
 
 def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tuple[Note, ...]:
-    """Refuses a campaign that cannot be meant as it stands.
-
-    Args:
-        campaign: commands already checked.
-        machine: whose dimensions and dial count.
-        fail: raises the error.
+    """Refuses a campaign, its commands already checked, that cannot be meant as it stands; ``fail``
+    raises.
 
     Returns:
         Warnings of what is odd but possible.

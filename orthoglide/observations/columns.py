@@ -77,6 +77,7 @@ ROW_COLUMNS: dict[str, Column] = {
 _COMMAND = Column(number(MM))
 _HEIGHT = Column(number(MM), NAN)  # empty of a place that is to be touched
 _ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
+_PLACED = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
 DIRECTION_OF_MOVE = Column(SIGN, 0)
 
 
@@ -111,9 +112,13 @@ def command_names(table: Table, machine: MachineFile | None = None) -> tuple[str
         own = of_commands(machine.geometry.layout.names)
         if not set(PLACE) & set(table.names) or machine.kinematics is None:
             return own
-        if set(own) & set(table.names):
-            table.fail(f"has both {own[0]} and {PLACE[0]}: keep the three columns of one kind")
-        return PLACE
+        if not set(own) & set(table.names):
+            return PLACE
+        travel, p = (columns(table, names, _COMMAND) for names in (own, PLACE))
+        apart = machine.controller.to_rho(travel, machine.geometry) - machine.kinematics.travel(p)
+        if not np.abs(apart).max(initial=0.0) <= _PLACED:
+            table.fail(f"has {own[0]} and {PLACE[0]}, and they disagree: keep those of one kind")
+        return own  # as `compensate` writes them
     if "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"

@@ -79,11 +79,8 @@ def write_campaign(
 
 
 def readings_frame(campaign: Readings, machine_file: MachineFile | None = None) -> pd.DataFrame:
-    """The rows of the file of readings as a data frame, which ``from_frame`` takes back.
-
-    Args:
-        campaign: the readings.
-        machine_file: as for `write_campaign`.
+    """The rows of the file of readings as a data frame, which ``from_frame`` takes back; arguments
+    as for `write_campaign`.
 
     Raises:
         InputError: where pandas is not installed.
@@ -119,10 +116,6 @@ def tool_from_frame(
 
 def check_given(given: Campaign | ToolCampaign | TcpPoints, machine: MachineFile) -> None:
     """Refuse readings for which a file that holds them would be refused.
-
-    Args:
-        given: the readings.
-        machine: whose stroke, dimensions and dial count.
 
     Raises:
         InputError: naming the row, counted from 0, and what would be right.

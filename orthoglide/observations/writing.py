@@ -162,12 +162,8 @@ def _touches(campaign: ToolCampaign, kinematics: DeltaKinematics) -> Columns:
 
 
 def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
-    """The rows of a file of TCP points; optional columns only where they say something.
-
-    Args:
-        points: measured.
-        machine_file: of a machine that is no Orthoglide, whose controller's values the commands are
-            then; others give joint coordinates.
+    """The rows of a file of TCP points; optional columns only where they say something. Commands
+    are joint coordinates, or the controller's values of a machine that is no Orthoglide.
     """
     machine = machine_file or nominal_machine_file()
     approach = _approaches(points.approach, machine.geometry.leg_names)
@@ -191,13 +187,8 @@ def rows_of(columns: Mapping[str, Sequence[Any] | None]) -> list[Row]:
 def _with_moves(
     rows: list[Row], campaign: Campaign | ToolCampaign, shown: Sequence[Row], told: Sequence[str]
 ) -> list[Row]:
-    """Moves among the readings by line, each with the mounting that it leads to, for people.
-
-    Args:
-        rows: of the readings, in their order.
-        campaign: the readings.
-        shown: commands of the moves.
-        told: columns of the mounting.
+    """Moves among the readings by line, each with the columns ``told`` of the mounting that it
+    leads to, for people.
     """
     moves = campaign.moves
     if not len(moves):

@@ -164,13 +164,8 @@ def shown_names(machine: Machine, pool: Campaign, free: Sequence[str]) -> tuple[
 def _told_apart(
     readings: LinearReadings, names: Sequence[str], base: int, count: int
 ) -> tuple[tuple[int, ...], tuple[Pair, ...], tuple[Pair, ...]]:
-    """Rows that tell effects apart, pairs by their separation, and pairs that nothing separates.
-
-    Args:
-        readings: of the pool, by what is fitted besides, then by the effects.
-        names: of the effects.
-        base: how many are fitted besides.
-        count: of the rows.
+    """Rows that tell effects apart, pairs by their separation, and pairs that nothing separates;
+    the readings are by the base, which is fitted besides, then by the effects.
     """
     size = len(names)
     pairs = np.array([(i, j) for i in range(size) for j in range(i, size)])

@@ -203,11 +203,8 @@ def _sizes(length: float, cosine: float, threshold: float) -> tuple[float, float
 
 
 def noncentrality(square: float, threshold: float) -> float:
-    """Noncentrality at which an effect's evidence exceeds a threshold with the probability `POWER`.
-
-    Args:
-        square: of the signature at tolerance.
-        threshold: of the evidence.
+    """Noncentrality at which an effect's evidence exceeds a threshold with the probability `POWER`;
+    ``square`` is that of its signature at tolerance.
     """
     from scipy.special import chndtrinc
 

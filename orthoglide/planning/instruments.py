@@ -74,17 +74,15 @@ def _weight(pair: Pair) -> float:
 
 
 def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, float], ...]:
-    """What would tell rivals apart, in sentences with the most sigmas between two of them.
+    """What would tell rivals of some causes apart, in sentences with the most sigmas between two of
+    them.
 
     First stands what decides between the likeliest: the sum of the products of the probabilities
     of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
     by that first stands what needs least.
-
-    Args:
-        known: of the readings at hand.
-        causes: that were found, with their rivals.
     """
-    pairs = [pair for cause in causes for pair in combinations(_likeliest_first(cause), 2)]
+    ranked = (sorted(cause.explanations, key=lambda one: -one.probability) for cause in causes)
+    pairs = [pair for likeliest_first in ranked for pair in combinations(likeliest_first, 2)]
     if not pairs:
         return ()
     several = [
@@ -96,10 +94,6 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
         for one in several
         if one.probability > 0
     )
-
-
-def _likeliest_first(cause: Cause) -> list[Explanation]:
-    return sorted(cause.explanations, key=lambda one: -one.probability)
 
 
 # -- what could be read ----------------------------------------------------------------------------

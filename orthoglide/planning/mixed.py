@@ -24,16 +24,12 @@ LEAST = 6
 def mixed_sheet(
     machine: Machine, sheets: Sequence[ToolCampaign], count: int
 ) -> tuple[ToolCampaign, ...]:
-    """The readings that together tell most of everything that could be wrong with a machine.
+    """The ``count`` readings, of sheets of one instrument each, that together tell most of
+    everything that could be wrong with a machine.
 
     From all of them the one is dropped, again and again, without which the determinant of the
     information falls least: of all parameters in their tolerances, what belongs to the setups
     (a plate's height and slopes, an instrument's frame) projected out.
-
-    Args:
-        machine: as it is believed to be; its instruments say how well they read.
-        sheets: readings to choose from, one campaign an instrument.
-        count: of readings to keep.
 
     Returns:
         What is kept of each sheet; sheets of which nothing is are left out.
@@ -69,7 +65,7 @@ def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, i
     wide = with_others(problem, [effect.name for effect in excited_effects(problem)])
     x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(problem.unknowns))])
     nuisance = estimate.nuisance
-    weight = nuisance.weight[:, None]
+    weight = nuisance.weighing.weight[:, None]
     columns = linearise(wide, x).jacobian * wide.tolerance * weight
     datums = nuisance.columns * weight
     size = np.linalg.norm(datums, axis=0)

@@ -203,7 +203,8 @@ def _places(
     """Points ``(n, 3)``, the others of distances, and the centre of a ball; ``up`` of each the
     machine's own tool has to be within reach.
     """
-    ring, high = _ring(), np.zeros(3)
+    t, high = np.arange(_AROUND) * 2 * np.pi / _AROUND, np.zeros(3)
+    ring = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
     points, others = instrument.places(ring)
     outline = ring
     if points[:, 2].any():
@@ -222,11 +223,6 @@ def _sent(machine: Machine, p: Array) -> Array:
     kinematics = machine.spec.kinematics
     found = machine.with_only({}).inverse(p) if kinematics is None else kinematics.travel(p)
     return np.asarray(np.round(found, DECIMALS))
-
-
-def _ring() -> Array:
-    t = np.arange(_AROUND) * 2 * np.pi / _AROUND
-    return np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
 
 
 def _widest(machine: Machine, points: Callable[[float], Array]) -> float:

@@ -30,14 +30,10 @@ _AT_TOOL = tuple(kind for kind, one in INSTRUMENTS.items() if not one.touches)
 def parting(
     posterior: FullPosterior, located: Located, *, count: int = 12
 ) -> tuple[Suggestion, ...]:
-    """Readings that would part the likeliest of a class, and which of them none parts.
+    """Readings, ``count`` at most, that would part the likeliest of a class, and which of them none
+    parts.
 
     Each is a rival with its own free function, which new readings narrow as they do all else.
-
-    Args:
-        posterior: that the class was read from.
-        located: the class.
-        count: readings to propose, at most.
     """
     members = Members.of(posterior, located, _MOST)
     if len(members.each) < 2:

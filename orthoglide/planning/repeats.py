@@ -45,14 +45,8 @@ def sigma_by_repeats(
     what: str,
     noise: float | None = None,
 ) -> Callable[[float], float]:
-    """How sure a protocol makes one figure, by how often it is repeated.
-
-    Args:
-        machine: tolerances and dial.
-        campaign: stations; its own repeats do not count.
-        free: to identify, with their tolerances as priors.
-        what: one of their parameters, or ``"TCP"``.
-        noise: standard deviation of one reading, metres.
+    """How sure a protocol makes one figure, by how often it is repeated; arguments as of
+    :func:`repeats_needed`.
 
     Returns:
         From the visits to every station, 1 to infinity, to the standard deviation, SI.

@@ -84,7 +84,7 @@ def _problem(name: str, values: Values, like: Problem) -> Problem:
     if like.prior is not None:  # everything is free, at what was learned of it
         return like
     catalogue = like.machine.catalogue
-    setups = tuple(s.name for c in like.campaigns for s in c.setups)
+    setups = tuple(s.name for s in like.setups)
     try:
         own = set(catalogue.elementary(name, setups))
     except InputError:  # a name for people: what has a value is free
@@ -105,11 +105,7 @@ def _value(parts: Mapping[str, float], values: Values) -> float:
 
 
 def pairs_within(sizes: Iterable[int]) -> list[tuple[int, int]]:
-    """Pairs of rivals of the same set, where sets stand one after the other.
-
-    Args:
-        sizes: of the sets.
-    """
+    """Pairs of rivals of the same set, where sets of these sizes stand one after the other."""
     ends = [0, *accumulate(sizes)]
     return [pair for a, b in pairwise(ends) for pair in combinations(range(a, b), 2)]
 
@@ -120,10 +116,8 @@ def pairs_within(sizes: Iterable[int]) -> list[tuple[int, int]]:
 def inseparable_groups(
     apart: Mapping[tuple[int, int], float],
 ) -> list[tuple[list[int], float]]:
-    """Rivals of which no two can be told apart, and the most sigmas between any two.
-
-    Args:
-        apart: sigmas of the pairs that cannot be, the smaller number first.
+    """Rivals of which no two can be told apart, and the most sigmas between any two; given are
+    those of the pairs that cannot be, the smaller number first.
     """
 
     def joined(members: set[int]) -> list[float] | None:

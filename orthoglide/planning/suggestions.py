@@ -107,12 +107,8 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
 
 
 def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
-    """Instruments at the tool that would decide between rivals, where no dial is set on the legs:
-    first what most probably does.
-
-    Args:
-        known: of the readings at hand.
-        causes: that were found, with their rivals.
+    """Instruments at the tool that would decide between rivals of the causes found, where no dial
+    is set on the legs: first what most probably does.
     """
     return tuple(
         Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
@@ -187,15 +183,8 @@ def to_separate(
     pairs: Sequence[tuple[int, int]],
     count: int,
 ) -> list[Suggestion]:
-    """Readings between rivals, and the groups of rivals that none tells apart.
-
-    Args:
-        machine: for its workspace.
-        readings: by elementary parameters, then as each rival predicts them.
-        names: of the elementary parameters.
-        several: the rivals.
-        pairs: of them that are to be told apart.
-        count: readings at most.
+    """Readings between pairs of rivals, and the groups of rivals that none tells apart; the
+    readings are by elementary parameters of these names, then as each rival predicts them.
     """
     spread = np.stack([e.spread(names) for e in several])
     every = RivalSeparation.between(spread, np.array(pairs))

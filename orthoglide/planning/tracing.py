@@ -14,15 +14,11 @@ _MID = 0.5  # of the leg
 
 
 def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
-    """A sheet for where most is left, which no rival needs to be known for.
+    """A sheet for the dial that shows most of what is left, for which no rival needs to be known.
 
     Both bars of the leg are touched along the direction in which most is left, at every step of its
     travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
     bars a twist from a shift.
-
-    Args:
-        rest: of the dial that shows most of it.
-        geometry: of the machine.
     """
     pool = reading_pool(geometry)
     gauge = _MID * geometry.L
@@ -44,10 +40,8 @@ def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
 
 
 def repeating(rest: SetupRest) -> Suggestion:
-    """Readings of an instrument at the tool again, at the places where most is left.
-
-    Args:
-        rest: of the instrument that shows most of it.
+    """Readings of the instrument at the tool that shows most of what is left, again, at the places
+    where that is.
     """
     reason = (
         f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "

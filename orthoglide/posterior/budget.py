@@ -52,12 +52,8 @@ class BudgetItem:
 
 
 def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tuple[BudgetItem, ...]:
-    """Rank what is wrong by what mending it gains, largest first.
-
-    Args:
-        posterior: of everything.
-        causes: found, each with its parameters and counted for itself; what is left of an effect
-            is counted together.
+    """Rank what is wrong by what mending it gains, largest first: each cause found by itself, what
+    is left of an effect together.
     """
     machine = posterior.machine
     known, catalogue, values = machine.posterior, machine.catalogue, machine.values

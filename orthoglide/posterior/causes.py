@@ -167,11 +167,8 @@ class Located:
         return self.members[0].place.name
 
     def in_machine(self, known: Container[str]) -> tuple[str, tuple[str, ...]]:
-        """Name of the class in an error budget, and the parameters of its places in a machine.
-
-        Args:
-            known: effects of the calibrated machine; places of a dial, of lost motion, and
-                improbable ones, are none of them.
+        """Name of the class in an error budget, and the parameters of its places in a machine that
+        has these effects; places of a dial, of lost motion, and improbable ones, are none of them.
         """
         effects = [curve.place.effect for curve in self.members]
         found = [effect for effect in effects if effect.name in known]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,12 +80,7 @@ class Everything:
 
     def coefficients(self, place: Place) -> NDArray[np.intp]:
         """Where a place's coefficients stand."""
-        first = self.known
-        for other in self.places:
-            if other.name == place.name:
-                break
-            first += other.kernel.count
-        return np.arange(first, first + place.kernel.count)
+        return _spans(self.places, self.known)[place.name]
 
     def distance(self, mean: Array, before: Estimate) -> float:
         """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
@@ -93,16 +89,20 @@ class Everything:
         predicted = predict(self.problem, (mean * self.scale)[: self.known])
         linear = self.value + self.rows[:, : self.known] @ mean[: self.known]
         columns, dials = curves_of_dials(self.problem, predicted)
-        own = {p.name: self.coefficients(p) for p in self.places if p.of_dial}
-        start = 0
-        for place in dials:
-            part = columns[:, start : start + place.kernel.count]
-            start += place.kernel.count
-            if place.name in own:
-                at = own[place.name]
-                predicted = predicted + (part - self.rows[:, at]) @ mean[at]
+        own = _spans(self.places, self.known)
+        for name, part in _spans(dials).items():
+            if name in own:
+                at = own[name]
+                predicted = predicted + (columns[:, part] - self.rows[:, at]) @ mean[at]
         off = before.nuisance.project(predicted - linear)
         return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
+
+
+def _spans(several: Sequence[Place], first: int = 0) -> dict[str, NDArray[np.intp]]:
+    """Where the coefficients of each place stand, by its name, behind the ``first`` so many."""
+    ends = np.cumsum([first, *(p.kernel.count for p in several)])
+    each = zip(several, pairwise(ends), strict=True)
+    return {place.name: np.arange(start, end) for place, (start, end) in each}
 
 
 def with_everything(problem: Problem) -> Problem:
@@ -269,11 +269,9 @@ def _groups(
         places = np.flatnonzero(rows.any(axis=1))
         causes.append(cause)
         groups.append(Group(cause.name, places, rows[places], False))
-    start, ways = len(names), Counter(place.where for place in found)
-    for place in found:
-        members = range(start, start + place.kernel.count)
-        start += place.kernel.count
-        if np.linalg.norm(columns[:, list(members)]) > _VISIBLE:
+    ways = Counter(place.where for place in found)
+    for place, (name, own_places) in zip(found, _spans(found, len(names)).items(), strict=True):
+        if np.linalg.norm(columns[:, own_places]) > _VISIBLE:
             chance = STRANGE / ways[place.where]
-            groups.append(whole(place.name, members, free=True, chance=chance))
+            groups.append(whole(name, own_places, free=True, chance=chance))
     return tuple(groups), tuple(causes), tuple(asked)

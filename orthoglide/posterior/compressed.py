@@ -65,7 +65,10 @@ def compressed(nuisance: Nuisances, rows: Array, rest: Array) -> tuple[Array, Ar
     beside = max(between - float(residual @ residual), 0.0)
     free = max(len(stations) - nuisance.free - len(values), 0)
     visits = len(rest) / len(stations)
-    return columns, residual, _root(to.T @ shown[:-1, :-1] @ to), (beside, float(free), visits)
+    square = to.T @ shown[:-1, :-1] @ to
+    values, vectors = np.linalg.eigh((square + square.T) / 2)
+    root = np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return columns, residual, root, (beside, float(free), visits)
 
 
 def _parts(weighing: Weighing) -> Iterator[tuple[NDArray[np.int64], Weighing]]:
@@ -76,9 +79,3 @@ def _parts(weighing: Weighing) -> Iterator[tuple[NDArray[np.int64], Weighing]]:
         0, len(starts) - 1))]  # fmt: skip
     for rows in np.split(order, cuts[cuts > 0]):
         yield rows, weighing.part(rows)
-
-
-def _root(square: Array) -> Array:
-    """A root ``R`` of a positive matrix: ``R R^T``."""
-    values, vectors = np.linalg.eigh((square + square.T) / 2)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

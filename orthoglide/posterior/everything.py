@@ -246,14 +246,12 @@ class FullPosterior:
 
 
 def full_posterior(before: Estimate, given: Sequence[str] = ()) -> FullPosterior:
-    """Weigh everything that could be wrong against the readings.
+    """Weigh everything that could be wrong against the readings; causes that are given stand out
+    whatever these say.
 
     A base fitted far beyond its tolerances may be bent by what stands within its own: both are
-    weighed, the base with its priors as wide as it asks for and everything at its tolerance.
-
-    Args:
-        before: the fit of the base; the result's own may keep the tolerances that this one left.
-        given: causes that stand out whatever the readings say.
+    weighed, the base with its priors as wide as it asks for and everything at its tolerance. The
+    result's own fit of it may keep the tolerances that ``before`` left.
 
     Raises:
         SolverError: where the mean does not settle.

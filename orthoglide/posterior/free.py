@@ -83,13 +83,8 @@ def curves(problem: Problem, x: Array) -> tuple[Array, tuple[Place, ...]]:
 def by_places(
     factor: Factor, model: Model, values: Mapping[str, float], several: Sequence[Place]
 ) -> list[Array]:
-    """Rows of one factor by the coefficients of each place ``(n, K)`` in their units.
-
-    Args:
-        factor: what is read.
-        model: of the machine.
-        values: parameters where the rows are linear, SI.
-        several: places of the machine.
+    """Rows of one factor by the coefficients of each place ``(n, K)`` in their units, linear about
+    parameters of some values, SI.
     """
     by_joints = factor.by_joints(model, values)
     legs = model.leg_conditions(values, factor.conditions())

@@ -55,10 +55,8 @@ _SENSES = (
 
 
 def check_levels(known: FullPosterior) -> None:
-    """Refuse readings of levels that have a far likelier machine if they mean something else.
-
-    Args:
-        known: the posterior of the readings as they stand.
+    """Refuse readings of levels that have a far likelier machine if they mean something else, by
+    the posterior of the readings as they stand.
 
     Raises:
         InputError: naming file and setups, what they would mean and what to do.

@@ -71,8 +71,6 @@ class Linear:
     unnamed: NDArray[np.bool_]
     groups: tuple[Group, ...]  # that may stand out
     stations: Array  # an error of one sigma at each station (m, s)
-    # scales that the effects' background may have, in tolerances
-    shares: tuple[float, ...] = SHARES
     slabs: tuple[float, ...] = SLABS  # those of what stands out
     # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
@@ -182,9 +180,11 @@ class Scale:
 def scales(linear: Linear) -> tuple[Scale, ...]:
     """The grid of scales."""
     grid = [Basis(linear, *each) for each in FREE_AND_ROUGH]
-    return tuple(Scale(basis, share) for share in linear.shares for basis in grid)
+    return tuple(Scale(basis, share) for share in SHARES for basis in grid)
 
 
-def whole(name: str, places: Sequence[int], *, free: bool, chance: float = 1.0) -> Group:
+def whole(
+    name: str, places: Sequence[int] | NDArray[np.intp], *, free: bool, chance: float = 1.0
+) -> Group:
     """A group of coefficients, each for itself."""
     return Group(name, np.array(places, dtype=np.intp), np.eye(len(places)), free, chance)

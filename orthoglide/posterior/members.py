@@ -43,12 +43,8 @@ class Members:
 
     @classmethod
     def of(cls, posterior: FullPosterior, located: Located, most: int) -> Members:
-        """Those of a class of places.
-
-        Args:
-            posterior: that it was read from.
-            located: the class.
-            most: how many at most.
+        """The likeliest of a class of places, ``most`` at most, by the posterior that it was read
+        from.
         """
         about, groups = posterior.about, posterior.mixture.linear.groups
         instead = Alternatives(posterior.mixture)
@@ -73,12 +69,10 @@ class Members:
         return cls(posterior, tuple(each), at, places)
 
     def rows(self, factor: Factor) -> tuple[Array, Array]:
-        """Readings yet to be taken by the coefficients ``(n, k)``, and their slopes for nuisances.
+        """Readings yet to be taken of the machine as it is in the last campaign, by the
+        coefficients ``(n, k)``, and their slopes for nuisances.
 
         What does not last is not in them.
-
-        Args:
-            factor: that reads the machine as it is in the last campaign.
         """
         posterior, fit = self.posterior, self.posterior.after
         machine, catalogue = fit.problem.machine, fit.problem.machine.catalogue

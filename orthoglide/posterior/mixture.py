@@ -101,11 +101,9 @@ class Mixture(Search):
         return tuple((s, self.scales[k]) for s, k in zip(likely, at, strict=True))
 
     def told(self, names: Collection[str]) -> tuple[tuple[State, Scale], ...]:
-        """Of these explanations those in which nothing else stands out than what has been told; of
-        the best state what has, over the likeliest background, where none of them is among these.
-
-        Args:
-            names: of groups.
+        """Of these explanations those in which nothing else stands out than what has been told,
+        groups by name; of the best state what has, over the likeliest background, where none of
+        them is among these.
         """
         groups = self.linear.groups
         found = [one for one in self.named if all(groups[g].name in names for g, _ in one[0])]
@@ -261,11 +259,8 @@ class Mixture(Search):
         return drawn
 
     def averaged(self, known: int) -> Averaged:
-        """Everything over all states and scales that count.
-
-        Args:
-            known: the first so many coefficients have their covariance in any case, others where
-                their group stands out with some probability.
+        """Everything over all states and scales that count: the ``known`` first coefficients have
+        their covariance in any case, others where their group stands out with some probability.
         """
         best = {g for g, _ in self.best}
         likely = [

@@ -44,12 +44,7 @@ NAMED = 0.9
 
 
 def outstanding(posterior: FullPosterior, given: Sequence[str] = ()) -> Outstanding:
-    """Read off what stands out of the background.
-
-    Args:
-        posterior: of everything.
-        given: causes that were known to stand out.
-    """
+    """Read off what stands out of the background, beside the causes that are given."""
     reader = _Reader(posterior)
     found = [reader.set_of(member, given) for member in posterior.mixture.strongest]
     return Outstanding(

@@ -34,10 +34,6 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
     is declared.
 
     A posterior that did not settle was not looked at where it is: what it leaves is not known.
-
-    Args:
-        posterior: of everything.
-        found: what is told of it.
     """
     mixture = posterior.mixture
     if not posterior.settled:

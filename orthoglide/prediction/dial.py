@@ -58,10 +58,6 @@ BY_GAUGE = 11
 def mountings(campaign: Campaign, geometry: Geometry) -> Array:
     """How each row's dial is mounted ``(n, 14)``: shares of the bars, the leg's own axis, the axis
     sensed, the axis the dial turns toward, position, sign, time.
-
-    Args:
-        campaign: its rows.
-        geometry: of the machine.
     """
     table = np.zeros((len(campaign.setups), 14))
     axes = np.eye(3)

@@ -228,11 +228,8 @@ class Model:
     def merged(
         self, conditions: Conditions, names: Iterable[str]
     ) -> tuple[Conditions, np.ndarray[Any, Any]]:
-        """Distinct conditions as far as the effects of ``names`` tell them apart.
-
-        Args:
-            conditions: ``n`` of them.
-            names: of the parameters in play.
+        """Distinct ones of ``n`` conditions, as far as the effects of ``names``, parameters in
+        play, tell them apart.
 
         Returns:
             The distinct ones, and the place among them of each ``(n,)``.

@@ -57,11 +57,8 @@ class Scope:
 
     @classmethod
     def of(cls, machine: Machine, *sheets: Readings) -> Scope:
-        """What the posterior would weigh.
-
-        Args:
-            machine: its own parameters do not count: dimensions and tolerances do.
-            sheets: readings do not count.
+        """What the posterior would weigh: of the machine its dimensions and tolerances count, of
+        sheets no readings.
         """
         bare = machine.with_only({})
         wide = with_everything(foreseen(bare, sheets))
@@ -96,13 +93,7 @@ def kind_of(scope: Scope, number: int) -> Kind:
 
 
 def draw(scope: Scope, kind: Kind, rng: np.random.Generator) -> Drawn:
-    """A machine: zeros and lengths at their tolerances, and what its kind says.
-
-    Args:
-        scope: what may be wrong.
-        kind: what is.
-        rng: to draw from.
-    """
+    """A machine: zeros and lengths at their tolerances, and what its kind says."""
     bare = scope.machine
     values = {
         str(n): bare.tolerance(n) * float(rng.standard_normal())

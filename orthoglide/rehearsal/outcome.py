@@ -65,12 +65,8 @@ class Outcome:
 
 @on_one_thread
 def outcome_of(scope: Scope, number: int, seed: int) -> Outcome:
-    """One campaign; a failure is a result like others.
-
-    Args:
-        scope: machine and sheets.
-        number: of the campaign; with the seed it determines every draw.
-        seed: of the rehearsal.
+    """One campaign, of which its number and the seed determine every draw; a failure is a result
+    like others.
     """
     kind, began = kind_of(scope, number), time.perf_counter()
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))

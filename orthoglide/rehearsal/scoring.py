@@ -44,13 +44,6 @@ def is_cause(
     """Whether a named cause is the true one.
 
     That is itself, a block of its family that holds it, or a member that shows the same.
-
-    Args:
-        name: of what was named.
-        parameters: that it consists of.
-        cause: the true one.
-        family: its effect.
-        alike: members of the family that show the same.
     """
     of_family = name == family or name.startswith(f"{family}.")
     block = of_family and len(parameters) > 1 and (name == family or cause in parameters)

@@ -39,10 +39,6 @@ def weak_spots(scope: Scope, seed: int = 0) -> tuple[WeakSpot, ...]:
 
     Sizes are those found, or told from every other single effect, with 95 % probability on a
     machine on which nothing else is wrong.
-
-    Args:
-        scope: machine and sheets.
-        seed: of the draws of noise.
     """
     seen = smallest_effects(scope.machine, scope.sheets, seed=seed)
     single = [s for s in seen.smallest if s.elementary]

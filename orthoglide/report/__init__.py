@@ -25,10 +25,6 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
     """All files of a result's folder, by name, in the order to write them.
 
     Nothing in them depends on when or where they are made.
-
-    Args:
-        result: what was found.
-        progress: called with each step.
     """
     from orthoglide.figures.draw import draw
     from orthoglide.machine_file import machine_files

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
+from typing import NoReturn
 
 from orthoglide.errors import FileError
 from orthoglide.files import Commit, waiting_name, writing
@@ -37,31 +38,26 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
 
 
 def _checked(out: Path, overwrite: bool) -> Path:
+    def refuse(why: str) -> NoReturn:
+        raise FileError(why, file=shown(out))
+
     target = Path(os.path.realpath(out))
     if out.is_symlink() and not target.exists():
-        raise FileError("is a link to nothing: name a new folder", file=shown(out))
+        refuse("is a link to nothing: name a new folder")
     if target.exists() and not target.is_dir():
-        raise FileError("is a file: name a new folder for the results", file=shown(out))
+        refuse("is a file: name a new folder for the results")
     if target == Path.cwd():
-        raise FileError("is the folder you are in: name a new one inside it", file=shown(out))
+        refuse("is the folder you are in: name a new one inside it")
     names = {path.name for path in target.iterdir()} if target.is_dir() else set()
     if names and not overwrite:
-        raise FileError(
-            "is not empty and results are never overwritten: name a new or empty folder",
-            file=shown(out),
-        )
+        refuse("is not empty and results are never overwritten: name a new or empty folder")
     if names - _REPORT:
-        raise FileError(
-            f"holds {sorted(names - _REPORT)[0]}, which is no part of a report: name another "
-            f"folder",
-            file=shown(out),
-        )
+        part = sorted(names - _REPORT)[0]
+        refuse(f"holds {part}, which is no part of a report: name another folder")
     if not target.parent.is_dir():
-        raise FileError(
-            "cannot be made where there is no folder to hold it: make that first", file=shown(out)
-        )
+        refuse("cannot be made where there is no folder to hold it: make that first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise FileError("cannot be made here: choose a place you may write to", file=shown(out))
+        refuse("cannot be made here: choose a place you may write to")
     return target
 
 

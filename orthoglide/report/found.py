@@ -218,12 +218,8 @@ def budget(result: Result) -> Data:
 
 
 def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
-    """What else a row counts than its name says, behind it.
-
-    Args:
-        item: of the budget.
-        named: causes and places found.
-        several: those of which the readings cannot tell which of several it is.
+    """What else a row counts than its name says, behind it; of the causes and places that are
+    ``named`` the readings cannot tell which of ``several`` it is.
     """
     if item.rest:
         return ": the rest of them" if item.cause in named else ""

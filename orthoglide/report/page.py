@@ -44,12 +44,8 @@ class Section:
 
 
 def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
-    """The report as HTML.
-
-    Args:
-        result: what was found.
-        drawings: figures.
-        sheet: the text of ``next_measurements.csv``; empty where nothing is proposed.
+    """The report as HTML; ``sheet`` is the text of ``next_measurements.csv``, empty where nothing
+    is proposed.
     """
     searches = result.request.searches
     return rendered(
@@ -106,7 +102,7 @@ def _subtitle(result: Result) -> str:
     judges = [f"{i['file']} {_JUDGES[i['role']]}" for i in inputs if i.get("role") in _JUDGES]
     count, read = sum(map(len, problem.campaigns)), []
     if count:
-        read.append(f"{count} readings in {problem.setup_count} setups")
+        read.append(f"{count} readings in {len(problem.setups)} setups")
     tool = problem.tool_campaigns
     points = sum(len(p.points) for p in problem.points) - sum(map(len, tool))
     if tool:

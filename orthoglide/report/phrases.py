@@ -20,12 +20,7 @@ WHICHEVER = "on average, whichever of these it is"
 
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
-    """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence.
-
-    Args:
-        weak: directions.
-        catalogue: that has their effects.
-    """
+    """Weak directions for somebody who never saw an eigenvector; similar ones in one sentence."""
     every = list(weak)
     legs = [_offset_and_length(w, catalogue) for w in every]
     similar = [w for w, leg in zip(every, legs, strict=True) if leg]

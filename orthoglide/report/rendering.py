@@ -6,11 +6,8 @@ from typing import Any
 
 
 def rendered(template: str, **data: Any) -> str:
-    """A template of the report with what it shows.
-
-    Args:
-        template: its path in the folder ``templates``.
-        data: by the names that the template uses; one that is missing is an error.
+    """A template in the folder ``templates`` with the data that it names; one that is missing is an
+    error.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -17,12 +17,8 @@ from orthoglide.scene import drawing
 
 
 def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
-    """A measuring sheet as HTML, to be printed and filled in with a pencil.
-
-    Args:
-        sheet: whose moves are planned; its readings do not count.
-        machine: its controller and dimensions.
-        file: name of the CSV with the same rows.
+    """A measuring sheet, whose moves are planned, as HTML, to be printed and filled in with a
+    pencil; ``file`` is the name of the CSV with the same rows.
     """
     return rendered(
         "sheet.html.j2",
@@ -52,12 +48,8 @@ def counted(machine: Machine) -> str:
 
 
 def dial_words(setup: Setup, machine: Machine, otherwise: str) -> tuple[str, ...]:
-    """Where a dial stands, what it touches and which way it counts; a sentence each.
-
-    Args:
-        setup: the mounting.
-        machine: its dimensions.
-        otherwise: what to do where the dial counts the other way.
+    """Where a dial stands, what it touches and which way it counts, and what to do otherwise; a
+    sentence each.
     """
     names, L = machine.geometry.leg_names, machine.geometry.L
     leg, axis = names[setup.leg], names[setup.axis]

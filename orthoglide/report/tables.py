@@ -12,7 +12,7 @@ import numpy as np
 from orthoglide import __version__
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine_file import MachineFile, nominal_machine_file
-from orthoglide.observations import Campaign, TcpPoints, ToolCampaign
+from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
 from orthoglide.observations.columns import of_commands
 from orthoglide.text import csv_text
 
@@ -87,12 +87,10 @@ def residual_table(result: Result) -> str:
         factor: Any = each
         read = factor.points
         for k, row in enumerate(range(part.start, part.stop)):
-            if isinstance(read, Campaign):
-                add(_cells(read, k), row, "leg")
-            elif isinstance(read, ToolCampaign):
-                add(_tool_cells(read, k), row, read.kind[k])
-            else:
+            if isinstance(read, TcpPoints):
                 add(_point_cells(read, int(factor.point[k]), int(factor.setup[k])), row, "tcp")
+            else:
+                add(_cells(read, k), row, read.setups[read.setup[k]].kind)
     for campaign, row, kind in _set_aside(result):
         first = [*_cells(campaign, row), _mm(campaign.reading[row]), *none[1:], kind, "leg"]
         rows.append([*first, *(none if several else ())])
@@ -107,41 +105,24 @@ def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:
             yield campaigns[place], row, blunder.kind
 
 
-def _cells(campaign: Campaign, row: int) -> list[Any]:
-    setup = campaign.setups[campaign.setup[row]]
+def _cells(read: Campaign | ToolCampaign, row: int) -> list[Any]:
+    setup = read.setups[read.setup[row]]
+    leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if isinstance(setup, Setup) else ("", "")
+    directed = isinstance(setup, Setup) or setup.instrument.axes
+    direction = f"{'-' if read.sign[row] < 0 else ''}{LEGS[read.axis[row]]}" if directed else ""
     return [
-        campaign.name, campaign.line[row], setup.name, LEGS[setup.leg], setup.direction,
-        campaign.posture[row], *map(_mm, campaign.command[row]), _mm(setup.gauge),
-        campaign.repeat[row], campaign.order[row],
-    ]  # fmt: skip
-
-
-def _tool_cells(tool: ToolCampaign, row: int) -> list[Any]:
-    setup, direction = tool.setups[tool.setup[row]], ""
-    if setup.instrument.axes:
-        direction = f"{'-' if tool.sign[row] < 0 else ''}{LEGS[tool.axis[row]]}"
-    return [
-        tool.name, tool.line[row], setup.name, "", direction, tool.posture[row],
-        *map(_mm, tool.command[row]), "", tool.repeat[row], tool.order[row],
+        read.name, read.line[row], setup.name, leg, direction, read.posture[row],
+        *map(_mm, read.command[row]), gauge, read.repeat[row], read.order[row],
     ]  # fmt: skip
 
 
 def _point_cells(points: TcpPoints, point: int, axis: int) -> list[Any]:
-    command = map(_mm, points.command[point])
     return [
-        points.name,
-        int(points.line[point]),
-        "",
-        "",
-        LEGS[axis],
-        "",
-        *command,
-        "",
-        "",
-        point + 1,
-    ]
+        points.name, points.line[point], "", "", LEGS[axis], "",
+        *map(_mm, points.command[point]), "", "", point + 1,
+    ]  # fmt: skip
 
 
 def _mm(metres: float) -> str:
     """Millimetres to a nanometre, milliradians to a nanoradian: further digits are rounding."""
-    return f"{round(float(metres) * 1e3, 6) + 0.0:.6f}"
+    return f"{metres * 1e3:z.6f}"

@@ -23,18 +23,12 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from orthoglide.klipper import Corrections
     from orthoglide.result import Result
     from orthoglide.result.actions import Action
 
 
 def summary(result: Result, ranked: bool = False) -> str:
-    """What a person wants to see at the end of a run.
-
-    Args:
-        result: what was found.
-        ranked: with all causes that were tried.
-    """
+    """What a person wants to see at the end of a run, ``ranked`` with all causes tried."""
     from rich.text import Text
 
     parts: list[Text | Table] = [
@@ -42,16 +36,8 @@ def summary(result: Result, ranked: bool = False) -> str:
         Text(f"Verdict {result.word}: {MEANINGS[result.word]}.\n"),
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
-    if result.effects:
-        parts.append(_causes(result))
-    if result.located:
-        parts.append(_located(result))
-    if result.alone:
-        parts.append(_alone(result))
-    if ranked and result.candidates:
-        parts.append(_tried(result))
+    parts += _tables(result, ranked)
     searches = result.request.searches
-    parts += [_scores(result)] if searches else [_parameters(result), _scores(result)]
     remarks = [f"The search ended: {result.stopped}."] if searches else []
     remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
@@ -59,7 +45,7 @@ def summary(result: Result, ranked: bool = False) -> str:
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
-        parts.append(_firmware(result.firmware.corrections))
+        parts += _table(("printer.cfg", "old", "new"), result.firmware.corrections.rows)
         if why := too_early(result):
             parts.append(Text(f"Do not enter these numbers yet: {why}.", style="bold"))
         parts += [Text(line) for line in _unseen(result.firmware.unseen)]
@@ -105,8 +91,30 @@ def console_text(parts: Iterable[RenderableType]) -> str:
     return stream.getvalue().rstrip("\n")
 
 
-def _table(*columns: str) -> Table:
-    """A table whose first column does not wrap and whose others are numbers, or in words."""
+def _tables(result: Result, ranked: bool) -> Iterator[Table]:
+    """What was found, and what was weighed; an empty table is none."""
+    yield from _table(("probability", "cause"), _causes(result))
+    yield from _table(("place", "probability", "size", "in words"), _located(result))
+    alone = ((hundredths(one.probability), f"{one.words}\n{one.name}") for one in result.alone)
+    yield from _table(("probability", "if one alone"), alone)
+    tried = (
+        (t.name, signed(t.evidence, 1), f"{t.probability:.2f}") for t in result.candidates if ranked
+    )
+    yield from _table(("weighed", "evidence", "probability"), tried)
+    identified = (
+        (row.name, row.value, row.sigma, f"{row.low} to {row.high}", row.tolerance, row.unit)
+        for row in parameter_rows(result)
+        if not result.request.searches
+    )
+    columns = ("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
+    yield from _table(columns, identified)
+    yield from _table(("", "nominal", "before", "after"), score_rows(result))
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Table]:
+    """A table whose first column does not wrap and whose others are numbers, or in words; none
+    where there are no rows.
+    """
     from rich import box
     from rich.table import Table
 
@@ -114,59 +122,24 @@ def _table(*columns: str) -> Table:
     for k, column in enumerate(columns):
         left = k == 0 or column in ("cause", "if one alone", "in words")
         made.add_column(column, justify="left" if left else "right", no_wrap=k == 0)
-    return made
+    for row in rows:
+        made.add_row(*row)
+    if made.rows:
+        yield made
 
 
-def _parameters(result: Result) -> Table:
-    shown = _table("parameter", "value", "± sigma", "95 % interval", "tolerance", "unit")
-    for row in parameter_rows(result):
-        interval = f"{row.low} to {row.high}"
-        shown.add_row(row.name, row.value, row.sigma, interval, row.tolerance, row.unit)
-    return shown
-
-
-def _causes(result: Result) -> Table:
-    shown = _table("probability", "cause")
+def _causes(result: Result) -> Iterator[tuple[str, str]]:
+    """Each cause with its other names, then its rivals."""
     for cause in result.effects:
         names = "\nor ".join(f"{one.words}\n{one.name}" for one in (cause.chosen, *cause.same))
-        shown.add_row(hundredths(cause.together), names)
+        yield hundredths(cause.together), names
         for rival in cause.rivals:
-            shown.add_row(hundredths(rival.probability), f"or {rival.words}\n{rival.name}")
-    return shown
+            yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
 
 
-def _alone(result: Result) -> Table:
-    shown = _table("probability", "if one alone")
-    for one in result.alone:
-        shown.add_row(hundredths(one.probability), f"{one.words}\n{one.name}")
-    return shown
-
-
-def _located(result: Result) -> Table:
-    shown = _table("place", "probability", "size", "in words")
+def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
+    """Each place, then what else it could be."""
     for found in result.located:
         for k, c in enumerate(found.members):
             name = f"or {c.place.name}" if k else c.place.name
-            shown.add_row(name, f"{c.probability:.2f}", c.size_words, c.place.words)
-    return shown
-
-
-def _tried(result: Result) -> Table:
-    shown = _table("weighed", "evidence", "probability")
-    for tried in result.candidates:
-        shown.add_row(tried.name, signed(tried.evidence, 1), f"{tried.probability:.2f}")
-    return shown
-
-
-def _firmware(found: Corrections) -> Table:
-    shown = _table("printer.cfg", "old", "new")
-    for row in found.rows:
-        shown.add_row(*row)
-    return shown
-
-
-def _scores(result: Result) -> Table:
-    shown = _table("", "nominal", "before", "after")
-    for row in score_rows(result):
-        shown.add_row(*row)
-    return shown
+            yield name, f"{c.probability:.2f}", c.size_words, c.place.words

@@ -30,12 +30,8 @@ _LONGEST_NAME = 255  # bytes
 
 
 def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:
-    """The request of a run from its ``result.json``.
-
-    Args:
-        result: the mapping of the file.
-        file: its name, for errors.
-        effects: the user's own, where the run had some.
+    """The request of a run from its ``result.json``; ``effects`` are the user's own, where the run
+    had some.
 
     Raises:
         FileError: where a part of it is not as it was written.

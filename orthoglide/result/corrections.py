@@ -30,14 +30,10 @@ high and must stick, further up a print takes such errors along."""
 
 
 def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections | None:
-    """New numbers for a machine's firmware.
+    """New numbers for a machine's firmware in place of old ones; ``None`` where the fit's readings
+    do not touch the plate.
 
     The plate is the firmware's z = 0: its height and slopes, as fitted, go into the endstops.
-
-    Args:
-        old: its present numbers.
-        machine: calibrated.
-        fit: whose readings touched the plate; without any there is nothing to say.
     """
     plate = _plate(fit)
     if plate is None:

@@ -93,13 +93,8 @@ def apart(request: Request) -> Iterator[Note]:
 def firmware_advice(
     found: Corrections | None, machine: Machine, fit: Estimate, causes: Sequence[Cause]
 ) -> FirmwareAdvice | None:
-    """Advice for a machine that was imported; ``None`` for others.
-
-    Args:
-        found: new numbers, where the plate was touched.
-        machine: calibrated, with what its firmware stored.
-        fit: the last one.
-        causes: that were added.
+    """Advice for a machine that was imported, with new numbers where the plate was touched;
+    ``None`` for others.
     """
     old = machine.spec.printer
     if old is None:
@@ -108,13 +103,9 @@ def firmware_advice(
     return FirmwareAdvice(
         doubted_rods(machine),
         found,
-        tuple(_beyond(one) for one in every),
+        tuple(f"{one.words}: {confirm(one) or f'look at {one.look_at}'}" for one in every),
         tuple(u for one in every if (u := _unseen(machine, fit, one)) is not None),
     )
-
-
-def _beyond(one: Explanation) -> str:
-    return f"{one.words}: {confirm(one) or f'look at {one.look_at}'}"
 
 
 def _unseen(machine: Machine, fit: Estimate, one: Explanation) -> Unseen | None:

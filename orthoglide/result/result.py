@@ -147,8 +147,9 @@ class Result(Framed):
 
     @cached_property
     def values_before(self) -> dict[str, float]:
-        """Parameters of the base model, SI."""
-        return last_values(self.before)
+        """Parameters of the base model's last campaign, dials included, SI."""
+        problem = self.before.problem
+        return problem.values(problem.last, self.before.x)
 
     @cached_property
     def machine(self) -> Machine:
@@ -391,9 +392,3 @@ class Result(Framed):
     def scattering(self) -> tuple[str, ...]:
         """Warnings that repeats scatter by more than was declared of them."""
         return tuple(w for w in self.after.warnings if w.kind == "scatter")
-
-
-def last_values(estimate: Estimate) -> dict[str, float]:
-    """Parameters of the last campaign's machine, dials included, SI."""
-    problem = estimate.problem
-    return problem.values(problem.last, estimate.x)

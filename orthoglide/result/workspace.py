@@ -46,12 +46,8 @@ class Workspace:
 
 
 def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace:
-    """The workspace by the base model and by the calibrated machine.
-
-    Args:
-        before: fit of the base model.
-        known: the posterior's machine.
-        calibrated: map of the calibrated machine.
+    """The workspace by the base model, and by the calibrated machine, of which this is the map;
+    ``known`` is the posterior's machine.
     """
     base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
     travels = known.geometry.dialled  # elsewhere no levels of travel are levels of the tool

@@ -45,8 +45,8 @@ def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> 
     )
 
 
-def _pointing(at: Array, mark: Mark, paper: Paper) -> str:
-    way = _LENGTH * paper.unit * mark.way
+def _pointing(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
+    """Arrows from a point along a way, and against it where the mark has both."""
     one = arrow(at, at + way, paper, "mark")
     return one + (arrow(at, at - way, paper, "mark") if mark.both else "")
 
@@ -65,12 +65,12 @@ def _drive(mark: Mark, posed: Posed, paper: Paper) -> str:
     low, high = posed.geometry.stroke
     along = [posed.path(mark.leg, low), posed.path(mark.leg, high)]
     start = at + 0.5 * posed.geometry.d * mark.way
-    tip = start + 1.1 * _LENGTH * paper.unit * mark.way
+    way = _LENGTH * paper.unit * mark.way
     return (
         _stroke(along, paper, 2.0, ' stroke-dasharray="2 5"')
         + _stroke([at, at], paper, 11.0)
-        + _pointing(start, mark, paper)
-        + paper.words(tip, mark.label, start)
+        + _pointing(start, way, mark, paper)
+        + paper.words(start + 1.1 * way, mark.label, start)
     )
 
 
@@ -85,8 +85,7 @@ def _rail(mark: Mark, posed: Posed, paper: Paper) -> str:
         _stroke(ends, paper, 5.0)
         + _stroke(straight, paper, 1.2, ' stroke-dasharray="3 4"')
         + _stroke(wrong, paper, 2.2)
-        + arrow(at, at + way, paper, "mark")
-        + (arrow(at, at - way, paper, "mark") if mark.both else "")
+        + _pointing(at, way, mark, paper)
         + paper.words(at + way, mark.label, at)
     )
 
@@ -139,11 +138,11 @@ def _link(mark: Mark, posed: Posed, paper: Paper) -> str:
 def _end(mark: Mark, posed: Posed, paper: Paper) -> str:
     """The leg's end at the platform."""
     at = posed.platform(mark.leg)
-    tip = at + 1.1 * _LENGTH * paper.unit * mark.way
+    way = _LENGTH * paper.unit * mark.way
     return (
         _stroke(list(posed.lines[mark.leg, :, 1]), paper, 5.0)
-        + _pointing(at, mark, paper)
-        + paper.words(tip, mark.label, at)
+        + _pointing(at, way, mark, paper)
+        + paper.words(at + 1.1 * way, mark.label, at)
     )
 
 

@@ -124,10 +124,8 @@ def _add_joint(robot: ET.Element, joint: _Joint) -> None:
 
 
 def to_urdf(geometry: Geometry) -> str:
-    """URDF text of the nominal tree: joints at zero are the closed machine at mechanical zero.
-
-    Args:
-        geometry: the machine's dimensions; they alone determine the text.
+    """URDF text of the nominal tree, which the machine's dimensions alone determine: joints at zero
+    are the closed machine at mechanical zero.
 
     Returns:
         URDF, in metres, kilograms and radians. Slide q is travel from mechanical zero, within the
@@ -157,10 +155,8 @@ def to_urdf(geometry: Geometry) -> str:
 
 
 def closures(geometry: Geometry) -> tuple[Closure, ...]:
-    """What closes the tree's loops: three parallelograms and the platform, 21 rows in all.
-
-    Args:
-        geometry: the machine's dimensions; the loops are the same for all but their names.
+    """What closes the tree's loops, the same on all machines but for their names: three
+    parallelograms and the platform, 21 rows in all.
 
     Returns:
         The closures ``x_parallelogram``, ``y_...``, ``z_...``, ``platform_xy``, ``platform_xz``.
@@ -192,11 +188,8 @@ def closures_text(geometry: Geometry) -> str:
 
 
 def write(folder: str | Path, geometry: Geometry | None = None) -> tuple[Path, Path]:
-    """Write the URDF and its sidecar into a folder, which is made where it is missing.
-
-    Args:
-        folder: where to.
-        geometry: the machine's dimensions; without it, the published machine's.
+    """Write the URDF and its sidecar, of the published machine or one of other dimensions, into a
+    folder, which is made where it is missing.
 
     Returns:
         Paths of the URDF and of the sidecar.
