@@ -71,6 +71,8 @@ class Linear:
     unnamed: NDArray[np.bool_]
     groups: tuple[Group, ...]  # that may stand out
     stations: Array  # an error of one sigma at each station (m, s)
+    # scales that the effects' background may have, in tolerances
+    shares: tuple[float, ...] = SHARES
     slabs: tuple[float, ...] = SLABS  # those of what stands out
     # share beyond which a background is unlikely, and log of its weight
     wide: tuple[float, float] = (max(SHARES), 0.0)
@@ -180,7 +182,7 @@ class Scale:
 def scales(linear: Linear) -> tuple[Scale, ...]:
     """The grid of scales."""
     grid = [Basis(linear, *each) for each in FREE_AND_ROUGH]
-    return tuple(Scale(basis, share) for share in SHARES for basis in grid)
+    return tuple(Scale(basis, share) for share in linear.shares for basis in grid)
 
 
 def whole(
