@@ -57,6 +57,10 @@ EVEN = 0.5
 """Probability of a machine beyond all tolerances, or of errors without structure, from which
 nothing is said to be explained: what is likelier than not."""
 
+_OUTWEIGHED = 12.0
+"""Log Bayes factor by which readings put right must be likelier than as they stand, everything that
+a machine may have weighed in both: about 1 in 1000, and as many hypotheses again as there were."""
+
 SIGNIFICANT = 0.003
 """Probability of calling what is left significant where nothing is: one false alarm in 300."""
 
@@ -225,10 +229,9 @@ def _set_right(
     from orthoglide.diagnosis.changes import separated
 
     problem, findings = read.problem, examine(read)
-    blunders, changes = findings.blunders, findings.changes
+    blunders, changes = _weighed(read, findings.blunders), findings.changes
     if blunders:
         problem = without(problem, blunders)
-        blunders = _with_rivals(read, blunders)
     # What a change put right is no cause now; what is still wrong is named as one. Without dials it
     # is not known which one of several it was.
     causes = [
@@ -243,28 +246,44 @@ def _set_right(
     return fit, blunders, changes, [c.parameter for c in causes]
 
 
-def _with_rivals(read: Estimate, blunders: Sequence[Blunder]) -> tuple[Blunder, ...]:
-    """Readings that seem to mean something else may be right: of a machine in no catalogue."""
-    from orthoglide.diagnosis.blunders import MEANINGS, without
+def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ...]:
+    """The faults but those that a machine explains as well that goes wrong in its own way.
 
-    others = [b for b in blunders if b.kind not in MEANINGS]
-    if len(others) == len(blunders):
-        return tuple(blunders)
-    try:
-        known = full_posterior(solve(without(read.problem, others)) if others else read)
-    except NumericsError:
-        return tuple(blunders)
-    found = outstanding(known)
-    if found.causes or len(found.located) != 1 or _missing(remains(known, found)):
-        return tuple(blunders)
-    curve = found.located[0].members[0]
-    rival = (
-        f"; or it is the machine, for as they stand the readings fit as well if "
-        f"{curve.place.words}, by {curve.size_words}"
-    )
-    return tuple(
-        replace(b, message=b.message + rival) if b.kind in MEANINGS else b for b in blunders
-    )
+    Faults were weighed against the effects of the catalogue; places count as well, and of a sheet
+    with few postures they fit nearly as much as a wrong command or an exchange does. Where readings
+    put right are likelier, but one place explains them as they stand, the message names it.
+
+    Args:
+        read: the fit of the readings as they stand.
+        blunders: faults of the data.
+    """
+    kept = list(blunders)
+    for one in blunders:
+        if not one.may_be_the_machine(read.problem):
+            continue
+        here = kept.index(one)
+        as_read, put_right = one.both_ways(read.problem, [b for b in kept if b is not one])
+        try:
+            known = full_posterior(solve(as_read))
+            if not known.settled:
+                continue
+            if one.kind != "unit":  # of which the digits and the scatter tell
+                gain = full_posterior(solve(put_right)).evidence - known.evidence
+                if gain < _OUTWEIGHED:
+                    kept.remove(one)
+                    continue
+        except NumericsError:
+            continue
+        found = outstanding(known)
+        if found.causes or len(found.located) != 1 or _missing(remains(known, found)):
+            continue
+        curve = found.located[0].members[0]
+        rival = (
+            f"; or it is the machine, for as they stand the readings fit as well if "
+            f"{curve.place.words}, by {curve.size_words}"
+        )
+        kept[here] = replace(one, message=one.message + rival)
+    return tuple(kept)
 
 
 def _identified(request: Request, progress: Progress) -> Verdict:
@@ -325,4 +344,4 @@ def _word(found: Outstanding, left: Left) -> Word:
         return "partial"
     if found.located:
         return "located"
-    return "ambiguous" if any(c.rivals for c in found.causes) else "explained"
+    return "ambiguous" if any(c.rivals or c.places for c in found.causes) else "explained"

@@ -453,14 +453,14 @@ def test_several_faults(machine):
     assert found["sign"].setups == ("yz-0.5",)
 
 
-def test_a_machine_that_looks_like_exchanged_labels_is_named_as_well(machine):
+def test_a_machine_that_looks_like_exchanged_labels_is_told_as_that(machine):
     """One drive that goes with another's command shows as two dials that changed places."""
     drawn = draw(Case("outside", "cross_coupling", "fine-sweep", 12.0, 1), 2027)
     verdict = close_loop([campaign_of(drawn.rows, machine)], machine)
-    assert [b.kind for b in verdict.blunders] == ["exchanged_labels"]
-    (message,) = (b.message for b in verdict.blunders)
-    assert "exchange the setups' labels; or it is the machine, for as they stand" in message
-    assert "drive y goes wrong along its axis by the command of drive z, by 0." in message
+    assert not verdict.blunders
+    assert verdict.word == "located"
+    (found,) = verdict.located
+    assert [c.place.name for c in found.members] == ["drive.y/command.z"]
 
 
 def test_a_fault_that_no_machine_shows_has_no_rival(machine):

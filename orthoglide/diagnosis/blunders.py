@@ -9,7 +9,7 @@ catalogue (`fit_faults`, `command_faults`, `joint_faults`, `stuck_faults`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,9 @@ from orthoglide.diagnosis.faults import (
     places,
     steps,
 )
-from orthoglide.diagnosis.fit_faults import fit_fault
+from orthoglide.diagnosis.fit_faults import fit_fault, unit_faults
 from orthoglide.diagnosis.joint_faults import joint_fault
+from orthoglide.diagnosis.misreadings import restored
 from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults, searches
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import Signatures, signatures
@@ -53,6 +54,13 @@ _CHANGED = 2
 MEANINGS = ("sign", "unit", "label", "exchanged_labels")
 """Faults by which readings mean something else than they seem to."""
 
+_FEW = 6
+"""Postures of a mounting: a part that goes wrong smoothly, over 30 mm of 160, is no single one of
+more."""
+
+_DOUBTED = ("command", *MEANINGS)
+"""Faults that a part which goes wrong in its own way may be taken for."""
+
 
 @dataclass(frozen=True)
 class Blunder:
@@ -71,11 +79,30 @@ class Blunder:
     # of a wrong command the drives that it may be of, the likeliest first, and how much more each
     # was told than is written, metres
     commands: tuple[tuple[int, float], ...] = ()
+    # the hypothesis, rows stacked over all campaigns
+    fault: Fault | None = field(default=None, compare=False, repr=False)
 
     @property
     def sets_aside(self) -> bool:
         """Whether its rows do not count; else they have a datum of their own."""
         return self.kind not in DATUMS
+
+    def may_be_the_machine(self, problem: Problem) -> bool:
+        """Whether a part of the machine that goes wrong in its own way may look like it: like one
+        wrong command only where few postures are read.
+        """
+        few = self.kind != "command" or _postures(problem) <= _FEW
+        return self.kind in _DOUBTED and few and self.fault is not None
+
+    def both_ways(self, problem: Problem, others: Sequence[Blunder]) -> tuple[Problem, Problem]:
+        """The same readings as they stand and put right, those of other faults without weight.
+
+        Args:
+            problem: in which it was found.
+            others: found beside it.
+        """
+        muted = _muted(problem, [b.fault for b in others if b.fault is not None])
+        return muted, muted if self.fault is None else restored(muted, self.fault)
 
     def lines(self, campaigns: Sequence[Campaign]) -> dict[str, tuple[int, ...]]:
         """Lines of the rows by file, or by campaign where there is none."""
@@ -110,6 +137,7 @@ def examine(estimate: Estimate) -> Findings:
     means = StationMeans.of(base)
     setups = [Scatter.of(estimate, s) for s in range(len(estimate.problem.setups))]
     found = stuck_faults(base, means, setups)
+    found += unit_faults(estimate.problem, setups, found)
     slips = searches(estimate.problem, setups)
     found += repeat_faults(estimate.problem, slips, found)
     changes: list[Change] = []
@@ -149,6 +177,12 @@ def _limited(faults: Sequence[Fault]) -> list[Fault]:
     return [f for k, f in enumerate(faults) if f.kind == "zeroed" or _slips(faults[:k]) < _MOST]
 
 
+def _postures(problem: Problem) -> int:
+    """Different commands of the mounting that has most."""
+    read = np.column_stack([problem.setup_of_row, problem.of_dials("command")])
+    return int(np.bincount(np.unique(read, axis=0)[:, 0].astype(np.intp)).max())
+
+
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
     """The same rows, those of faults without any weight, datums and commands put right."""
     silent = np.zeros(len(problem.measured), dtype=bool)
@@ -185,6 +219,7 @@ def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:
                 with_it,
                 rms,
                 fault.commands,
+                fault,
             )
         )
     return tuple(blunders)

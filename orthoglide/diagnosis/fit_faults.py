@@ -18,6 +18,8 @@ from orthoglide.diagnosis.misreadings import LABELS, Misreading, digits, factor_
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.fit import Problem
+from orthoglide.units import MISTAKEN
 
 MARGIN = 5.0
 """Log Bayes factor by which a fault must beat the best effect of the catalogue."""
@@ -31,6 +33,9 @@ _LARGEST = 10.0  # log Bayes factor that the scatter may add
 _QUIETER = 0.5  # of the variance of others, that a setup in a larger unit may have at most
 _MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
+_PLAIN = 8.0  # log Bayes factor that the digits of a unit must give where the fit is not asked
+_AS_OTHERS = 10.0  # times that the variance of a setup, once in its unit, may differ from others
+_SMALL = 20.0  # factor of a unit beyond which no better dial explains its digits and its scatter
 _VISIBLE = 0.2  # of its square, that the fit leaves of a fault
 _SPOILT = 3.0  # resolutions that it must reach
 
@@ -138,6 +143,28 @@ def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) ->
         return -np.inf
     ratio = max(ratio, 1e-12)
     return min(scatter.dof / 2 * float(ratio - 1 - np.log(ratio)), _LARGEST)
+
+
+def unit_faults(problem: Problem, setups: Sequence[Scatter], known: Sequence[Fault]) -> list[Fault]:
+    """Setups in a larger unit by their digits and their scatter alone, whatever the fit says.
+
+    In metres or inches a dial seems not to move, and causes of the machine that are wrong explain
+    that too.
+    """
+    found, scale = list[Fault](), noise_scale(problem, setups)
+    for s in untouched(problem, known):
+        scatter = setups[s]
+        if scatter.dof < _REPEATS:
+            continue
+        ratio = max(scatter.chi2 / scatter.dof / scale, 1e-300)
+        for factor in (f for f in MISTAKEN if f > _SMALL):
+            fault = Fault("unit", scatter.rows, (s,), factor)
+            told = digits(problem, fault)
+            if told < _PLAIN or not 1 / _AS_OTHERS < ratio * factor**2 < _AS_OTHERS:
+                continue
+            shown = scatter.dof / 2 * float(ratio - 1 - np.log(ratio))
+            found.append(replace(fault, evidence=told + min(shown, _LARGEST)))
+    return found
 
 
 def _mended(means: StationMeans, fault: Fault, after: np.ndarray) -> bool:

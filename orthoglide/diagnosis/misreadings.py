@@ -138,6 +138,27 @@ def _labelled(problem: Problem, labels: Mapping[int, Setup]) -> Problem:
     return replace(problem, campaigns=campaigns)
 
 
+def restored(problem: Problem, fault: Fault) -> Problem:
+    """The problem with the meaning of some readings, or their command, put right."""
+    if fault.kind == "command":
+        return all_put_right(problem, [fault])
+    if fault.kind == "label":
+        (s,), (leg, axis) = fault.setups, fault.label
+        return _labelled(problem, {s: replace(problem.setups[s], leg=leg, axis=axis)})
+    measured = problem.measured.copy()
+    if fault.kind != "exchanged_labels":
+        measured[fault.rows] *= fault.size
+        return problem.with_readings(measured)
+    one, other = fault.setups
+    if fault.size:
+        first, second = problem.setups[one], problem.setups[other]
+        labels = {one: replace(second, name=first.name), other: replace(first, name=second.name)}
+        return _labelled(problem, labels)
+    a, b = in_order(problem, one), in_order(problem, other)
+    measured[a], measured[b] = problem.measured[b], problem.measured[a]
+    return problem.with_readings(measured)
+
+
 def digits(problem: Problem, fault: Fault) -> float:
     """Log Bayes factor of the digits: in its own unit a dial shows multiples of its step."""
     step, rows, factor = problem.machine.spec.dial.resolution, fault.rows, fault.size

@@ -70,6 +70,8 @@ class Cause:
     rivals: tuple[Explanation, ...]
     # what moves the tool alike too: the same cause under another name
     same: tuple[Explanation, ...]
+    # places of the set, of which it is less likely than by name
+    places: tuple[Curve, ...] = ()
 
     def __repr__(self) -> str:
         others = ", ".join(self.indistinguishable_from)

@@ -82,10 +82,14 @@ class _Reader:
         if count > MOST and not known:
             return None
         chosen = [int(k) for k in order[:count]]
-        free = sum(float(odds[k]) for k in chosen if self.groups[k].free)
+        each = [(k, float(odds[k])) for k in chosen]
+        free = sum(p for k, p in each if self.groups[k].free)
         if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
             named = [k for k in chosen if not self.groups[k].free]
-            return self._cause(member, [(k, float(odds[k])) for k in named])
+            cause = self._cause(member, [(k, float(odds[k])) for k in named])
+            return replace(
+                cause, places=self._curves(member, [(k, float(odds[k])) for k in chosen])
+            )
         return self._located(member, [(k, float(odds[k])) for k in chosen], free)
 
     def alone(self) -> tuple[Explanation, ...]:
@@ -213,16 +217,20 @@ class _Reader:
     def _located(
         self, member: int, odds: Sequence[tuple[int, float]], probability: float
     ) -> Located:
-        by_name = {p.name: p for p in self.posterior.about.places}
-        members = tuple(
-            self._curve(member, k, p, by_name[self.groups[k].name])
-            for k, p in odds
-            if self.groups[k].free
-        )
+        members = self._curves(member, odds)
         resembling = tuple(self.groups[k].name for k, _ in odds if not self.groups[k].free)
         known = self._causes_at(members[0].place)
         ruled_out = tuple(name for name in known if name not in resembling)
         return Located(members, resembling, probability, member, ruled_out)
+
+    def _curves(self, member: int, odds: Sequence[tuple[int, float]]) -> tuple[Curve, ...]:
+        """Of those groups that are places."""
+        by_name = {p.name: p for p in self.posterior.about.places}
+        return tuple(
+            self._curve(member, k, p, by_name[self.groups[k].name])
+            for k, p in odds
+            if self.groups[k].free
+        )
 
     def _causes_at(self, place: Place) -> Iterator[str]:
         """Causes that were weighed and that move what a place moves, or change its dial."""

@@ -250,6 +250,14 @@ def _apart(cause: Cause, shown: list[str]) -> Data:
         }
         for rival in cause.rivals
     ]
+    rivals += [
+        {
+            "name": curve.place.name,
+            "words": f"{curve.place.words}, by {curve.size_words}",
+            "probability": f"{curve.probability:.2f}",
+        }
+        for curve in cause.places
+    ]
     return {
         "name": cause.name,
         "panels": shown,

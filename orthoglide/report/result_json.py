@@ -50,7 +50,7 @@ def _mm(metres: float, digits: int = _DIGITS) -> float | None:
 
 
 def _mapping(result: Result) -> dict[str, Any]:
-    after, before = result.after, result.before
+    after, before, legs = result.after, result.before, result.machine.catalogue.legs.legs
     faulty = result.first.problem.campaigns
     return {
         **_head(result.request, after),
@@ -61,10 +61,8 @@ def _mapping(result: Result) -> dict[str, Any]:
         "after": _scores(after.scores),
         "holdout": result.hold_out and _held_out(result.hold_out),
         "tcp": result.tcp and {name: _tcp(errors) for name, errors in result.tcp.items()},
-        "effects": [_cause(cause) for cause in result.effects],
-        "located": [
-            _located(found, result.machine.catalogue.legs.legs) for found in result.located
-        ],
+        "effects": [_cause(cause, legs) for cause in result.effects],
+        "located": [_located(found, legs) for found in result.located],
         "single_causes": [_explanation(one) for one in result.alone],
         "budget": [_budget(item, result) for item in result.budget],
         "parameters": _parameters(result),
@@ -156,11 +154,12 @@ def _tcp(errors: TcpErrors) -> dict[str, Any]:
     return found
 
 
-def _cause(cause: Cause) -> dict[str, Any]:
+def _cause(cause: Cause, legs: Sequence[str]) -> dict[str, Any]:
     return {
         **_explanation(cause.chosen),
         "indistinguishable_from": list(cause.indistinguishable_from),
         "rivals": [_explanation(rival) for rival in cause.rivals],
+        "places": [_place(curve, legs) for curve in cause.places],
     }
 
 

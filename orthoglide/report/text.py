@@ -135,6 +135,8 @@ def _causes(result: Result) -> Iterator[tuple[str, str]]:
         yield hundredths(cause.together), names
         for rival in cause.rivals:
             yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
+        for c in cause.places:
+            yield hundredths(c.probability), f"or {c.place.words}\n{c.place.name}"
 
 
 def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:

@@ -266,11 +266,12 @@ def curve_words(curve: Curve) -> str:
 
 def alternatives(cause: Cause) -> str:
     """Rivals of a cause with their own sizes, in brackets; empty where there are none."""
-    rivals = cause.rivals
+    rivals = [one.words for one in cause.rivals]
+    rivals += [f"{c.place.words}, by {c.size_words}" for c in cause.places]
     same = " or ".join(one.words for one in cause.same)
     if not rivals:
         return f" (or {same}: the same to these readings and to the tool)" if same else ""
-    text = ", or ".join(rival.words for rival in rivals[:_MOST_RIVALS])
+    text = ", or ".join(rivals[:_MOST_RIVALS])
     rest = len(rivals) - _MOST_RIVALS
     if rest > 0:
         text += f", or {rest} further cause{'s' if rest > 1 else ''} named below"
