@@ -353,3 +353,18 @@ def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> N
     dials = og.identify(og.simulate(machine, "standard"), machine).problem
     assert list(dials.noises) == ["leg"]
     assert dials.noise_source == dials.noise.source
+
+
+def test_a_dial_in_inches_among_others_is_asked_about() -> None:
+    """It moves little, so that its fit tells nothing: 0.0005 inches are 0.0127 mm, off the step."""
+    worn = og.Machine.nominal().with_parameters({"joint_offset.x": 1e-3, "axis_tilt.x.y": 1e-3})
+    campaign = og.simulate(worn, og.protocol("sweep"), noise=5e-6, seed=8)
+    rows = campaign.setup == 0
+    inches = np.where(rows, np.round(campaign.reading / 25.4 / 5e-7) * 5e-7, campaign.reading)
+    told = [
+        str(n) for n in og.identify(campaign.with_readings(inches)).warnings if n.kind == "step"
+    ]
+    assert len(told) == 1
+    assert f"setup {campaign.setups[0].name!r}" in told[0]
+    assert "look whether this dial shows inches" in told[0]
+    assert not [n for n in og.identify(campaign).warnings if n.kind == "step"]

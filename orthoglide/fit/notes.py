@@ -10,6 +10,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.loud import loud_dials
+from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
@@ -22,6 +23,8 @@ from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
+_FEWEST = 8  # different readings: by chance one in eight is a multiple of the step
+_ON_STEP = 0.9  # share of the readings of a setup that its dial's step tells
 _TURNED = (
     ", and all once more with the plate turned by 60 degrees (turned_deg): what turns with it is "
     "its own, what does not comes of the machine"
@@ -36,7 +39,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     for points in given:
         file = f"{source(points)}: " if len(given) > 1 else ""
         found += [Note(file + text, "campaign") for text in points.warnings]
-    found += coarse(problem)
+    found += [*coarse(problem), *off_step(problem)]
     found += copies(problem)
     told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
     found += [Note(text, "stray") for text in told]
@@ -126,6 +129,24 @@ def coarse(problem: Problem) -> Iterator[Note]:
                 f"multiples of {told}, those of others of {least * 1e3:g} mm: this is taken for "
                 f"the step of this setup's dial; read it to its last digit, or look whether these "
                 f"readings are in another unit",
+                "step",
+            )
+
+
+def off_step(problem: Problem) -> Iterator[Note]:
+    """Setups of which few readings are multiples of the dial's step, where those of others are."""
+    step = problem.machine.spec.dial.resolution
+    for campaign in problem.campaigns if step > 0 else ():
+        shown = [np.unique(campaign.reading[campaign.setup == k])
+                 for k in range(len(campaign.setups))]  # fmt: skip
+        share = np.array([np.mean(off_grid(own, step) < OFF_GRID) for own in shown])
+        if np.mean(share > _ON_STEP) <= 0.5:
+            continue
+        for k in np.flatnonzero((share < 0.5) & (np.array([*map(len, shown)]) >= _FEWEST)):
+            yield Note(
+                f"{source(campaign)}, setup {campaign.setups[k].name!r}: the readings are no "
+                f"multiples of the dial's step of {step * 1e3:g} mm, and those of other setups "
+                f"are: look whether this dial shows inches; give its readings in millimetres",
                 "step",
             )
 
