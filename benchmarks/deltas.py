@@ -40,10 +40,10 @@ orthoglide close-loop DIR/*.csv --machine DIR/machine.toml --out OUT
 
 New numbers in a firmware's own words are given for Klipper only. For a delta under Marlin or
 another firmware write a [machine file](files.md#layout) with `kind = "linear-delta"`, and touch the
-plate by a sheet (`orthoglide design --owns plate --machine machine.toml --out plate.csv`). Its
-owner gets the verdict with its causes, from `export` zeros of the three carriages and lengths of
-the arms, and compensated commands; no values for `M665` and `M666`, and what `M503` prints is not
-read.
+plate by a sheet (`orthoglide design --owns plate --machine machine.toml --out plate.csv`): it says
+where to send the tool, and asks for the height that the machine shows at the touch. Its owner gets
+the verdict with its causes, from `export` zeros of the three carriages and lengths of the arms, and
+compensated commands; no values for `M665` and `M666`, and what `M503` prints is not read.
 
 The importer reads what the firmware stores: its numbers, the heights and distances of
 `[delta_calibrate]` with their step positions, and meshes, taken as probed with the numbers that

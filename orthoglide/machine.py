@@ -195,9 +195,11 @@ class Machine:
                 raise InputError(f"{name} must be a number, not {value!r}")
             if abs(value) > _ABSURD * self.tolerance(name):
                 unit = self.catalogue.effect_of(name).unit
+                own = self.tolerance(name)
                 raise InputError(
-                    f"{name} = {value:g} is {abs(value) / self.tolerance(name):.0f} times its "
-                    f"tolerance: give SI units, not {unit.spoken.name or 'those of files'}"
+                    f"{name} = {value / unit.si:g}{unit.behind} is {abs(value) / own:.0f} times "
+                    f"its tolerance of {own / unit.si:g}{unit.behind}: is it meant in another "
+                    f"unit? Python takes SI, files what the parameter's unit says"
                 )
         return self._with(dict(self.spec.parameters), values, sigmas or {})
 

@@ -224,8 +224,8 @@ def test_tolerances_are_by_family() -> None:
 
 @pytest.mark.parametrize(
     ("values", "said"),
-    [({"axis_tilt.y.z": 2.5}, "2500 times its tolerance: give SI units, not mrad"),
-     ({"leg_length.x": 0.3}, "6000 times its tolerance: give SI units, not mm"),
+    [({"axis_tilt.y.z": 2.5}, "= 2.5 rad is 2500 times its tolerance of 0.001 rad: is it"),
+     ({"leg_length.x": 0.3}, "= 300 mm is 6000 times its tolerance of 0.05 mm: is it"),
      ({"joint_offset.x": "0.5e-3"}, "joint_offset.x must be a number, not '0.5e-3'")],
 )  # fmt: skip
 def test_values_in_other_units_are_refused(values: Any, said: str) -> None:

@@ -85,12 +85,8 @@ class _Reader:
         each = [(k, float(odds[k])) for k in chosen]
         free = sum(p for k, p in each if self.groups[k].free)
         if free < (1 - NAMED) * there or (not self.groups[chosen[0]].free and free < 0.5 * there):
-            named = [k for k in chosen if not self.groups[k].free]
-            cause = self._cause(member, [(k, float(odds[k])) for k in named])
-            return replace(
-                cause, places=self._curves(member, [(k, float(odds[k])) for k in chosen])
-            )
-        return self._located(member, [(k, float(odds[k])) for k in chosen], free)
+            return self._cause(member, each)
+        return self._located(member, each, free)
 
     def alone(self) -> tuple[Explanation, ...]:
         """Causes of which one would be behind it if the rest of the machine were sound: a set of
@@ -114,13 +110,15 @@ class _Reader:
         return tuple(one for explanation in found for one in self._twins(explanation))
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
-        several = [one for k, p in odds for one in self._twins(self._explanation(member, k, p))]
+        named = [o for o in odds if not self.groups[o[0]].free]
+        several = [one for k, p in named for one in self._twins(self._explanation(member, k, p))]
         chosen, rest = several[0], several[1:]
         alike = [self._same_tool(chosen, other) for other in rest]
         return Cause(
             chosen,
             tuple(e for e, same in zip(rest, alike, strict=True) if not same),
             tuple(e for e, same in zip(rest, alike, strict=True) if same),
+            self._curves(member, odds),
         )
 
     def _twins(self, one: Explanation) -> list[Explanation]:
