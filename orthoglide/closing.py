@@ -264,7 +264,7 @@ def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ..
         here = kept.index(one)
         as_read, put_right = one.both_ways(read.problem, [b for b in kept if b is not one])
         try:
-            known = full_posterior(solve(as_read))
+            known = full_posterior(read if as_read is read.problem else solve(as_read))
             if not known.settled:
                 continue
             if one.kind != "unit":  # of which the digits and the scatter tell

@@ -75,6 +75,31 @@ def test_what_an_instrument_shows_out_of_its_place_its_nuisances_say(one: Instru
     assert left[1] < left[0] / 3
 
 
+LINEAR = {
+    # what a setup shows besides the machine, of places, readings and axes, by hand
+    "plate": lambda p, value, axis: 3e-4 + 2e-3 * p[:, 0] - 1e-3 * p[:, 1],
+    "distance": lambda p, value, axis: 0.004 * value - 1e-4,
+    "incline": lambda p, value, axis: np.array([2e-4, -3e-4, 0.0])[axis],
+}
+
+
+@every
+def test_nuisances_span_what_a_setup_shows_besides_the_machine(one: Instrument) -> None:
+    """Where an instrument says itself what it shows out of its place, the test above holds it."""
+    pose, mounting = drawn(one)
+    mounting = Mounting(mounting.axis, np.ones(COUNT), mounting.ball)
+    moved = one.displaced(pose.p, mounting, np.random.default_rng(5), 1e-5)
+    assert (moved is None) is (one.kind in LINEAR)
+    if moved is not None:
+        return
+    value = one.value(pose, mounting)
+    shown = LINEAR[one.kind](pose.p, value, mounting.axis)
+    columns = np.column_stack([column for column, _ in one.nuisances(pose.p, value, mounting)])
+    rest = shown - columns @ np.linalg.lstsq(columns, shown, rcond=1e-9)[0]
+    assert np.abs(rest).max() < 1e-12
+    assert np.linalg.matrix_rank(columns, tol=1e-9) < COUNT  # and not just anything
+
+
 @every
 def test_counting_the_other_way_turns_the_sign(one: Instrument) -> None:
     pose, mounting = drawn(one)

@@ -118,7 +118,6 @@ def _of_owned(
     quiet: bool,
 ) -> None:
     """``--owns``: smallest effects, what others would add, and a sheet of the tool's readings."""
-    from orthoglide.instruments import INSTRUMENTS
     from orthoglide.observations import readings_text
     from orthoglide.planning import TAKEN_BY, owned_instruments
     from orthoglide.planning.wording import detectable_rows
@@ -142,8 +141,8 @@ def _of_owned(
             placed = machine.spec.kinematics is not None
             if placed:
                 lines.append("Send the tool to x_mm, y_mm, z_mm, with its numbers as they are.")
-            for one in (INSTRUMENTS[sheet.name] for sheet in sheets):
-                lines.append(f"{one.words}: {(placed and one.fill_place) or one.fill}.")
+            for one in (sheet.setups[0].instrument for sheet in sheets):
+                lines.append(f"{one.words}: {(one.fill_place if placed else '') or one.fill}.")
     hidden = len(found.tells.invisible)
     line = f"{len(found.tells.by_effect)} effects are seen, {hidden} parameters are not visible."
     tell(wrapped("\n".join(lines), text_width()), line, quiet, out is not None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from dataclasses import dataclass
 
@@ -45,10 +46,9 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 def commands_text(found: Compensation) -> str:
     """Commands as CSV: the points, the commands, and what to expect."""
     shown = [
-        [f"{v:+.0f}" if name.startswith("approach") else f"{v:z.6f}" for v in values]
+        [f"{v:+.0f}" if name.startswith("approach") else _cell(v) for v in values]
         for name, values in found.columns.items()
     ]
-    shown = [["" if cell == "nan" else cell for cell in cells] for cells in shown]
     return csv_text(tuple(found.columns), zip(*shown, strict=True))
 
 
@@ -77,3 +77,8 @@ def export_files(
         CLOSURES_FILE: closures_text(machine.geometry),
         **parallel_robot_files(machine.geometry, tree),
     }
+
+
+def _cell(millimetres: float) -> str:
+    """A cell of a file; empty of what is not known."""
+    return "" if math.isnan(millimetres) else f"{millimetres:z.6f}"

@@ -101,7 +101,8 @@ class Blunder:
             problem: in which it was found.
             others: found beside it.
         """
-        muted = _muted(problem, [b.fault for b in others if b.fault is not None])
+        silent = [b.fault for b in others if b.fault is not None]
+        muted = _muted(problem, silent) if silent else problem
         return muted, muted if self.fault is None else restored(muted, self.fault)
 
     def lines(self, campaigns: Sequence[Campaign]) -> dict[str, tuple[int, ...]]:

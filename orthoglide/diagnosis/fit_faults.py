@@ -141,7 +141,11 @@ def _scattering(means: StationMeans, setups: Sequence[Scatter], fault: Fault) ->
         return -np.inf
     if factor < 1 and (ratio < 0.1 / factor**2 or not scatter.repeats(means.problem)):
         return -np.inf
-    ratio = max(ratio, 1e-12)
+    return _unlike(scatter, max(ratio, 1e-12))
+
+
+def _unlike(scatter: Scatter, ratio: float) -> float:
+    """Log Bayes factor of a setup that scatters by a ratio of what others do, in squares."""
     return min(scatter.dof / 2 * float(ratio - 1 - np.log(ratio)), _LARGEST)
 
 
@@ -162,8 +166,7 @@ def unit_faults(problem: Problem, setups: Sequence[Scatter], known: Sequence[Fau
             told = digits(problem, fault)
             if told < _PLAIN or not 1 / _AS_OTHERS < ratio * factor**2 < _AS_OTHERS:
                 continue
-            shown = scatter.dof / 2 * float(ratio - 1 - np.log(ratio))
-            found.append(replace(fault, evidence=told + min(shown, _LARGEST)))
+            found.append(replace(fault, evidence=told + _unlike(scatter, ratio)))
     return found
 
 

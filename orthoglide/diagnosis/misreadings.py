@@ -35,11 +35,7 @@ class Misreading:
 
     def corrected(self, problem: Problem) -> Problem:
         """The problem with the fault taken back."""
-        if self.fault.commands:
-            return all_put_right(problem, [self.fault])
-        if self.labels:
-            return _labelled(problem, self.labels)
-        return problem.with_readings(problem.measured + self.change)
+        return restored(problem, self.fault)
 
     def leaves_none(self, before: Problem, after: StationMeans) -> bool:
         """Whether labels, once put right, leave nothing of what they did before.
@@ -71,8 +67,8 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         change[rows] = corrected - measured[rows]
         found.append(Misreading(Fault(kind, rows, of, size), change))
 
-    def relabel(fault: Fault, labels: Mapping[int, Setup]) -> None:
-        change = np.zeros(len(measured))
+    def relabel(fault: Fault) -> None:
+        change, labels = np.zeros(len(measured)), _labels(problem, fault)
         for s, setup in labels.items():
             as_labelled = _readings_as(problem, means.signatures.estimate.x, order[s], setup)
             change[order[s]] = value[order[s]] - as_labelled
@@ -86,7 +82,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         for leg, axis in set(permutations(range(3), 2)) - {(setup.leg, setup.axis)}:
             fault = Fault("label", rows, (s,), 0.0, label=(leg, axis))
             if not _taken(problem, s, leg, axis):
-                relabel(fault, {s: replace(setup, leg=leg, axis=axis)})
+                relabel(fault)
     commands = problem.of_dials("command")
     campaign = np.repeat(range(len(problem.campaigns)), [len(c.setups) for c in problem.campaigns])
     for one, other in combinations(setups, 2):
@@ -98,10 +94,7 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
             add("exchanged_labels", rows, (one, other), 0.0, measured[np.concatenate([b, a])])
         # At the same commands, in the same order, labels are exchanged with the columns.
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
-            first, second = problem.setups[one], problem.setups[other]
-            labels = {one: replace(second, name=first.name)}
-            labels[other] = replace(first, name=second.name)
-            relabel(Fault("exchanged_labels", rows, (one, other), 1.0), labels)
+            relabel(Fault("exchanged_labels", rows, (one, other), 1.0))
     return found
 
 
@@ -140,23 +133,29 @@ def _labelled(problem: Problem, labels: Mapping[int, Setup]) -> Problem:
 
 def restored(problem: Problem, fault: Fault) -> Problem:
     """The problem with the meaning of some readings, or their command, put right."""
-    if fault.kind == "command":
+    if fault.commands:
         return all_put_right(problem, [fault])
+    if labels := _labels(problem, fault):
+        return _labelled(problem, labels)
+    measured = problem.measured.copy()
+    if fault.kind == "exchanged_labels":
+        a, b = (in_order(problem, s) for s in fault.setups)
+        measured[a], measured[b] = problem.measured[b], problem.measured[a]
+    else:
+        measured[fault.rows] *= fault.size
+    return problem.with_readings(measured)
+
+
+def _labels(problem: Problem, fault: Fault) -> dict[int, Setup]:
+    """Setups by number as they should be labelled; none where readings mean something else."""
     if fault.kind == "label":
         (s,), (leg, axis) = fault.setups, fault.label
-        return _labelled(problem, {s: replace(problem.setups[s], leg=leg, axis=axis)})
-    measured = problem.measured.copy()
-    if fault.kind != "exchanged_labels":
-        measured[fault.rows] *= fault.size
-        return problem.with_readings(measured)
+        return {s: replace(problem.setups[s], leg=leg, axis=axis)}
+    if fault.kind != "exchanged_labels" or not fault.size:
+        return {}
     one, other = fault.setups
-    if fault.size:
-        first, second = problem.setups[one], problem.setups[other]
-        labels = {one: replace(second, name=first.name), other: replace(first, name=second.name)}
-        return _labelled(problem, labels)
-    a, b = in_order(problem, one), in_order(problem, other)
-    measured[a], measured[b] = problem.measured[b], problem.measured[a]
-    return problem.with_readings(measured)
+    first, second = problem.setups[one], problem.setups[other]
+    return {one: replace(second, name=first.name), other: replace(first, name=second.name)}
 
 
 def digits(problem: Problem, fault: Fault) -> float:
