@@ -183,7 +183,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         [*request.campaigns, *request.points], machine, (*machine.catalogue.base, *carried),
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
-    read = account_for_changes(solve(problem))
+    read = account_for_changes(solve(problem, method="nested"))
     check_repeats(read)
     check_slips(read)
     progress(Step("faults"))
@@ -242,7 +242,7 @@ def _set_right(
     if changes:
         problem = separated(problem, [c for c in changes if c not in causes])
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
-    fit = solve(problem) if blunders or changes else read
+    fit = solve(problem, method="nested") if blunders or changes else read
     return fit, blunders, changes, [c.parameter for c in causes]
 
 
@@ -264,11 +264,12 @@ def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ..
         here = kept.index(one)
         as_read, put_right = one.both_ways(read.problem, [b for b in kept if b is not one])
         try:
-            known = full_posterior(read if as_read is read.problem else solve(as_read))
+            same = as_read is read.problem
+            known = full_posterior(read if same else solve(as_read, method="nested"))
             if not known.settled:
                 continue
             if one.kind != "unit":  # of which the digits and the scatter tell
-                gain = full_posterior(solve(put_right)).evidence - known.evidence
+                gain = full_posterior(solve(put_right, method="nested")).evidence - known.evidence
                 if gain < _OUTWEIGHED:
                     kept.remove(one)
                     continue

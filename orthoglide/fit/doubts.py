@@ -159,7 +159,9 @@ def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:
     turned = isinstance(points, ToolCampaign) and points.angular[name[1]]
     unit = "mrad" if turned else "mm"
     where = f"{source(points)}, line {points.line[name[1]]}"
-    return f"{where}: {distance:.3g} {unit} off what all others say"
+    label = points.posture[name[1]] if isinstance(points, ToolCampaign) else ""
+    place = f" ({label})" if label else ""
+    return f"{where}{place}: {distance:.3g} {unit} off what all others say"
 
 
 def _worst(problem: Problem, at: Linearised, point: NDArray[np.int64], count: int) -> list[int]:

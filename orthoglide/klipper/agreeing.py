@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.klipper.firmware import FITTED, shifted
-from orthoglide.klipper.stored import CALIBRATION, PROBE
+from orthoglide.klipper.probe import PROBE
+from orthoglide.klipper.stored import CALIBRATION
 from orthoglide.machine_file import Firmware
 from orthoglide.notes import Note
 from orthoglide.numerals import signed
@@ -33,7 +34,8 @@ class _Surface:
     change: Array  # of the firmware's radius (metres) and angles (radians) (3,)
     spread: Array  # their covariance over the variance of a touch (3, 3)
     sigma: float  # of a touch, metres
-    rim: float  # most that a radius one metre larger bends the surface, metres
+    bends: Array  # what each of these bends the surface by at every touch (n, 3)
+    relative: bool  # whether its height says nothing
     turned: float  # how far the plate was turned on its seat, degrees
 
 
@@ -46,17 +48,25 @@ class Disagreement:
     note: Note  # both, and what to do
 
 
-def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iterator[Disagreement]:
+def disagreements(
+    firmware: Firmware, campaigns: Sequence[ToolCampaign], *, relative: bool = False
+) -> Iterator[Disagreement]:
     """Every mesh by which the plate, or the firmware's radius and angles, would be others.
 
     A cause in the machine lifts and bends all surfaces alike; between two of them the plate or the
     endstops were moved, the plate was bent, or the firmware's numbers were changed. A plate that is
     known to be turned takes its shape along: its surface is not compared.
+
+    Args:
+        firmware: its present numbers.
+        campaigns: that were imported.
+        relative: whether the firmware takes the height at one place out of every mesh.
     """
     alike = list[_Surface]()
     for campaign in sorted(campaigns, key=lambda c: c.name != CALIBRATION):
         if (own := _surface(firmware, campaign)) is None:
             continue
+        own = replace(own, relative=relative and campaign.name != CALIBRATION)
         same = (one for one in alike if one.turned == own.turned)
         told = ((one, said) for one in same if (said := _apart(one, own)))
         other, said = next(told, (None, ""))
@@ -73,25 +83,29 @@ def disagreements(firmware: Firmware, campaigns: Sequence[ToolCampaign]) -> Iter
 
 def _apart(one: _Surface, own: _Surface) -> str:
     """In what two surfaces differ, and why they may; empty where they agree."""
-    difference, sigma = own.change - one.change, max(one.sigma, own.sigma)
-    spread = sigma**2 * (one.spread + own.spread)
+    difference = own.change - one.change
+    spread = one.sigma**2 * one.spread + own.sigma**2 * own.spread
     if difference @ np.linalg.solve(spread, difference) > _BEYOND:
+        most = float(np.abs(own.bends @ difference).max())
         return (
-            f"by {own.name}.csv delta_radius would differ by {signed(difference[0] * 1e3, 2)} mm, "
-            f"{abs(difference[0]) * own.rim * 1e3:.2f} mm at the rim. The plate was bent or turned "
+            f"by {own.name}.csv delta_radius would differ by {signed(difference[0] * 1e3, 2)} mm "
+            f"and the angles by {np.rad2deg(np.abs(difference[1:]).max()):.2g} degrees, which "
+            f"bends the plate by up to {most * 1e3:.2f} mm. The plate was bent or turned "
             f"between them, or the numbers were changed: leave the older of the two out, or probe "
             f"it again; of a plate that was turned say by how much (--turned NAME=DEGREES)"
         )
     higher, *slopes = (own.plane - one.plane).tolist()
     leans = float(np.hypot(*slopes)) * min(one.reach, own.reach)
+    if one.relative or own.relative:
+        higher = 0.0
     if abs(higher) <= _HIGHER and leans <= _LEANS:
         return ""
     way = "higher" if higher > 0 else "lower"
+    lies = f"lies {abs(higher) * 1e3:.2f} mm {way} in the middle, and " if higher else ""
     return (
-        f"by {own.name}.csv the plate lies {abs(higher) * 1e3:.2f} mm {way} in the middle, and "
-        f"leans otherwise by {leans * 1e3:.2f} mm at the rim. The numbers were changed after a "
-        f"mesh was probed, or an endstop or the plate was moved between them: leave the older of "
-        f"the two out, or probe it again"
+        f"by {own.name}.csv the plate {lies}leans otherwise by {leans * 1e3:.2f} mm at the rim. "
+        f"The numbers were changed after a mesh was probed, or an endstop or the plate was moved "
+        f"between them: leave the older of the two out, or probe it again"
     )
 
 
@@ -126,6 +140,7 @@ def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
         change,
         spread,
         max(PROBE, float(scatter)),
-        float(np.abs(bends[:, 0]).max()),
+        bends,
+        False,
         float(campaign.turned_by[rows].max(initial=0.0)),
     )

@@ -202,10 +202,13 @@ class _Reader:
                 )
 
     def _include(self, pattern: str, path: Path, within: tuple[Path, ...]) -> None:
-        """Files beside the one that names them; no others of this computer are read."""
+        """Files beside the one that names them; no others of this computer are read.
+
+        What lies elsewhere on the printer's own computer is looked for by its name.
+        """
         inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
         try:
-            found = sorted(path.parent.glob(pattern)) if inside else []
+            found = sorted(path.parent.glob(pattern if inside else Path(pattern).name))
         except (ValueError, OSError, NotImplementedError):  # no pattern that a folder has
             found = []
         if not found:

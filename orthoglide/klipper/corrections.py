@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from orthoglide.machine import Machine
 from orthoglide.machine_file import TOWERS, Firmware
 from orthoglide.numerals import signed
@@ -16,6 +18,10 @@ WHERE = (
     "mesh again (BED_MESH_CALIBRATE); DELTA_CALIBRATE would put numbers of its own in their place."
 )
 """How new numbers come into the file."""
+
+_WORTH, _LEAST = 0.02, 3e-6  # of an error, and metres: numbers that gain less are not worth a line
+_LARGER = 5e-4  # of a print's size: less is no more than plastic shrinks from spool to spool
+_OF_A_PRINT = 0.5  # of the radius of the towers
 
 
 @dataclass(frozen=True)
@@ -41,8 +47,24 @@ class Corrections:
         return [(name, f"{a * unit:.6f}", f"{b * unit:.6f}") for name, a, b, unit in found]
 
     @property
+    def gains(self) -> bool:
+        """Whether heights are to be expected better by more than is worth a line."""
+        before, after = self.height
+        return before - after > max(_WORTH * before, _LEAST)
+
+    @property
+    def size(self) -> float:
+        """How much larger prints become along the plate, over their size with the old numbers."""
+        reach = _OF_A_PRINT * self.old.delta_radius
+        angle = np.arange(6) * np.pi / 3
+        ring = reach * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        same = self.old.heights(ring) - self.old.at_endstop + self.new.at_endstop
+        believed = self.new.points(same)[:, :2]
+        return float(reach / np.hypot(*(believed - believed.mean(axis=0)).T).mean()) - 1
+
+    @property
     def words(self) -> str:
-        """What they change most, and what that does to heights, as a clause."""
+        """What they change most, and what that does to heights and sizes, as a clause."""
         old, new = self.old, self.new
         changed = {"delta_radius": new.delta_radius - old.delta_radius}
         for name, one, other in zip(TOWERS, old.endstop, new.endstop, strict=True):
@@ -50,9 +72,16 @@ class Corrections:
         most = max(changed, key=lambda name: abs(changed[name]))
         by = signed(changed[most] * 1e3, 3)
         before, after = (f"{v * 1e3:.3f}" for v in self.height)
+        size = ""
+        if abs(self.size) > _LARGER:
+            way = "larger" if self.size > 0 else "smaller"
+            size = (
+                f", and prints become {abs(self.size) * 100:.2f} % {way} (where their size was "
+                f"right, scale them by {1 / (1 + self.size):.4f})"
+            )
         return (
             f"most of all {most} by {by} mm; height over the plate goes from {before} to {after} "
-            f"mm rms"
+            f"mm rms{size}"
         )
 
     def as_dict(self) -> dict[str, object]:

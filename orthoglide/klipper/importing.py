@@ -9,15 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.effects import catalogue_of
+from orthoglide.effects import Catalogue, catalogue_of
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.agreeing import Disagreement, disagreements
+from orthoglide.klipper.calibration import CALLIPER
 from orthoglide.klipper.config import Config, read_config
+from orthoglide.klipper.probe import PROBE, probe_section
 from orthoglide.klipper.rods import rods_words
-from orthoglide.klipper.stored import CALIBRATION, CALLIPER, PROBE, Stored, probe_section
+from orthoglide.klipper.stored import CALIBRATION, Stored
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import TOWERS, Firmware, Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
@@ -30,6 +32,10 @@ nozzle below the platform's joints. Typical ones; effects that turn the platform
 
 
 _OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
+ANGLES = (210.0, 330.0, 90.0)
+"""Degrees at which the towers stand where nothing is said."""
+
+_DRAWN = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
 _BESIDE = 5e-3  # metres: at a tilt of 5 mrad a probe there is lifted by no more than it repeats
 
 FEW = 30
@@ -95,7 +101,7 @@ def import_printer(
             file=shown(path),
         )
     machine = _machine(config, firmware, stored)
-    apart = tuple(disagreements(firmware, stored))
+    apart = tuple(disagreements(firmware, stored, relative=_is_relative(config)))
     notes = (
         *config.notes,
         *_notes(config, firmware, stored),
@@ -113,7 +119,7 @@ def _firmware(config: Config) -> Firmware:
     arm_a = first.number("arm_length", low=10, high=5000)
     endstop_a = first.number("position_endstop", low=1, high=10000)
     arms, ends, angles = [], [], []
-    for tower, angle in zip(towers, (210.0, 330.0, 90.0), strict=True):
+    for tower, angle in zip(towers, ANGLES, strict=True):
         arms.append(tower.number("arm_length", arm_a, 10, 5000) * 1e-3)
         ends.append(tower.number("position_endstop", endstop_a, 1, 10000) * 1e-3)
         angles.append(tower.number("angle", angle, -720, 720))
@@ -165,7 +171,7 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
             Probe.kind: Instrument(repeatability=PROBE),
             Distance.kind: Instrument(repeatability=CALLIPER),
         },
-        tolerance=of_printers(catalogue),
+        tolerance=of_printers(catalogue) | _never_fitted(firmware, catalogue),
         parameters=lengths,
         provenance={
             "klipper": {
@@ -179,6 +185,17 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
     )
 
 
+def _as_told(firmware: Firmware) -> bool:
+    """Whether the numbers are round ones that no calibration has touched."""
+    return firmware.angle == ANGLES and len(set(firmware.endstop)) == 1
+
+
+def _never_fitted(firmware: Firmware, catalogue: Catalogue) -> dict[str, float]:
+    """Tolerances of what nobody has fitted: a radius taken from a drawing."""
+    placed = catalogue.held_as("place")
+    return dict.fromkeys(placed, _DRAWN) if _as_told(firmware) else {}
+
+
 def _around(config: Config, firmware: Firmware) -> Array:
     """Heights of the carriages ``(n, 3)`` around the plate, if the firmware says how far it is."""
     radius = config.section("printer").number("print_radius", 0.0, -1, 5000) * 1e-3
@@ -190,9 +207,22 @@ def _around(config: Config, firmware: Firmware) -> Array:
         return firmware.heights(np.zeros((1, 3)))
 
 
+def _is_relative(config: Config) -> bool:
+    """Whether the firmware takes the height at one place out of every mesh."""
+    bed = config.optional("bed_mesh")
+    return any(key in bed for key in _OF_ONE_PLACE)
+
+
 def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> Iterator[Note]:
     if told := rods_words(firmware):
         yield Note(told, "rods")
+    if _as_told(firmware):
+        yield Note(
+            "the towers stand at 210, 330 and 90 degrees and all endstops alike, as before a first "
+            "calibration: run DELTA_CALIBRATE and probe again, for a radius that is off by "
+            "millimetres looks like a bowl",
+            "numbers",
+        )
     most = max(int(c.touching.sum()) for c in stored)
     if most < FEW:
         yield Note(
@@ -215,8 +245,7 @@ def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> It
             f"are known no better than that; z_offset is taken as set in the middle of the plate",
             "probe",
         )
-    bed = config.optional("bed_mesh")
-    if meshes and any(key in bed for key in _OF_ONE_PLACE):
+    if meshes and _is_relative(config):
         yield Note(
             "[bed_mesh] takes the height at one place out of every mesh (zero_reference_position): "
             "how high the nozzle stands there is not known, and stays as it is; set it by hand "

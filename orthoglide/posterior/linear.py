@@ -87,6 +87,24 @@ class Linear:
         return np.where(np.isfinite(self.fixed), self.fixed, background) ** 2
 
     @cached_property
+    def squares(self) -> tuple[Array, Array, Array, Array]:
+        """What readings would vary by ``(m, m)``: for coefficients that no background has, free
+        functions of scale one, a background of one tolerance, and errors of stations of one sigma.
+        """
+        fixed, A = np.isfinite(self.fixed), self.columns
+        known = A[:, fixed] * self.fixed[fixed]
+        some = (known, A[:, self.free & ~fixed], A[:, ~self.free & ~fixed], self.stations)
+        fixed_one, free, background, stations = (rows @ rows.T for rows in some)
+        return fixed_one, free, background, stations
+
+    @cached_property
+    def by_group(self) -> Array:
+        """What readings see of all groups side by side ``(m, K)``."""
+        none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
+        both = zip(self.groups, self.seen, strict=True)
+        return np.hstack([none, *(self.columns[:, g.places] @ seen for g, seen in both)])
+
+    @cached_property
     def seen(self) -> tuple[Array, ...]:
         """Of each group the combinations of its coefficients that readings see ``(q, r)``.
 
@@ -112,30 +130,24 @@ class Basis:
         rough: error of its own at every station, in the noise of a reading.
         columns: by coefficient ``(m, C)``.
         residual: ``(m,)``.
-        by_group: what readings see of all groups side by side ``(m, K)``.
+        by_group: those of all groups side by side, see :attr:`Linear.by_group`.
         grows: what a background of one tolerance adds to the variance of each direction ``(m,)``.
         log_det: of the covariance without background.
     """
 
     def __init__(self, linear: Linear, free_share: float, rough: float) -> None:
         self.linear, self.free_share, self.rough = linear, free_share, rough
-        A, known = linear.columns, linear.spike(0.0, free_share)
-        cov = (A * known) @ A.T
-        if rough > 0:
-            cov += rough**2 * linear.stations @ linear.stations.T
+        fixed, free, background, stations = linear.squares
+        cov = fixed + free_share**2 * free + rough**2 * stations
         cov[np.diag_indices_from(cov)] += 1.0
         root = np.linalg.cholesky(cov)
         self.log_det = 2 * float(np.log(np.diag(root)).sum())
-        both = np.linalg.solve(root, np.column_stack([A, linear.residual]))
-        background = both[:, np.flatnonzero(linear.spike(1.0, 0.0) > linear.spike(0.0, 0.0))]
-        grows, turn = np.linalg.eigh(background @ background.T)
+        whiten = np.linalg.inv(root)
+        grows, turn = np.linalg.eigh(whiten @ background @ whiten.T)
         self.grows = np.maximum(grows, 0.0)
-        both = turn.T @ both
-        self.columns, self.residual = both[:, :-1], both[:, -1]
-        none = np.zeros((len(self.columns), 0))  # where nothing is seen through the noise
-        both_of = zip(linear.groups, linear.seen, strict=True)
-        blocks = (self.columns[:, g.places] @ seen for g, seen in both_of)
-        self.by_group = np.hstack([none, *blocks])
+        whiten = turn.T @ whiten
+        self.columns, self.residual = whiten @ linear.columns, whiten @ linear.residual
+        self.by_group = whiten @ linear.by_group
 
 
 class Scale:

@@ -66,6 +66,19 @@ def _kept(found: Located) -> bool:
     return found.members[0].place.of_machine
 
 
+def too_early(result: Result) -> str:
+    """Why numbers are not to be entered yet, as a clause; empty where they may."""
+    if not result.stands:
+        return (
+            "the verdict says that something is left that nothing explains, and they would be bent "
+            "by it"
+        )
+    if result.cautions:
+        return "the verdict warns of what would bend them"
+    found = result.firmware.corrections if result.firmware else None
+    return "they are hardly better than those that are there" if found and not found.gains else ""
+
+
 def firmware(advice: FirmwareAdvice, found: Corrections, early: str) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
     return {

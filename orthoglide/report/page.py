@@ -16,7 +16,6 @@ from orthoglide import __version__
 from orthoglide.figures.style import Drawing
 from orthoglide.report.phrases import listed
 from orthoglide.report.rendering import rendered
-from orthoglide.report.wording import too_early
 from orthoglide.scene import view_html
 from orthoglide.scene.view import view_style
 
@@ -69,7 +68,8 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
     if result.firmware is not None and result.firmware.corrections is not None:
-        data = follows.firmware(result.firmware, result.firmware.corrections, too_early(result))
+        early = follows.too_early(result)
+        data = follows.firmware(result.firmware, result.firmware.corrections, early)
         yield Section("firmware", "Numbers for the firmware", data)
     controller = {"rows": ()} if result.firmware else follows.controller(result)
     if controller["rows"]:

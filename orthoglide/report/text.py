@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import compact, hundredths, signed
+from orthoglide.report.follows import too_early
 from orthoglide.report.phrases import (
     WHICHEVER,
     sentence,
@@ -15,7 +16,7 @@ from orthoglide.report.phrases import (
     weak_sentences,
 )
 from orthoglide.report.rows import parameter_rows, score_rows
-from orthoglide.report.wording import MEANINGS, headline, too_early
+from orthoglide.report.wording import MEANINGS, headline
 from orthoglide.result.firmware import UNSEEN, Unseen
 from orthoglide.text import is_terminal, text_width
 

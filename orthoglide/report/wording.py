@@ -71,8 +71,9 @@ def standing(result: Result) -> str:
         return f"{noisy} {against}" if noisy else text
     if result.before.scores.dof < _FEW:
         return (
-            f"These readings are too few to look for causes with: what the "
-            f"{effects_named(result.before)} leave over is next to nothing."
+            f"These readings are too few to look for causes with: the "
+            f"{effects_named(result.before)} take up nearly all that they say, and too few are "
+            f"left over to tell what the rest comes from."
         )
     first = _to_enter(result)
     if result.improved:
@@ -93,16 +94,6 @@ def _to_enter(result: Result) -> str:
     if result.firmware is not None and result.firmware.corrections is not None:
         return f"The firmware's numbers are off, {result.firmware.corrections.words}. "
     return f"The zeros of the drives are off. {of_base[0].words}. "
-
-
-def too_early(result: Result) -> str:
-    """Why numbers are not to be entered yet, as a clause; empty where they may."""
-    if not result.stands:
-        return (
-            "the verdict says that something is left that nothing explains, and they would be bent "
-            "by it"
-        )
-    return "the verdict warns of what would bend them" if result.cautions else ""
 
 
 def evidence(result: Result) -> str:

@@ -95,8 +95,12 @@ def _zeros(result: Result) -> Iterator[Action]:
     if result.firmware is not None:
         found = result.firmware.corrections
         if found is None:
-            touch = "Touch the plate too, for numbers for the firmware: its z = 0 is the plate"
+            touch = (
+                "Touch the plate too, for numbers for the firmware: its z = 0 is the plate, out to "
+                "the rim"
+            )
             yield Action("measure", touch)
+        if found is None or not found.gains:
             return
         words = f"Enter the numbers for the firmware, {found.words}"
         yield Action("zeros", words, found.height[0] - found.height[1])

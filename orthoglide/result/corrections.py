@@ -23,6 +23,13 @@ PROBED = (0.95, 0.90, 0.85, 0.70, 0.75, 0.80)
 """Radii of the firmware's own seven points, one in the centre, over its calibration radius; on rays
 at 90, 150 ... degrees."""
 
+_WIDE = 0.8
+"""Of the widest plate, how far another one of more touches has to reach in its place."""
+
+_SPAN = 1 / 3
+"""Of the radius of the towers, how far a plate has to be touched: numbers that fit its middle alone
+may do anything at its rim."""
+
 _RINGS, _RAYS, _HEIGHTS = (0.0, 0.5, 1.0), 12, (0.0, 0.05)
 _ABOVE = 0.2
 """Weight of a height over the plate against one on it: a first layer is a fifth of a millimetre
@@ -31,17 +38,18 @@ high and must stick, further up a print takes such errors along."""
 
 def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections | None:
     """New numbers for a machine's firmware in place of old ones; ``None`` where the fit's readings
-    do not touch the plate.
+    do not touch the plate, or its middle alone.
 
     The plate is the firmware's z = 0: its height and slopes, as fitted, go into the endstops.
     """
     plate = _plate(fit)
-    if plate is None:
+    if plate is None or plate.radius < _SPAN * old.delta_radius:
         return None
     wanted = _points(plate.radius)
-    lifted = wanted + np.outer(_plane(wanted) @ plate.plane, [0.0, 0.0, 1.0])
+    higher = _plane(wanted) @ plate.plane + _of_the_probe(old, machine, plate.beside)
+    lifted = wanted + np.outer(higher, [0.0, 0.0, 1.0])
     geometry, commands = machine.geometry, machine.inverse(lifted)
-    at_zero = np.array([leg.carriage[2] - leg.platform[2] for leg in geometry.legs])
+    at_zero = _at_zero(machine)
     below = commands + at_zero - old.at_endstop
     lengths = machine.catalogue.held_as("bar_length")
     longer = [
@@ -62,6 +70,25 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
         float(np.sqrt(np.sum((kept @ e[:, :2].ravel()) ** 2) / len(e) + along)) for e in errors
     )
     return Corrections(old, new, (before, after), (one, other))
+
+
+def _at_zero(machine: Machine) -> Array:
+    """Heights of the carriages at mechanical zero ``(3,)``, metres."""
+    return np.array([leg.carriage[2] - leg.platform[2] for leg in machine.geometry.legs])
+
+
+def _of_the_probe(old: Firmware, machine: Machine, beside: Array) -> float:
+    """By how much the plate lies higher than a probe beside the nozzle says, metres.
+
+    Its offset was set in the middle: it touched with the tool there, and the nozzle then touched
+    the same place. What lifts the one over the other on this machine is in that offset.
+    """
+    if not beside.any():
+        return 0.0
+    places = np.stack([np.zeros(3), beside])
+    (middle, there), at_zero = old.heights(places), _at_zero(machine)
+    pose = machine.pose(middle - at_zero)
+    return float(machine.forward(there - at_zero)[2] - pose.p[2] - (pose.R @ beside)[2])
 
 
 def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> tuple[Array, float]:
@@ -144,12 +171,12 @@ class _Plate:
     commands: Array  # of the touches (n, 3)
     places: Array  # where they were (n, 2)
     sigma: float  # of one
+    beside: Array  # where the probe is, from the nozzle (3,)
 
 
 def _plate(fit: Estimate) -> _Plate | None:
-    """The plate of most touches; ``None`` where none was touched."""
-    best: _Plate | None = None
-    problem = fit.problem
+    """The plate that was touched out to its rim by most touches; ``None`` where none was."""
+    found, problem = list[_Plate](), fit.problem
     for k, factor in enumerate(problem.points):
         if not isinstance(factor, ToolReadings):
             continue
@@ -162,12 +189,13 @@ def _plate(fit: Estimate) -> _Plate | None:
                 continue
             places = slopes[own, :2]
             plane = np.asarray(-np.linalg.lstsq(_plane(places), rest[own], rcond=None)[0])
-            if best is None or len(own) > len(best.places):
-                best = _Plate(
-                    float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
-                    float(np.median(problem.sigma[rows][own])),
-                )  # fmt: skip
-    return best
+            found.append(_Plate(
+                float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
+                float(np.median(problem.sigma[rows][own])), np.array(setup.beside),
+            ))  # fmt: skip
+    widest = max((one.radius for one in found), default=0.0)
+    wide = (one for one in found if one.radius >= _WIDE * widest)
+    return max(wide, key=lambda one: len(one.places), default=None)
 
 
 def _points(radius: float) -> Array:

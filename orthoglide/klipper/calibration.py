@@ -1,0 +1,225 @@
+"""Heights and distances of [delta_calibrate], which are stored as steps from the endstops."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any, NoReturn
+
+import numpy as np
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array
+from orthoglide.instruments import Distance, Probe
+from orthoglide.klipper.config import Config
+from orthoglide.klipper.probe import probe_offset
+from orthoglide.klipper.rows import ROUND, row
+from orthoglide.machine_file import TOWERS, Firmware
+from orthoglide.notes import Note
+from orthoglide.numerals import signed
+
+CALLIPER, RIM = 5e-5, 1e-4
+"""Repeatability of a calliper's distance, metres; around the rim only one of two pillars' widths is
+taken off, and pillars differ by a tenth of a millimetre."""
+
+_FULL_STEPS = 200
+_FAR = 3e-3  # metres by which a stored place may miss the one that the stored numbers give
+_SAME = 2e-5  # metres: a height that is stored with another offset of the probe differs by more
+_TIMES = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))  # that a step was longer then
+_SET = 3e-5  # metres: heights lie less off where nothing was set since
+_LEANS = 2e-5, 0.1  # metres, or of a mean that was set: most that they lean besides
+
+
+class Calibration:
+    """The readings of [delta_calibrate], as rows.
+
+    Args:
+        notes: to which what was noticed is added.
+
+    Raises:
+        FileError: naming the line of what does not go with the stored numbers.
+    """
+
+    def __init__(self, config: Config, firmware: Firmware, notes: list[Note]) -> None:
+        self.config, self.firmware, self.notes = config, firmware, notes
+        self.section = config.section("delta_calibrate")
+        self._told = set[str]()  # kinds of readings of which some are left out
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Heights, those by hand, and distances."""
+        by_hand = self._heights("manual_height", "manual-heights")
+        return [*self._heights("height", "heights"), *by_hand, *self._distances()]
+
+    @cached_property
+    def step(self) -> Array:
+        """Travel of one of the steps that are counted ``(3,)``, metres."""
+        now = np.array([_step(self.config, name) for name in TOWERS])
+        times = next((t for t in _TIMES if self._goes_with(now * t)), 1.0)
+        if times != 1.0:
+            self.notes.append(Note(
+                f"the positions of [delta_calibrate] were stored with {1 / times:g} times the "
+                f"microsteps of now, and are taken so", "heights",
+            ))  # fmt: skip
+        return now * times
+
+    def _goes_with(self, step: Array) -> bool:
+        """Whether the heights are places on the plate if a step is so long."""
+        found = [
+            self._travel(f"{word}{k}_pos", step)
+            for word in ("height", "manual_height") for k in self._numbers(word)
+        ]  # fmt: skip
+        told = [
+            self.section.number(f"{word}{k}", low=-100, high=100) * 1e-3
+            for word in ("height", "manual_height") for k in self._numbers(word)
+        ]  # fmt: skip
+        if not found:
+            return False
+        try:
+            p = self.firmware.points(np.array(found) + self.firmware.zero)
+        except InputError:
+            return False
+        return bool((np.abs(p[:, 2] - told) < _FAR).all())
+
+    def _travel(self, key: str, step: Array | None = None) -> Array:
+        steps = np.array(self.section.numbers(key, 3)) * (self.step if step is None else step)
+        return np.round(self.firmware.at_endstop - steps - self.firmware.zero, ROUND)
+
+    def _believed(self, key: str, travel: Array) -> Array:
+        """Where the firmware's numbers put the nozzle; refused where that is out of all reach."""
+        try:
+            p = self.firmware.points((travel + self.firmware.zero)[None])[0]
+        except InputError:
+            self.section.fail(key, "is a place that the arms do not reach: correct the steps")
+        return p
+
+    def _heights(self, word: str, setup: str) -> list[dict[str, Any]]:
+        """Touches of the plate, by the probe or (``manual_height``) by the nozzle itself."""
+        keys = [f"{word}{k}" for k in self._numbers(word)]
+        if not keys:
+            return []
+        offset, beside = probe_offset(self.config)
+        touched = beside if word == "height" else np.zeros(2)
+        height = np.array([self.section.number(k, low=-100, high=100) * 1e-3 for k in keys])
+        travel = [self._travel(f"{key}_pos") for key in keys]
+        p = np.array([self._believed(f"{k}_pos", t) for k, t in zip(keys, travel, strict=True)])
+        off = float(np.median(p[:, 2] - height))
+        for key, here, above in zip(keys, p, height, strict=True):
+            if (
+                abs(here[2] - above - off) > _FAR
+                or np.hypot(*here[:2]) > self.firmware.delta_radius
+            ):
+                self._fail_at(key, here, above)
+        lifted = self._lifted(word, p, height, off)
+        if word == "height" and offset and abs(np.median(height) - offset) > _SAME:
+            self._tell_offset(float(np.median(height)), offset)
+        labels = (f"{x * 1e3:.0f} {y * 1e3:.0f}" for x, y, _ in p)
+        each = zip(labels, travel, height + lifted, strict=True)
+        return [{**row(Probe.kind, setup, *one), "beside": touched} for one in each]
+
+    def _lifted(self, word: str, p: Array, height: Array, off: float) -> float:
+        """By how much all endstops were moved together since, metres.
+
+        The firmware's own fit leaves neither a mean nor a slope of its heights. A mean without a
+        slope is what its owner set the nozzle higher or lower by (Z_OFFSET_APPLY_ENDSTOP): where
+        z = 0 is, the owner knows better than these heights. A delta reads alike at every height, so
+        they tell all else as before.
+        """
+        plane = np.column_stack([np.ones(len(p)), p[:, :2]])
+        mean, *slopes = np.linalg.lstsq(plane, p[:, 2] - height, rcond=None)[0].tolist()
+        leans = float(np.hypot(*slopes) * np.hypot(*p[:, :2].T).max())
+        far, alike = abs(off) > _FAR, leans <= max(_LEANS[0], _LEANS[1] * abs(mean))
+        if not far and not (alike and abs(mean) > _SET):
+            return 0.0
+        since = mean if alike else off
+        doubt = (
+            "; so far is no setting of the nozzle: if these heights are of another machine, or of "
+            "another hotend, run DELTA_CALIBRATE again before you enter anything"
+            if far
+            else ""
+        )
+        self.notes.append(Note(
+            f"the {word}s of [delta_calibrate] lie {signed(since * 1e3, 2)} mm off, all alike, by "
+            f"the endstops that are stored now: these were moved together since "
+            f"(Z_OFFSET_APPLY_ENDSTOP), and z = 0 is left where they put it{doubt}",
+            "heights",
+        ))  # fmt: skip
+        return since
+
+    def _tell_offset(self, stored: float, offset: float) -> None:
+        self.notes.append(Note(
+            f"the heights of [delta_calibrate] were stored with a z_offset of {stored * 1e3:g} mm, "
+            f"and it is {offset * 1e3:g} mm now: new endstops go by the heights as they were "
+            f"stored, and the nozzle may end {abs(stored - offset) * 1e3:.2g} mm too high or too "
+            f"low; run DELTA_CALIBRATE again",
+            "heights",
+        ))  # fmt: skip
+
+    def _fail_at(self, key: str, p: Array, height: float) -> NoReturn:
+        x, y, z = (f"{v * 1e3:.1f}" for v in p)
+        self.section.fail(
+            f"{key}_pos",
+            f"puts the nozzle at ({x}, {y}, {z}) mm by the stored numbers, where its height above "
+            f"the bed was {height * 1e3:g} mm: the positions, the steps or the numbers of "
+            f"[printer] and [stepper_*] are of different times or mistyped",
+        )
+
+    def _distances(self) -> Iterator[dict[str, Any]]:
+        section = self.section
+        for k in self._numbers("distance"):
+            distance = section.number(f"distance{k}", low=1, high=1000) * 1e-3
+            ends, believed = [], []
+            for end in ("pos1", "pos2"):
+                ends.append(self._travel(f"distance{k}_{end}"))
+                believed.append(self._believed(f"distance{k}_{end}", ends[-1]))
+            apart = float(np.linalg.norm(believed[1] - believed[0]))
+            if abs(apart - distance) > max(_FAR, 0.1 * distance):
+                section.fail(
+                    f"distance{k}",
+                    f"is {distance * 1e3:g} mm between places that are {apart * 1e3:.1f} mm apart "
+                    f"by the stored numbers: is it in another place of DELTA_ANALYZE's list?",
+                )
+            # The firmware's part has six spokes and six rim sides, each with pillars of its own.
+            spoke = k % 12 < 6
+            part = "spokes" if spoke else "rim"
+            apart_by = row(Distance.kind, part, f"{k}", ends[0], distance, ends[1])
+            yield apart_by if spoke else {**apart_by, "sigma": RIM}
+
+    def _numbers(self, word: str) -> range:
+        """Numbers of the readings of a kind: as the firmware does, up to the first that is absent.
+
+        A position without its reading stands behind a gap, and is told.
+        """
+        own = re.compile(rf"{word}([0-9]{{1,4}})(?:_pos[12]?)?")
+        known = {int(m[1]) for key in self.section.entries if (m := own.fullmatch(key))}
+        count = next(k for k in range(len(known) + 1) if f"{word}{k}" not in self.section)
+        beyond = sorted(k for k in known if k >= count)
+        if beyond and word not in self._told:
+            self._told.add(word)
+            self.notes.append(Note(
+                f"[delta_calibrate] has no {word}{count}, and the firmware reads none behind it: "
+                f"what is stored of {word}{beyond[0]} is left out", "heights",
+            ))  # fmt: skip
+        return range(count)
+
+
+def _step(config: Config, tower: str) -> float:
+    """Travel of one microstep of a tower, metres."""
+    section = config.section(f"stepper_{tower}")
+    if "rotation_distance" not in section and "step_distance" in section:  # of older firmware
+        return section.number("step_distance", low=1e-5, high=10) * 1e-3
+    around = section.number("rotation_distance", low=0.1, high=1000)
+    count = section.whole("full_steps_per_rotation", _FULL_STEPS, 4, 1000)
+    if count % 4:
+        section.fail("full_steps_per_rotation", f"is {count}, not a multiple of 4: correct it")
+    gear = 1.0
+    if "gear_ratio" in section:
+        for pair in section.entries["gear_ratio"].text.split(","):
+            ends = re.fullmatch(r"\s*([0-9.]+)\s*:\s*([0-9.]+)\s*", pair)
+            try:
+                gear *= float(ends[1]) / float(ends[2]) if ends else 0.0
+            except (ValueError, ZeroDivisionError):
+                gear = 0.0
+        if not 0 < gear < 1e3:
+            section.fail("gear_ratio", "is no list of ratios such as 80:16: correct it")
+    return around * 1e-3 / (count * section.whole("microsteps", None, 1, 1024) * gear)
