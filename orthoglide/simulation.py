@@ -148,7 +148,9 @@ def _misplaced(
         draw: where to draw from.
     """
     instrument = factor.points.setups[k].instrument
-    shown = instrument.displaced(slopes[rows, :3], factor.mounting.at(rows), draw, _DATUM)
+    shown = instrument.displaced(
+        slopes[rows, :3], factor.mounting_at(slopes[:, :3]).at(rows), draw, _DATUM
+    )
     if shown is not None:
         return shown
     own = block.columns[rows].any(axis=0)

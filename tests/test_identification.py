@@ -34,6 +34,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, nominal_machine_file
 from orthoglide.observations import Campaign, Setup, protocol, read_campaign
+from orthoglide.simulation import simulate as simulated
 from tests.rig import Rig
 from tests.rig_campaigns import Row, protocol_rows, simulate
 
@@ -517,12 +518,27 @@ def test_declared_noise_scales_sigmas_and_leaves_values() -> None:
     campaign = measured("sweep")
     exact = Machine(replace(MACHINE.spec, dial=replace(MACHINE.spec.dial, placement=0.0)))
     options = {"free": ["joint_offset"], "priors": False, "method": "nested"}
-    one = identify(campaign, exact, noise=3e-5, **options)
-    two = identify(campaign, exact, noise=6e-5, **options)
+    step = np.sqrt(1e-5**2 / 12)  # of the dial, which adds to both
+    one, two = (
+        identify(campaign, exact, noise=np.sqrt((k * 3e-5) ** 2 - step**2), **options)
+        for k in (1, 2)
+    )
     agree(one, two)
     assert one.sigma_scale == two.sigma_scale == 1.0
     for name in one.names:
         assert two.sigmas[name] == pytest.approx(2 * one.sigmas[name], rel=1e-6)
+
+
+def test_declared_noise_is_before_rounding_as_simulated() -> None:
+    """A sound machine whose readings scatter as declared leaves what noise leaves."""
+    worst = []
+    for seed in range(12):
+        campaign = simulated(MACHINE, "sweep", noise=5e-6, seed=300 + seed)
+        by_rows = replace(campaign, sigma=np.full(len(campaign), 5e-6))
+        for found in (identify(campaign, MACHINE, noise=5e-6), identify(by_rows, MACHINE)):
+            assert found.problem.noise.typical == pytest.approx(np.hypot(5e-6, 1e-5 / np.sqrt(12)))
+            worst.append(found.scores.chi2 / found.scores.dof)
+    assert np.mean(worst) == pytest.approx(1.0, abs=0.06)
 
 
 def test_covariance_is_the_scatter_of_repeated_campaigns() -> None:

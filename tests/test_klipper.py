@@ -25,7 +25,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Firmware, machine_text, parse_machine_file
 from orthoglide.numerals import MINUS
 from orthoglide.observations import campaign_rows, campaign_text, read_readings, readings_from_rows
-from orthoglide.result.corrections import _of_the_probe, corrections
+from orthoglide.result.corrections import _of_the_probe, _Plate, corrections
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
 
@@ -730,14 +730,18 @@ def test_a_probe_beside_the_nozzle_leaves_the_middle_where_it_is(
     (tmp_path / "printer.cfg").write_text(text)
     spec = import_printer(tmp_path / "printer.cfg").machine
     machine = Machine(spec).with_parameters({"mount_tilt.a.a": rolls})
-    beside = np.array([0.03, -0.01, 0.0])
-    old = spec.printer
+    beside, old = np.array([0.03, -0.01, 0.0]), spec.printer
     nominal = np.sqrt(rig.L**2 - (rig.radius - rig.r) ** 2)
     middle, there = old.heights(np.stack([np.zeros(3), beside])) - nominal
     (p, turned), (q, _) = rig.pose(middle, np.zeros(3)), rig.pose(there, beside)
-    lifted = q[2] - p[2] - Rotation.from_rotvec(turned).apply(beside)[2]
-    assert (abs(lifted) > 5e-5) == (rolls != 0)
-    assert _of_the_probe(old, machine, beside) == pytest.approx(lifted, abs=2e-6)
+    places = np.array([[0.1, 0.0, 0.0], [-0.05, 0.08, 0.0], [-0.02, -0.09, 0.0]])
+    touches = old.heights(places) - nominal
+    turns = [rig.pose(s, near)[1] for s, near in zip(touches, places, strict=True)]
+    mean = Rotation.from_rotvec(turns).apply(beside)[:, 2].mean()
+    lifted = q[2] - p[2] - Rotation.from_rotvec(turned).apply(beside)[2] + mean
+    plate = _Plate(0.1, np.zeros(3), touches, places[:, :2], 1e-5, beside)
+    assert (abs(lifted) > 2e-5) == (rolls != 0)
+    assert _of_the_probe(old, machine, plate) == pytest.approx(lifted, abs=2e-6)
 
 
 def test_heights_of_another_offset_of_the_probe_are_told(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
         assert np.array_equal(again.beside, campaign.beside)
         factor = ToolReadings.of(again, true)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
-        factor = factor.about(linear.value, linear.slopes)
+        factor = factor.about(linear.value)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
         assert np.array_equal(linear.value, factor.predict(true.model, true.values))
         columns = factor.nuisances(linear.slopes).columns
@@ -799,3 +799,18 @@ def test_a_sound_machine_before_a_ball_bar_is_adequate() -> None:
         assert found.word == "adequate", seed
         chi2, dof = chi2 + found.after.scores.chi2, dof + found.after.scores.dof
     assert abs(chi2 / dof - 1) < 4 * np.sqrt(2 / dof)
+
+
+def test_a_ball_bar_pulls_at_nothing_that_it_does_not_see() -> None:
+    """Towers that all end higher move the tool as a whole: the prior is all that is known of it."""
+    layout = LinearDelta((0.12,) * 3)
+    machine = Machine(MachineFile(geometry=Geometry(0.25, 0.05, 0.03, (-0.01, 0.15), layout)))
+    sheets = og.owned_instruments(machine, ["plate", "ballbar"]).sheets
+    legs = machine.geometry.leg_names
+    for seed in (5, 7):
+        rng = np.random.default_rng(seed)
+        errors = {f"joint_offset.{leg}": rng.normal(0, 6e-4) for leg in legs}
+        wrong = machine.with_parameters(errors)
+        read = [og.simulate(wrong, sheet, seed=seed) for sheet in sheets.values()]
+        found = og.identify(read, machine).values
+        assert np.mean([found[name] for name in errors]) == pytest.approx(0.0, abs=5e-6)

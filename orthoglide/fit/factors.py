@@ -205,7 +205,7 @@ class TcpReadings:
         sigma = np.where(silent, SILENT * self.declared, self.declared)
         return replace(self, points=replace(self.points, sigma=sigma))
 
-    def about(self, value: Array, _: Array) -> TcpReadings:
+    def about(self, value: Array) -> TcpReadings:
         """The same with the frame turned to where a machine has the rows ``(n,)``."""
         if self.frame != "rigid" or not self.known.all():
             return self

@@ -99,3 +99,20 @@ def centre_of(p: Array, distance: Array) -> Array:
         step = np.linalg.lstsq(slopes, rest, rcond=1e-6)[0]
         centre, longer = centre + step[:3], longer + float(step[3])
     return np.asarray(centre)
+
+
+def centre_moves(p: Array, distance: Array, centre: Array, moved: Array) -> Array:
+    """How far that centre goes ``(3, P)`` as its points move by ``(n, 3, P)``, by what is implied
+    where squares are least.
+    """
+    away = p - centre
+    length = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+    u = away / length[:, None]
+    rest = distance - length
+    share = (rest - rest.mean()) / length
+    bent = share[:, None, None] * (np.eye(3) - u[:, :, None] * u[:, None])
+    along = np.einsum("ni,nip->np", u, moved)
+    matrix = np.block([[u.T @ u - bent.sum(axis=0), -u.sum(axis=0)[:, None]],
+                       [u.sum(axis=0), -float(len(p))]])  # fmt: skip
+    right = np.vstack([u.T @ along - np.einsum("nij,njp->ip", bent, moved), along.sum(axis=0)])
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0][:3])

@@ -72,7 +72,7 @@ def _told(problem: Problem) -> tuple[str, str] | None:
         figure = f"the machine file says {compact(repeatability * 1e3, 2)}"
         return figure, "correct repeatability under [dial_mm]"
     if source_of == "declared" and problem.campaigns:
-        figure = f"{compact(problem.noise.typical * 1e3, 2)} was declared"
+        figure = f"{compact(problem.noise.declared * 1e3, 2)} was declared"
         return figure, "correct what was declared"
     return None
 

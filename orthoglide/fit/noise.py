@@ -51,6 +51,7 @@ class Noise:
     resolution: float  # the commonest of the steps, which `typical` counts, metres
     # degrees of freedom behind `typical`; infinite where it was not estimated
     dof: float = float("inf")
+    declared: float = float("nan")  # what was told of one dial, before its rounding, metres
 
     def of(self, rows: Sequence[NDArray[Any]]) -> Noise:
         """Of some rows of each campaign, by indices or booleans ``(n,)``."""
@@ -72,9 +73,7 @@ class _Level:
     rows_count: bool = True  # whether `sigma_mm` of the rows goes before
 
     def at(self, step: Array) -> Array:
-        """The same of dials of other steps; what is declared is told of every reading."""
-        if self.source == "declared":
-            return np.full_like(step, self.total)
+        """The same of dials of other steps."""
         scatter = max(self.total**2 - self.step**2 / 12, 0.0)
         return np.where(step == self.step, self.total, np.sqrt(scatter + step**2 / 12))
 
@@ -107,22 +106,34 @@ def noise_of(
     commonest = float(sizes[np.argmax(count)]) if len(sizes) else dial.resolution
     fine, finest = finest_of(campaigns, steps) if len(sizes) else (campaigns, dial.resolution)
     level = _level(fine, replace(dial, resolution=finest), declared)
-    typical = float(level.at(np.array([commonest]))[0])
+    # What is declared may be told of readings that were averaged, or never rounded.
+    told = level.source == "declared"
+    rounds = [s * (_is_rounded(c, s) | (not told)) for c, s in zip(campaigns, steps, strict=True)]
+    most = commonest if any(r.any() for r in rounds) else 0.0
+    typical = float(level.at(np.array([most if told else commonest]))[0])
     again = repeated(campaigns)
     sigmas, commons = [], []
-    for campaign, size in zip(campaigns, steps, strict=True):
-        total = level.at(size)
+    for campaign, size, rounding in zip(campaigns, steps, rounds, strict=True):
+        total = level.at(rounding)
         common = _common(total, size) if again else np.zeros(len(campaign))
         given = np.isfinite(campaign.sigma) & level.rows_count
-        total = np.where(given, campaign.sigma, total)
+        total = np.where(given, np.hypot(campaign.sigma, rounding / np.sqrt(12)), total)
         if common.any():
             own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
             total = np.where(common > 0, _at_edges(campaign, own, size), total)
         sigmas.append(total)
         commons.append(common)
     return Noise(
-        tuple(sigmas), typical, level.source, tuple(commons), tuple(steps), commonest, level.dof
-    )
+        tuple(sigmas), typical, level.source, tuple(commons), tuple(steps), commonest, level.dof,
+        level.total if told else float("nan"),
+    )  # fmt: skip
+
+
+def _is_rounded(campaign: Campaign, step: Array) -> bool:
+    """Whether all readings are multiples of their dials' steps; those not taken yet will be."""
+    if not step.all():
+        return False
+    return not (off_grid(campaign.reading, step) > OFF_GRID).any()
 
 
 def _common(total: Array, step: Array) -> Array:
@@ -313,10 +324,10 @@ def check_noise(noise: float, least: float = NOISE[0]) -> float:
 def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> _Level:
     step, rounding = dial.resolution, dial.resolution**2 / 12
     if declared is not None:
-        return _Level(check_noise(declared), step, "declared", rows_count=False)
+        return _Level(check_noise(declared), 0.0, "declared", rows_count=False)
     given = np.concatenate([np.zeros(0), *(c.sigma for c in campaigns)])
     if len(given) and np.isfinite(given).all():
-        return _Level(float(np.sqrt(np.mean(given**2))), step, "declared")
+        return _Level(float(np.sqrt(np.mean(given**2))), 0.0, "declared")
     if dial.repeatability is not None:
         return _Level(float(np.sqrt(dial.repeatability**2 + rounding)), step, "machine")
     variance, dof = repeat_variance(campaigns)

@@ -60,10 +60,10 @@ def solve(
 
 
 def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
-    """A fit, and again with instruments' frames and balls brought to the machine found.
+    """A fit, and again with instruments' frames brought to the machine found.
 
-    Their turns and shifts are fitted linearly, and the squares of some milliradians or millimetres
-    are more than such instruments' noise.
+    Their turns are fitted linearly, and the squares of some milliradians are more than such
+    instruments' noise.
     """
     found = _solve(problem, method, start)
     for _ in range(_ROUNDS):
@@ -77,13 +77,10 @@ def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
 
 
 def about_machine(problem: Problem, at: Linearised) -> Problem:
-    """The problem with instruments' frames and balls brought to a machine; itself where they are
-    there.
-    """
+    """The problem with instruments' frames brought to a machine; itself where they are there."""
     ends = np.cumsum([len(f.measured) for f in problem.factors])
     values = np.split(at.value, ends[:-1])[len(problem.campaigns) :]
-    slopes = at.slopes[len(problem.campaigns) :]
-    points = tuple(f.about(v, s) for f, v, s in zip(problem.points, values, slopes, strict=True))
+    points = tuple(f.about(v) for f, v in zip(problem.points, values, strict=True))
     if all(new is old for new, old in zip(points, problem.points, strict=True)):
         return problem
     return replace(problem, points=points)

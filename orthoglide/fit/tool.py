@@ -11,18 +11,16 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
-from orthoglide.fit.instrument_frame import centre_of, turned_back
+from orthoglide.fit.instrument_frame import centre_moves, centre_of, turned_back
 from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance
 from orthoglide.fit.tool_noise import LOUD, shown_sigma, usual_sigma
 from orthoglide.geometry import Array
-from orthoglide.instruments import INSTRUMENTS, Instrument, Mounting, Pose
+from orthoglide.instruments import INSTRUMENTS, Instrument, Mounting, Pose, unit_vectors
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolCampaign, source
 from orthoglide.prediction import Conditions, LinearRows, Model
 
 Ints = NDArray[np.int64]
-
-_MOVED = 1e-4  # metres: the square of a smaller shift of a ball is less than a micrometre
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,6 @@ class ToolReadings(OfFile):
     # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
     # them; of the nominal machine, which is near enough
     place: Array
-    ball: Array  # centre of each setup's ball (setups, 3), metres, about which it is fitted
     # by how much single touches of a plate are above the surface of all others (n,), metres; 0 of
     # those that are not
     stray: Array
@@ -53,19 +50,17 @@ class ToolReadings(OfFile):
             noise: standard deviation of one reading; replaces all others.
         """
         p = machine.forward(campaign.command) + campaign.beside
-        place, ball = p[:, :2].copy(), []
+        place = p[:, :2].copy()
         for k, setup in enumerate(campaign.setups):
             rows = campaign.setup == k
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
             place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
-            of_ball = setup.instrument.about_ball
-            ball.append(centre_of(p[rows], campaign.reading[rows]) if of_ball else np.zeros(3))
         usual = usual_sigma(campaign, machine.spec.instruments, noise)
         sigma, stray = usual, np.zeros(len(campaign))
         if not noise:
             height = p[:, 2] - campaign.reading
             sigma, stray = shown_sigma(campaign, machine.spec.instruments, usual, place, height)
-        return cls(campaign, sigma, usual, place, np.array(ball), stray)
+        return cls(campaign, sigma, usual, place, stray)
 
     def without_strays(self, machine: Machine) -> ToolReadings:
         """The same without touches that are none of their surface, which it tells."""
@@ -137,22 +132,12 @@ class ToolReadings(OfFile):
         """The same with some rows ``(n,)`` without weight."""
         return replace(self, sigma=np.where(rows, SILENT * self.sigma, self.sigma))
 
-    def about(self, value: Array, slopes: Array) -> ToolReadings:
-        """The same with instruments' frames and balls brought to where a machine has them.
-
-        Args:
-            value: its rows ``(n,)``.
-            slopes: its places ``(n, 4)``.
+    def about(self, value: Array) -> ToolReadings:
+        """The same with instruments' frames brought to where a machine has them, by its rows
+        ``(n,)``.
         """
-        known = heard(self.sigma)
-        points, ball = turned_back(self.points, value, known), self.ball.copy()
-        for k, setup in enumerate(points.setups):
-            if setup.instrument.about_ball:
-                rows = (points.setup == k) & known
-                ball[k] = centre_of(slopes[rows, :3], points.reading[rows])
-        if points is self.points and np.abs(ball - self.ball).max(initial=0.0) < _MOVED:
-            return self
-        return replace(self, points=points, ball=ball)
+        points = turned_back(self.points, value, heard(self.sigma))
+        return self if points is self.points else replace(self, points=points)
 
     @cached_property
     def twice(self) -> NDArray[np.bool_]:
@@ -212,10 +197,11 @@ class ToolReadings(OfFile):
     def nuisances(self, slopes: Array) -> Block:
         """What each instrument brings: plane, datum, scale and offset, centre and length."""
         columns, sd = [], []
+        mounting = self.mounting_at(slopes[:, :3])
         for k, setup in enumerate(self.points.setups):
             rows = np.flatnonzero(self.setup == k)
             p, value = slopes[rows, :3], slopes[rows, 3]
-            for column, size in setup.instrument.nuisances(p, value, self.mounting.at(rows)):
+            for column, size in setup.instrument.nuisances(p, value, mounting.at(rows)):
                 full = np.zeros(len(self.points))
                 full[rows] = column
                 if np.abs(full).max(initial=0.0) > 0:  # what no row shows is no nuisance
@@ -226,10 +212,24 @@ class ToolReadings(OfFile):
 
     # What each instrument reads -----------------------------------------------------------
 
-    @cached_property
-    def mounting(self) -> Mounting:
-        """How the instruments stand, row by row."""
-        return Mounting(self.points.axis, self.points.sign, self.ball[self.setup])
+    def mounting_at(self, p: Array) -> Mounting:
+        """How the instruments stand, row by row, if the places that are read are ``(n, 3)``.
+
+        A ball stands where its readings put it for just these places: about one that is held, a
+        machine that moves as a whole, which nothing shows, would fit otherwise by the square of it.
+        """
+        ball = np.zeros((len(self.points.setups), 3))
+        for k, rows in self._about_balls():
+            ball[k] = centre_of(p[rows], self.points.reading[rows])
+        return Mounting(self.points.axis, self.points.sign, ball[self.setup])
+
+    def _about_balls(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
+        """Setups that read about a ball, each with the rows that say where it is."""
+        known = heard(self.sigma)
+        for k, setup in enumerate(self.points.setups):
+            rows = np.flatnonzero((self.setup == k) & known)
+            if setup.instrument.about_ball and len(rows):
+                yield k, rows
 
     @cached_property
     def _instruments(self) -> list[tuple[Instrument, NDArray[np.intp]]]:
@@ -252,9 +252,9 @@ class ToolReadings(OfFile):
         return found
 
     def _value(self, pose: Pose, shape: Array) -> Array:
-        found = np.empty(len(self.points))
+        found, mounting = np.empty(len(self.points)), self.mounting_at(pose.p)
         for instrument, rows in self._instruments:
-            found[rows] = instrument.value(pose.at(rows), self.mounting.at(rows))
+            found[rows] = instrument.value(pose.at(rows), mounting.at(rows))
         return found + shape
 
     def _derivative(self, pose: Pose, by_name: Array) -> Array:
@@ -262,12 +262,16 @@ class ToolReadings(OfFile):
         n, by_R = len(self.points), by_name[:, 3:].reshape(len(by_name), 3, 3, -1)
         by_p = self._taken(by_name[:, :3], by_R)
         by_pose = {"p": by_p[:n], "R": by_name[:n, 3:], "apart": self._apart(by_p)}
-        found = np.zeros((n, by_name.shape[-1]))
+        found, mounting = np.zeros((n, by_name.shape[-1])), self.mounting_at(pose.p)
         for instrument, rows in self._instruments:
-            gradient = instrument.gradient(pose.at(rows), self.mounting.at(rows))
+            gradient = instrument.gradient(pose.at(rows), mounting.at(rows))
             for varied, slope in gradient.items():
                 flat = slope.reshape(len(rows), -1)
                 found[rows] += np.einsum("ni,nip->np", flat, by_pose[varied][rows])
+        for k, known in self._about_balls():
+            own, ball = self.setup == k, mounting.ball[known[0]]
+            given = pose.p[known], self.points.reading[known], ball, by_p[known]
+            found[own] -= unit_vectors(pose.p[own] - ball) @ centre_moves(*given)
         return found
 
     def _taken(self, p: Array, R: Array) -> Array:

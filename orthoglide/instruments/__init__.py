@@ -6,6 +6,7 @@ from orthoglide.instruments.instrument import (
     Instrument as Instrument,
     Mounting as Mounting,
     Pose as Pose,
+    unit_vectors as unit_vectors,
 )
 from orthoglide.instruments.level import Level as Level
 from orthoglide.instruments.probe import Probe as Probe

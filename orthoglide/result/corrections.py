@@ -46,7 +46,7 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     if plate is None or plate.radius < _SPAN * old.delta_radius:
         return None
     wanted = _points(plate.radius)
-    higher = _plane(wanted) @ plate.plane + _of_the_probe(old, machine, plate.beside)
+    higher = _plane(wanted) @ plate.plane + _of_the_probe(old, machine, plate)
     lifted = wanted + np.outer(higher, [0.0, 0.0, 1.0])
     geometry, commands = machine.geometry, machine.inverse(lifted)
     at_zero = _at_zero(machine)
@@ -77,18 +77,20 @@ def _at_zero(machine: Machine) -> Array:
     return np.array([leg.carriage[2] - leg.platform[2] for leg in machine.geometry.legs])
 
 
-def _of_the_probe(old: Firmware, machine: Machine, beside: Array) -> float:
+def _of_the_probe(old: Firmware, machine: Machine, plate: _Plate) -> float:
     """By how much the plate lies higher than a probe beside the nozzle says, metres.
 
-    Its offset was set in the middle: it touched with the tool there, and the nozzle then touched
-    the same place. What lifts the one over the other on this machine is in that offset.
+    Readings are about the mean of what the platform's turns lift the probe by. But its offset was
+    set in the middle: it touched with the tool there, and then the nozzle touched the same place.
     """
-    if not beside.any():
+    if not plate.beside.any():
         return 0.0
-    places = np.stack([np.zeros(3), beside])
+    places = np.stack([np.zeros(3), plate.beside])
     (middle, there), at_zero = old.heights(places), _at_zero(machine)
-    pose = machine.pose(middle - at_zero)
-    return float(machine.forward(there - at_zero)[2] - pose.p[2] - (pose.R @ beside)[2])
+    pose = machine.pose(np.vstack([middle - at_zero, plate.commands]))
+    lifted = (pose.R @ plate.beside)[:, 2]
+    higher = machine.forward(there - at_zero)[2] - pose.p[0, 2]
+    return float(higher - lifted[0] + lifted[1:].mean())
 
 
 def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> tuple[Array, float]:
