@@ -62,6 +62,13 @@ class Machine:
 
     spec: MachineFile = field(default_factory=nominal_machine_file)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.spec, MachineFile):
+            raise InputError(
+                f"a {type(self.spec).__name__} is no machine file: give MachineFile(geometry=...), "
+                f"or a path to Machine.load"
+            )
+
     def __repr__(self) -> str:
         names = list(self.spec.parameters)
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
@@ -79,10 +86,11 @@ class Machine:
         given: MachineSource | None,
         effects: Iterable[Effect] = (),
     ) -> Machine:
-        """A machine as it is, or of its file; the nominal one where none is given.
+        """A machine as it is, of its file, or of other dimensions; the nominal one where none is
+        given.
 
         Args:
-            given: the machine, its file as read, or the path of that.
+            given: the machine, its file as read, the path of that, or dimensions.
             effects: of one's own, known besides.
 
         Raises:
@@ -91,11 +99,14 @@ class Machine:
         """
         if isinstance(given, str | os.PathLike):
             return cls.load(given, effects)
+        if isinstance(given, Geometry):
+            given = MachineFile(geometry=given)
         if isinstance(given, MachineFile):
             given = cls(given)
         if given is not None and not isinstance(given, Machine):
             raise InputError(
-                f"a {type(given).__name__} is no machine: give a Machine, or the path of its file"
+                f"a {type(given).__name__} is no machine: give a Machine, the path of its "
+                f"file, or a Geometry"
             )
         return (given or cls.nominal()).with_effects(effects)
 
@@ -176,7 +187,8 @@ class Machine:
     def with_parameters(
         self, values: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Machine:
-        """The same machine with parameters set, SI; structured members set those they stand for.
+        """The same machine with parameters set, SI; structured members set those they stand for,
+        and what several say of one is added.
 
         The covariance of a calibrated machine is about other values and is left behind: what is
         then known of its parameters are their standard deviations alone.
@@ -193,9 +205,9 @@ class Machine:
         for name, value in values.items():
             if not isinstance(value, Real):
                 raise InputError(f"{name} must be a number, not {value!r}")
-            if abs(value) > _ABSURD * self.tolerance(name):
-                unit = self.catalogue.effect_of(name).unit
-                own = self.tolerance(name)
+            unit, own = self.catalogue.effect_of(name).unit, self.tolerance(name)
+            length = _LONG * self.geometry.L if unit.name == "mm" else np.inf
+            if abs(value) > min(_ABSURD * own, length):
                 raise InputError(
                     f"{name} = {value / unit.si:g}{unit.behind} is {abs(value) / own:.0f} times "
                     f"its tolerance of {own / unit.si:g}{unit.behind}: is it meant in another "
@@ -239,6 +251,7 @@ class Machine:
     ) -> Machine:
         if posterior is None:
             _check_sigmas(values, sigmas)
+        given: dict[str, ParameterValue] = {}
         for name, value in values.items():
             if not np.isfinite(value):
                 raise InputError(f"{name} must be a finite number, not {value}")
@@ -251,10 +264,10 @@ class Machine:
                         f"{name} is what the campaign {parameter.campaign} has for itself: a "
                         f"machine has {parameter.plain}"
                     )
-                entries[part] = ParameterValue(
-                    weight * float(value), abs(weight) * float(sigma), unit
-                )
-        made = replace(self.spec, parameters=entries, posterior=posterior, warnings=())
+                said = given.get(part, ParameterValue(0.0, 0.0, unit))
+                both = float(np.hypot(said.sigma, weight * sigma))
+                given[part] = ParameterValue(said.value + weight * float(value), both, unit)
+        made = replace(self.spec, parameters=entries | given, posterior=posterior, warnings=())
         return self._like(replace(made, file="", sha256=""))
 
     def _like(self, spec: MachineFile) -> Machine:
@@ -367,7 +380,8 @@ class Machine:
         return self.model.readings(self.values, campaign)
 
 
-_ABSURD = 1e3  # tolerances: so large is a value in another unit, a thousandth of SI
+_ABSURD = 500.0  # tolerances: so large is a value in another unit, a thousandth of SI
+_LONG = 0.1  # of a bar: no length is off by so much
 
 
 def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
@@ -378,5 +392,5 @@ def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> N
             raise InputError(f"the standard deviation of {name} must be 0 or more, not {sigma}")
 
 
-MachineSource = Machine | MachineFile | str | os.PathLike[str]
-"""A machine, its file as read, or the path of that."""
+MachineSource = Machine | MachineFile | Geometry | str | os.PathLike[str]
+"""A machine, its file as read, the path of that, or dimensions with all else as usual."""

@@ -702,3 +702,13 @@ def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguo
     assert {"travel_x_mm", "travel_y_mm", "travel_z_mm"} <= set(rows)
     again = og.read_campaign(tmp_path / "out" / "next_measurements.csv", counting.spec, False)
     assert counting.geometry.in_stroke(again.command).all()
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_a_few_readings_are_chosen_too(count: int) -> None:
+    assert len(og.design(og.Machine.nominal(), count=count).campaign) == count
+
+
+def test_more_readings_than_anybody_takes_are_refused() -> None:
+    with pytest.raises(og.InputError, match="ask for 500 at most"):
+        og.design(og.Machine.nominal(), count=2000)

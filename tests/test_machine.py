@@ -222,10 +222,31 @@ def test_tolerances_are_by_family() -> None:
     assert NOMINAL.tolerance("axis_tilt.x.y") == NOMINAL.tolerance("axis_tilt") == 1e-3
 
 
+def test_what_several_members_say_of_one_parameter_is_added() -> None:
+    both = {"axis_tilt.cyclic": 1e-3, "axis_tilt.xy.symmetric": 1e-3}
+    for values in (both, dict(reversed(both.items()))):
+        found = NOMINAL.with_parameters(values, dict.fromkeys(values, 3e-4))
+        assert found.values["axis_tilt.x.y"] == pytest.approx(2e-3)
+        assert found.values["axis_tilt.y.x"] == pytest.approx(0.0)
+        assert found.spec.parameters["axis_tilt.x.y"].sigma == pytest.approx(3e-4 * np.sqrt(2))
+        again = found.with_parameters({"axis_tilt.x.y": 5e-4})
+        assert again.values["axis_tilt.x.y"] == 5e-4
+
+
+def test_a_machine_of_other_dimensions() -> None:
+    found = Machine.of(Geometry(0.25, 0.06, 0.02))
+    assert (found.geometry.L, found.tolerance("joint_offset")) == (0.25, 2e-3)
+    with pytest.raises(InputError, match="a Geometry is no machine file"):
+        Machine(Geometry(0.25, 0.06, 0.02))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [({"axis_tilt.y.z": 2.5}, "= 2.5 rad is 2500 times its tolerance of 0.001 rad: is it"),
      ({"leg_length.x": 0.3}, "= 300 mm is 6000 times its tolerance of 0.05 mm: is it"),
+     ({"leg_length.x": 0.05}, "= 50 mm is 1000 times its tolerance"),
+     ({"joint_offset.x": 0.1}, "= 100 mm is 50 times its tolerance of 2 mm: is it meant in"),
+     ({"rail_bow.x.z": 0.02}, "= 20 mm is 1000 times its tolerance of 0.02 mm"),
      ({"joint_offset.x": "0.5e-3"}, "joint_offset.x must be a number, not '0.5e-3'")],
 )  # fmt: skip
 def test_values_in_other_units_are_refused(values: Any, said: str) -> None:

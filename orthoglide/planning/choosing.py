@@ -14,6 +14,7 @@ from orthoglide.planning.linear import LinearReadings
 C = TypeVar("C", bound=Criterion)
 
 _PASSES = 2
+_MOST = 500  # readings of a sheet: a day's work, and some minutes to choose
 _EQUAL = 1e-6  # of a gain: the first of equally good steps is taken, whatever rounding says
 _NOTHING = 1e-9  # gain below which a step is not worth a reading
 
@@ -39,7 +40,8 @@ def choose(
         Rows of the pool, with repetitions, and the criterion with them.
 
     Raises:
-        InputError: for a number of readings that is not whole, or fewer than two.
+        InputError: for a number of readings that is not whole, fewer than two, or more than anybody
+            reads.
     """
     if count != int(count):
         raise InputError(f"readings are counted: ask for {int(count)}, not {count}")
@@ -47,6 +49,8 @@ def choose(
         raise InputError(
             f"a setup needs two readings, as its datum is free: ask for 2, not {count}"
         )
+    if count > _MOST:
+        raise InputError(f"nobody reads a sheet of {count}: ask for {_MOST} at most")
     rows, best = _grow(readings, start, [], count, mounting)
     for _ in range(_PASSES if exchange else 0):
         before = best.value

@@ -181,7 +181,8 @@ class LinearReadings:
 
     def whitened(self, chosen: Sequence[int] | None = None) -> Array:
         """Chosen rows, or all, by the unknowns ``(m, P)``: unit variance, datums projected out."""
-        rows = np.arange(len(self.campaign)) if chosen is None else np.asarray(chosen)
+        every = np.arange(len(self.campaign))
+        rows = every if chosen is None else every[list(chosen)]
         blocks = [np.empty((0, self.columns.shape[1]))]
         for setup in np.unique(self.campaign.setup[rows]):
             own = rows[self.campaign.setup[rows] == setup]
