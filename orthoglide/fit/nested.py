@@ -25,7 +25,7 @@ _MOST_STEPS = 60
 _SETTLED = 1e-7  # steps, in standard deviations of what the readings leave of each unknown
 _ROUNDING = 1e-4  # steps that no longer shrink are rounding of the closures: times the misfit
 _FLAT = 1e-9  # of the cost: less is lost in its rounding, and so are steps along weak directions
-_SLOW = 0.1  # Gauss-Newton that shrinks its steps less than this wants second derivatives
+_SLOW = 0.3  # Gauss-Newton that shrinks its steps less than this is worth second derivatives
 
 
 def solve_nested(

@@ -327,6 +327,9 @@ def gained(inner: Array, met: Array, square: Array, tau: float) -> Array:
         tau: scale.
     """
     count = met.shape[-1]
+    if count == 1:
+        wider = 1 + tau**2 * inner[..., 0, 0]
+        return np.asarray(((tau * met[..., 0]) ** 2 / wider - np.log(wider)) / 2)
     bordered = np.zeros((*met.shape[:-1], count + 1, count + 1))
     bordered[..., :count, :count] = tau**2 * inner + np.eye(count)
     bordered[..., count, :count] = tau * met
