@@ -18,7 +18,7 @@ MM = 1e-3
 def run(campaign_file: str, machine_file: str | None = None) -> og.Estimate:
     """Read, identify, say what came out; the estimate holds the calibrated machine."""
     machine = og.Machine.load(machine_file) if machine_file else og.Machine.nominal()
-    campaign = og.read_campaign(campaign_file, machine.spec)
+    campaign = og.read_campaign(campaign_file, machine)
     print(f"{campaign_file}: {len(campaign)} readings in {len(campaign.setups)} setups")
 
     # What is free, and whether the tolerances count as knowledge, is yours to say:

@@ -19,6 +19,7 @@ from orthoglide.machine_file import (
     MachineFile,
     ParameterValue,
     Posterior,
+    machine_file_of,
     nominal_machine_file,
     read_machine_file,
     write_machine_file,
@@ -99,16 +100,8 @@ class Machine:
         """
         if isinstance(given, str | os.PathLike):
             return cls.load(given, effects)
-        if isinstance(given, Geometry):
-            given = MachineFile(geometry=given)
-        if isinstance(given, MachineFile):
-            given = cls(given)
-        if given is not None and not isinstance(given, Machine):
-            raise InputError(
-                f"a {type(given).__name__} is no machine: give a Machine, the path of its "
-                f"file, or a Geometry"
-            )
-        return (given or cls.nominal()).with_effects(effects)
+        machine = given if isinstance(given, Machine) else cls(machine_file_of(given))
+        return machine.with_effects(effects)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], effects: Iterable[Effect] = ()) -> Machine:

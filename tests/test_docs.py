@@ -10,6 +10,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.closing import Word
 from orthoglide.effects import CATALOGUE
+from orthoglide.effects.catalogue import catalogue_of
 from orthoglide.effects.page import GROUPS, effects_page
 from orthoglide.errors import OrthoglideError
 from orthoglide.geometry import Geometry
@@ -36,8 +37,10 @@ def test_the_page_of_effects_is_fresh() -> None:
 
 def test_the_page_of_effects_has_every_family_and_parameter() -> None:
     page = effects_page()
-    assert {family.group for family in CATALOGUE.values()} <= set(GROUPS)
-    for name, family in CATALOGUE.items():
+    elsewhere = catalogue_of(og.LinearDelta.names)
+    assert {family.group for family in elsewhere.values()} <= set(GROUPS)
+    assert page.count(", not on an Orthoglide.") == len(elsewhere) - len(CATALOGUE) > 0
+    for name, family in {**elsewhere, **CATALOGUE}.items():
         assert f"\n### {name}\n" in page
         assert all(f"`{parameter}`" in page for parameter in family.parameters())
 

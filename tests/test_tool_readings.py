@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -19,8 +20,8 @@ from orthoglide.instruments import INSTRUMENTS
 from orthoglide.klipper import import_printer
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Instrument, MachineFile
-from orthoglide.observations import Campaign, ToolCampaign, campaign_text, read_readings
+from orthoglide.machine_file import Controller, Instrument, MachineFile
+from orthoglide.observations import Campaign, Readings, ToolCampaign, campaign_text, read_readings
 from orthoglide.observations.tool_reading import check_tool
 from orthoglide.planning import owned_instruments
 from orthoglide.planning.owning import sheet_of
@@ -473,6 +474,83 @@ def test_tool_readings_as_frames_and_files(tmp_path: Path) -> None:
     assert "<td>incline-1</td>" in page
     with pytest.raises(InputError, match=r"Campaign\.from_frame"):
         ToolCampaign.from_frame(og.simulate(og.Machine.nominal()).to_frame())
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.07])
+def test_readings_keep_how_their_machine_is_called(tmp_path: Path, zero: float) -> None:
+    """A delta's are written as a delta's, with the machine, its file, that one's path, or none."""
+    controller = Controller(zero=(zero,) * 3)
+    machine = Machine(replace(SPEC, controller=controller))
+    machine.save(tmp_path / "machine.toml")
+    (campaign,) = read(tmp_path, text(("plate", "distance")))
+    given = (machine, machine.spec, tmp_path / "machine.toml", None)
+    for k, one in enumerate(given):
+        frame = campaign.to_frame(one)
+        assert {"travel_a_mm", "travel_c2_mm", "approach_b"} < set(frame)
+        taken = MACHINE if one is None else one  # without one they count from mechanical zero
+        og.write_campaign(campaign, tmp_path / f"{k}.csv", one)
+        (again,) = og.read_readings(tmp_path / f"{k}.csv", taken)
+        for back in (again, ToolCampaign.from_frame(frame, machine_file=taken)):
+            np.testing.assert_allclose(back.command, campaign.command, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(back.second, campaign.second, rtol=0, atol=1e-12)
+            assert back.legs == campaign.legs == LinearDelta.names
+    with pytest.raises(InputError, match="a float is no machine: give a Machine"):
+        og.write_campaign(campaign, tmp_path / "no.csv", 0.1)  # type: ignore[arg-type]
+    assert {one.legs for one in sheets(machine, "plate", "incline")} == {LinearDelta.names}
+
+
+def test_an_imported_frame_reads_back() -> None:
+    """With the mark of its firmware, which is no number."""
+    found = import_printer(DATA / "v400-april.cfg")
+    for campaign in found.campaigns:
+        frame = campaign.to_frame(found.machine)
+        again = ToolCampaign.from_frame(frame, machine_file=found.machine)
+        np.testing.assert_array_equal(again.reading, campaign.reading)
+
+
+def sheets(machine: Machine, *kinds: str) -> list[Readings]:
+    """Readings that instruments would take."""
+    return [og.simulate(machine, sheet_of(machine, kind), seed=1) for kind in kinds]
+
+
+def test_kinds_go_into_one_file(tmp_path: Path) -> None:
+    """Dials and readings of the tool have the same columns of commands; nothing of either is
+    lost.
+    """
+    given = sheets(Machine.nominal(), "incline", "leg", "distance", "tcp")
+    og.write_campaign(given, tmp_path / "mixed.csv")
+    dials, tool = og.read_readings(tmp_path / "mixed.csv")
+    assert not dials.warnings + tool.warnings
+    assert isinstance(given[1], Campaign)
+    for name in ("command", "approach", "reading", "order"):
+        np.testing.assert_array_equal(getattr(dials, name), getattr(given[1], name))
+    for name in ("command", "second", "approach", "reading"):
+        ones = [getattr(given[k], name) for k in (0, 2, 3)]
+        np.testing.assert_array_equal(getattr(tool, name), np.concatenate(ones))
+    assert tool.kind == sum((given[k].kind for k in (0, 2, 3)), ())
+
+
+def test_frames_of_kinds_go_into_one_file(tmp_path: Path) -> None:
+    plate, leg = sheets(Machine.nominal(), "plate", "leg")
+    frame = pd.concat([leg.to_frame(), plate.to_frame()])
+    assert not [name for name in frame if name.startswith("travel")]
+    frame.to_csv(tmp_path / "mixed.csv", index=False)
+    for read, one in zip(og.read_readings(tmp_path / "mixed.csv"), (leg, plate), strict=True):
+        assert not read.warnings
+        for name in ("command", "approach", "reading"):
+            np.testing.assert_array_equal(getattr(read, name), getattr(one, name))
+
+
+def test_what_is_no_one_file_is_refused(tmp_path: Path) -> None:
+    plate, leg = sheets(Machine.nominal(), "plate", "leg")
+    for given, what in {
+        (plate, plate): "two setups of one file are called 'plate'",
+        (leg, leg): "one campaign of dials",
+        (plate, *sheets(MACHINE, "plate")): "of one machine",
+    }.items():
+        with pytest.raises(InputError, match=what):
+            og.write_campaign(given, tmp_path / "no.csv")
+    assert not (tmp_path / "no.csv").exists()
 
 
 def test_a_delta_from_python_alone() -> None:

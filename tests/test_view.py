@@ -384,7 +384,7 @@ def test_what_is_nothing_in_its_tolerance_has_no_switch() -> None:
     assert [list(v) for _, v in causes_of(own.with_parameters(values))] == [["rail_bow.x.z"]]
 
 
-def test_view_writes_a_page_of_a_machine(tmp_path: Path) -> None:
+def test_view_writes_a_page_of_a_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     worn = og.Machine.nominal().with_parameters({"axis_tilt.y.z": 2e-3, "joint_offset.x": 1e-3})
     worn.save(tmp_path / "worn.toml")
     out = tmp_path / "worn.html"
@@ -398,6 +398,12 @@ def test_view_writes_a_page_of_a_machine(tmp_path: Path) -> None:
     again = CliRunner().invoke(cli, asked)
     assert again.exit_code == 2
     assert out.read_text() == page
+    monkeypatch.chdir(tmp_path)
+    for name in ("worn-2.html", "worn-3.html"):  # where no name is given, and none is replaced
+        told = CliRunner().invoke(cli, asked[:2])
+        assert told.output.startswith(f"{name}: ")
+        assert (tmp_path / name).read_text() == page
+    assert CliRunner().invoke(cli, ["view"]).output.startswith("orthoglide.html: ")
     plain = CliRunner().invoke(cli, ["view", "--out", str(tmp_path / "plain.html")])
     assert (plain.exit_code, "without errors" in plain.output) == (0, True)
     missing = CliRunner().invoke(cli, ["view", "nowhere.toml", "--out", str(tmp_path / "x.html")])

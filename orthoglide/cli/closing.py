@@ -105,10 +105,10 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
 
     from orthoglide.cli.progress import progress
     from orthoglide.cli.terminal import say
-    from orthoglide.cli.writing import write_results
+    from orthoglide.cli.writing import next_free, write_results
     from orthoglide.report.folder import check_folder
 
-    folder = check_folder(out or _next_free(DEMO_FOLDER))
+    folder = check_folder(out or next_free(Path(DEMO_FOLDER)))
     files: dict[str, str | bytes] = {}
     told, results = [], {}
     with ExitStack() as stack:
@@ -164,12 +164,3 @@ def _demo_runs(
             ),
         ),
     }
-
-
-def _next_free(name: str) -> Path:
-    """The demo's folder, numbered where earlier ones stand."""
-    folder, number = Path(name), 1
-    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        number += 1
-        folder = Path(f"{name}-{number}")
-    return folder

@@ -43,7 +43,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "forward 310.25 310.25 310.25",
         "forward --csv commands.csv --out points.csv --machine april/calibrated.toml",
     ),
-    "view": ("view --out orthoglide.html", "view april/calibrated.toml --out april.html"),
+    "view": ("view", "view april/calibrated.toml --out april.html"),
     "inverse": ("inverse 10 0 -5 --machine april/calibrated.toml",),
     "import klipper": ("import klipper printer.cfg --out printer",),
 }

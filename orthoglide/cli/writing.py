@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from orthoglide.observations import Campaign
 
 
+def next_free(path: Path) -> Path:
+    """The path, numbered where earlier results stand."""
+    free, number = path, 1
+    while free.exists() and (not free.is_dir() or any(free.iterdir())):
+        number += 1
+        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return free
+
+
 def write_texts(texts: Mapping[Path, str]) -> None:
     """New files, all of them whole or none; `FileError` where one stands or cannot be written."""
     from orthoglide.files import write_files

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from orthoglide.effects.catalogue import CATALOGUE
+from orthoglide.effects.catalogue import CATALOGUE, catalogue_of
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.wording import confirm_words, one_words
+from orthoglide.layout import LinearDelta
 
 GROUPS = {
     "drive": "Drives",
@@ -16,6 +17,10 @@ GROUPS = {
 }
 """Headings of the page, by group of the catalogue, in their order."""
 
+_OF_DELTAS = catalogue_of(LinearDelta.names)
+EFFECTS = (*CATALOGUE.values(), *(e for e in _OF_DELTAS.values() if e.name not in CATALOGUE))
+"""All of the page: the Orthoglide's, then those that other layouts have besides."""
+
 _HEAD = f"""# The catalogue of effects
 
 What real machines have and the nominal one lacks, printed by `python -m orthoglide.effects.page`.
@@ -25,7 +30,7 @@ What real machines have and the nominal one lacks, printed by `python -m orthogl
   the parameter; your own goes into `[tolerance]` of the [machine file](files.md).
 - **Parameters** carry a leg (`x`, `y`, `z`) and, where a second letter follows, the direction of
   the error ([conventions](conventions.md#signs-of-errors)); those of dials and plates the
-  name of the setup.
+  name of the setup. Those of a linear delta carry its towers (`a`, `b`, `c`).
 - **Together** lists patterns that symmetry makes likely, one parameter each.
 - {" and ".join(f"`{name}`" for name in CATALOGUE.base)} are identified always.
 """
@@ -35,7 +40,7 @@ def effects_page() -> str:
     """The page as Markdown."""
     parts = [_HEAD, _overview()]
     for group, heading in GROUPS.items():
-        families = [f for f in CATALOGUE.values() if f.group == group]
+        families = [f for f in EFFECTS if f.group == group]
         if families:
             parts += [f"## {heading}\n", *(_section(f) for f in families)]
     return "\n".join(parts)
@@ -44,9 +49,10 @@ def effects_page() -> str:
 def _overview() -> str:
     rows = ["| effect | unit | tolerance | in a sentence |", "|---|---|---|---|"]
     rows += [
-        f"| [`{f.name}`](#{f.name}) | {f.unit.name} | {f.tolerance:g} | {f.sentence} |"
+        f"| [`{f.name}`](#{f.name}) | {f.unit.name} | {f.tolerance:g} | "
+        f"{f.sentence}{'' if f.name in CATALOGUE else ' (not on an Orthoglide)'} |"
         for group in GROUPS
-        for f in CATALOGUE.values()
+        for f in EFFECTS
         if f.group == group
     ]
     return "\n".join(rows) + "\n"
@@ -54,8 +60,9 @@ def _overview() -> str:
 
 def _section(effect: Effect) -> str:
     names = [f"`{n}`" for n in effect.parameters(("SETUP",))]
+    catalogue = CATALOGUE if effect.name in CATALOGUE else _OF_DELTAS
     members = [
-        f"`{n}`" for n in CATALOGUE.structured(effect.name, _SETUPS if effect.of_dial else ())
+        f"`{n}`" for n in catalogue.structured(effect.name, _SETUPS if effect.of_dial else ())
     ]
     first = next(iter(effect.parameters(("SETUP",))))
     lines = [
@@ -71,6 +78,8 @@ def _section(effect: Effect) -> str:
     ]
     if members:
         lines.append(f"- Together: {', '.join(members)}.")
+    if effect.name not in CATALOGUE:
+        lines.append("- On linear deltas and machines of kind `legs`, not on an Orthoglide.")
     if effect.needs:
         lines.append(f"- Depends on: {', '.join(sorted(effect.needs))}.")
     lines.append(f"- Held by: {_held(effect)}.")

@@ -103,10 +103,10 @@ def _lack_of_fit(
 ) -> float:
     """Probability of a chi2 this large were the model complete; nan without degrees of freedom.
 
-    The smaller of two tests, doubled: of all readings, and of the station means, which see better
-    what repeats at every visit. Of the means alone, against Student's noise, where the noise is
-    the repeats' own scatter; and where that is a matter of single steps of a dial, of no normal
-    law.
+    The smaller of two tests, allowed for being two: of all readings, and of the station means,
+    which see better what repeats at every visit. Of the means alone, against Student's noise, where
+    the noise is the repeats' own scatter; and where that is a matter of single steps of a dial, of
+    no normal law.
     """
     known, rows, stations = problem.noise_dof, len(problem.measured), len(problem.weighing.first)
     weighing = nuisance.weighing
@@ -116,8 +116,15 @@ def _lack_of_fit(
     means = tail(float(rest @ rest), stations, shares, known)
     if rows == stations or np.isfinite(known) or problem.common.any():
         return means
-    whole = tail(here.chi2, rows - nuisance.free, here.shares)
-    return min(1.0, 2 * min(means, whole)) if np.isfinite(means) else whole
+    return smaller(means, tail(here.chi2, rows - nuisance.free, here.shares))
+
+
+def smaller(one: float, other: float) -> float:
+    """Probability 1 - (1 - p)^2 that the smaller of two p-values is no larger than it is (Sidak
+    1967); p itself where the other is nan.
+    """
+    p = float(np.fmin(one, other))
+    return p if np.isnan([one, other]).any() else p * (2 - p)  # exact where p is tiny
 
 
 def tail(chi2: float, count: int, shares: Array, known: float = np.inf) -> float:

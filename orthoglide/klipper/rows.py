@@ -8,6 +8,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.instruments import Probe
+from orthoglide.layout import LinearDelta
 from orthoglide.observations import ToolCampaign, ToolSetup
 
 ROUND = 12
@@ -51,4 +52,5 @@ def campaign_of(name: str, rows: list[dict[str, Any]], turned: float = 0.0) -> T
         reading=np.round([one["reading"] for one in rows], ROUND),
         sigma=np.array([one.get("sigma", np.nan) for one in rows]),
         line=np.arange(2, n + 2),
+        legs=LinearDelta.names,
     )

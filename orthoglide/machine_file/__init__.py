@@ -16,6 +16,8 @@ from orthoglide.machine_file.model import (
 )
 from orthoglide.machine_file.posterior import Posterior as Posterior
 from orthoglide.machine_file.reading import (
+    AnyMachine as AnyMachine,
+    machine_file_of as machine_file_of,
     parse_machine_file as parse_machine_file,
     read_machine_file as read_machine_file,
 )

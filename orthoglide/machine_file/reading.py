@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
-from typing import Any
+from typing import Any, Protocol
 
 from orthoglide import files, units
 from orthoglide.effects import CATALOGUE, Catalogue
@@ -25,6 +25,7 @@ from orthoglide.machine_file.model import (
     MachineFile,
     ParameterValue,
     Stiffness,
+    nominal_machine_file,
 )
 from orthoglide.machine_file.posterior import posterior_path, read_posterior
 from orthoglide.machine_file.travel import check_travel
@@ -168,6 +169,38 @@ _INSTRUMENT: dict[str, Parser] = {
 }
 _TOP: dict[str, Parser] = {"schema": _schema, "name": _text}
 _FREE = ("tolerance", "parameters", "provenance", "layout", "instrument")
+
+
+class _Specified(Protocol):
+    """A machine, which is known above."""
+
+    @property
+    def spec(self) -> MachineFile:
+        """What its file holds."""
+
+
+AnyMachine = MachineFile | _Specified | Geometry | str | os.PathLike[str]
+"""A machine, its file as read, the path of that, or dimensions with all else as usual."""
+
+
+def machine_file_of(given: AnyMachine | None) -> MachineFile:
+    """What is known of a machine; of the nominal one where none is given.
+
+    Raises:
+        FileError: naming file, line and remedy.
+        InputError: for what is none.
+    """
+    if isinstance(given, str | os.PathLike):
+        return read_machine_file(given)
+    if isinstance(given, Geometry):
+        return MachineFile(geometry=given)
+    found = nominal_machine_file() if given is None else getattr(given, "spec", given)
+    if not isinstance(found, MachineFile):
+        raise InputError(
+            f"a {type(given).__name__} is no machine: give a Machine, the path of its file, or a "
+            f"Geometry"
+        )
+    return found
 
 
 def read_machine_file(

@@ -11,6 +11,7 @@ from orthoglide.observations.campaign import (
 )
 from orthoglide.observations.exchange import (
     check_given as check_given,
+    in_sequence as in_sequence,
     readings_rows as readings_rows,
     readings_text as readings_text,
     write_campaign as write_campaign,

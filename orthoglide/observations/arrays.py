@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
+from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.observations.approach import Ints
 
 
@@ -109,8 +110,9 @@ class Recorded:
         sha256: digest of the file, or ``""``.
         warnings: what was noticed on reading and is no error.
         reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
-        to_frame: the rows of the file as a data frame; of a machine file's layout, where that is
-            given.
+        legs: how the machine's legs and commands are called.
+        to_frame: the rows of the file as a data frame, in the coordinates of a machine's controller
+            where that is given.
     """
 
     to_frame: ClassVar[Callable[..., Any]]
@@ -134,6 +136,7 @@ class Recorded:
     sha256: str = ""
     warnings: tuple[Any, ...] = ()
     reference_temperature: float = float("nan")
+    legs: LegNames = ORTHOGLIDE.names
 
     def __post_init__(self) -> None:
         hold(self, self.name, self._arrays, "reading")

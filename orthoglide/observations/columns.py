@@ -31,8 +31,8 @@ from orthoglide.units import NOISE
 MM = 1e-3
 NAN = float("nan")
 
-TRAVELLED, SECOND, APPROACHED = "travel_{}_mm", "travel_{}2_mm", "approach_{}"
-"""Columns of the controller's values, of a distance's second command, of each drive's last move."""
+TRAVELLED, APPROACHED = "travel_{}_mm", "approach_{}"
+"""Columns of the controller's values, and of each drive's last move."""
 
 
 PLACE, SECOND_PLACE = ("x_mm", "y_mm", "z_mm"), ("x2_mm", "y2_mm", "z2_mm")
@@ -180,6 +180,7 @@ def recorded(
         "line": read.lines,
         "file": read.file,
         "sha256": read.sha256,
+        "legs": machine.geometry.layout.names,
     }
 
 

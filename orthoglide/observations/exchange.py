@@ -7,14 +7,14 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 
 from orthoglide import files
 from orthoglide.errors import InputError
 from orthoglide.frames import data_frame
-from orthoglide.machine_file import MachineFile
+from orthoglide.machine_file import AnyMachine, MachineFile
 from orthoglide.observations.arrays import Recorded
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import check_campaign, check_commands, check_filled
@@ -26,7 +26,6 @@ from orthoglide.observations.tool_reading import Readings, check_tool, readings_
 from orthoglide.observations.writing import (
     Row,
     campaign_rows,
-    campaign_text,
     csv_text,
     tcp_rows,
 )
@@ -35,12 +34,11 @@ from orthoglide.units import NOISE
 if TYPE_CHECKING:
     import pandas as pd
 
-_WORDS = ("kind", "setup", "leg", "direction", "posture")
+_R = TypeVar("_R", bound=Readings)
+_WORDS = ("kind", "setup", "leg", "direction", "posture", "firmware")
 
 
-def readings_rows(
-    given: Readings | TcpPoints, machine_file: MachineFile | None = None
-) -> list[Row]:
+def readings_rows(given: Readings | TcpPoints, machine_file: AnyMachine | None = None) -> list[Row]:
     """The rows of the file of readings of any kind; arguments as for `write_campaign`."""
     if isinstance(given, TcpPoints):
         return tcp_rows(given, machine_file)
@@ -48,18 +46,19 @@ def readings_rows(
 
 
 def readings_text(
-    given: Sequence[Readings], machine_file: MachineFile | None = None, *, places: bool = False
+    given: Sequence[Readings], machine_file: AnyMachine | None = None, *, places: bool = False
 ) -> str:
     """The CSV text of one file of readings of several kinds; arguments as for `campaign_rows`."""
-    rows = [row for one in given for row in campaign_rows(one, machine_file, places=places)]
+    said = {"places": places, "approaches": len(given) > 1}  # empty is unknown, if one gives them
+    rows = [row for one in given for row in campaign_rows(one, machine_file, **said)]
     names = dict.fromkeys(name for row in rows for name in row)
     return csv_text([{name: row.get(name, "") for name in names} for row in rows])
 
 
 def write_campaign(
-    campaign: Readings,
+    campaign: Readings | Sequence[Readings],
     path: str | os.PathLike[str],
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     *,
     overwrite: bool = False,
 ) -> None:
@@ -67,25 +66,62 @@ def write_campaign(
 
     Args:
         campaign: what to write, of dials or of the tool; readings that are nan are left empty.
+            Several go into one file, dials first, each in order behind the one before.
         path: where to.
-        machine_file: whose layout and controller count: where that counts in a way of its own,
-            commands are written as the controller shows them; the nominal one if None.
+        machine_file: the machine, or its file: where its controller counts in a way of its own,
+            commands are written as it shows them; as the campaign has them if None.
         overwrite: whether an existing file may be replaced.
 
     Raises:
         FileError: where a file stands already and may not be replaced, or none can be written.
+        InputError: where several cannot be one file: of different machines, two with dials, or two
+            with a setup of the same name.
     """
-    files.write_whole(path, campaign_text(campaign, machine_file), overwrite=overwrite)
+    given = (campaign,) if isinstance(campaign, Recorded) else in_one_file(campaign)
+    files.write_whole(path, readings_text(given, machine_file), overwrite=overwrite)
 
 
-def readings_frame(campaign: Readings, machine_file: MachineFile | None = None) -> pd.DataFrame:
+def in_one_file(given: Sequence[Readings]) -> list[Readings]:
+    """Readings of several kinds as one file has them.
+
+    Raises:
+        InputError: as `write_campaign`.
+    """
+    setups = [s.name for one in given for s in one.setups]
+    twice = [name for name in setups if setups.count(name) > 1]
+    if len({one.legs for one in given}) > 1:
+        raise InputError("one file is of one machine: write readings of others to their own files")
+    if sum(isinstance(one, Campaign) for one in given) > 1:
+        raise InputError("one file has one campaign of dials: write the others to their own files")
+    if twice:
+        raise InputError(
+            f"two setups of one file are called {twice[0]!r}: name each apart, or write the "
+            f"readings to files of their own"
+        )
+    # Dials take all moves of a file for theirs: those behind their readings are nothing to them.
+    return in_sequence(sorted(given, key=lambda one: isinstance(one, ToolCampaign)))
+
+
+def in_sequence(given: Sequence[_R]) -> list[_R]:
+    """The same readings, the order of each behind that of the one before."""
+    found, last = list[_R](), 0
+    for one in given:
+        order = np.concatenate([one.order, one.moves.order])
+        shift = last + 1 - order.min() if found else 0
+        moves = replace(one.moves, order=one.moves.order + shift)
+        found.append(replace(one, order=one.order + shift, moves=moves))
+        last = order.max() + shift
+    return found
+
+
+def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -> pd.DataFrame:
     """The rows of the file of readings as a data frame, which ``from_frame`` takes back; arguments
-    as for `write_campaign`.
+    as for `write_campaign`. Frames of several kinds put together are those of a mixed file.
 
     Raises:
         InputError: where pandas is not installed.
     """
-    rows = campaign_rows(campaign, machine_file)
+    rows = campaign_rows(campaign, machine_file, approaches=True)
 
     def value(name: str, cell: str) -> Any:
         return cell if name in _WORDS else float(cell or "nan")
@@ -95,14 +131,15 @@ def readings_frame(campaign: Readings, machine_file: MachineFile | None = None) 
 
 
 def tool_from_frame(
-    df: Any, *, name: str = "frame", machine_file: MachineFile | None = None
+    df: Any, *, name: str = "frame", machine_file: AnyMachine | None = None
 ) -> ToolCampaign:
     """Readings of the tool from a data frame with the columns of their file.
 
     Args:
         df: a pandas data frame, or a mapping of columns; missing values are empty fields.
         name: of the readings.
-        machine_file: whose layout, stroke and controller count; the nominal one if None.
+        machine_file: the machine whose layout, stroke and controller count, or its file; the
+            nominal one if None.
 
     Raises:
         FileError: as `read_readings`, rows counted as lines of a file with a header.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.instruments import INSTRUMENTS
-from orthoglide.machine_file import Controller, MachineFile, nominal_machine_file
+from orthoglide.machine_file import AnyMachine, Controller, machine_file_of
 from orthoglide.notes import Note
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.campaign import Campaign, Setup
@@ -30,14 +30,15 @@ from orthoglide.observations.table import Column, Table, frame_table, read_table
 
 def read_campaign(
     path: str | os.PathLike[str],
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     require_readings: bool = True,
 ) -> Campaign:
     """Reads a campaign and looks for faults that need no fit.
 
     Args:
         path: the CSV file (UTF-8; commas, or semicolons with decimal points or commas).
-        machine_file: whose stroke, dial and controller count; the nominal one if None.
+        machine_file: the machine whose stroke, dial and controller count, or its file; the nominal
+            one if None.
         require_readings: False: a sheet not yet filled in is welcome.
 
     Returns:
@@ -58,7 +59,7 @@ def campaign_from_frame(
     df: Any,
     *,
     name: str = "frame",
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     controller: Controller | None = None,
     require_readings: bool = True,
 ) -> Campaign:
@@ -74,7 +75,7 @@ def campaign_from_frame(
     Raises:
         FileError: as `read_campaign`, rows counted as lines of a file with a header.
     """
-    machine = machine_file or nominal_machine_file()
+    machine = machine_file_of(machine_file)
     if controller is not None:
         machine = replace(machine, controller=controller)
     found = campaign_of_table(frame_table(df, name), name, machine, require_readings)
@@ -87,15 +88,17 @@ Campaign.from_frame = staticmethod(campaign_from_frame)
 def campaign_of_table(
     table: Table,
     name: str,
-    machine_file: MachineFile | None,
+    machine_file: AnyMachine | None,
     require_readings: bool = True,
+    others: tuple[str, ...] = (),
 ) -> Campaign:
-    """A campaign of dial readings from a table of cells.
+    """A campaign of dial readings from a table of cells, in which ``others`` are columns of other
+    readings of its file.
 
     Raises:
         FileError: naming the line and what would be right.
     """
-    machine = machine_file or nominal_machine_file()
+    machine = machine_file_of(machine_file)
     if of_tool := set(INSTRUMENTS).intersection(table.values("kind", Column(str, ""))):
         table.fail(
             f"holds readings at the tool ({', '.join(sorted(of_tool))}), and is no campaign of "
@@ -110,7 +113,7 @@ def campaign_of_table(
             int(np.argmin(moved)),
         )
     names = command_names(table)
-    known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH)
+    known = (*SETUP_COLUMNS, *ROW_COLUMNS, *RHO, *TRAVEL, *APPROACH, *others)
     needed = ("setup", "leg", "direction", *names, "gauge_mm")
     readings = ("reading_mm",) if require_readings else ()
     warnings = table.check_names(known, (*needed, *readings))

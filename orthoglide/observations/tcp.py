@@ -13,7 +13,7 @@ import numpy as np
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
-from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.machine_file import AnyMachine, machine_file_of
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.arrays import MAYBE, MAYBE_VECTOR, VECTOR, WHOLE, hold
 from orthoglide.observations.checks import HARDLY, Fail
@@ -92,12 +92,13 @@ class TcpPoints(Framed):
         return f"<TcpPoints: {len(self)} points{f' of {self.file}' if self.file else ''}>"
 
 
-def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = None) -> TcpPoints:
+def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> TcpPoints:
     """Reads TCP points.
 
     Args:
         path: the CSV file, as for `read_campaign`.
-        machine_file: whose layout, stroke and controller count; the nominal one if None.
+        machine_file: the machine whose layout, stroke and controller count, or its file; the
+            nominal one if None.
 
     Returns:
         The points; a coordinate left empty is nan.
@@ -110,7 +111,7 @@ def read_tcp(path: str | os.PathLike[str], machine_file: MachineFile | None = No
 
 def tcp_from_rows(
     rows: Sequence[Mapping[str, str]],
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     *,
     file: str,
     lines: Sequence[int] = (),
@@ -124,8 +125,8 @@ def tcp_from_rows(
     return _tcp(rows_table(rows, file, lines, sha256), machine_file)
 
 
-def _tcp(table: Table, machine_file: MachineFile | None) -> TcpPoints:
-    machine = machine_file or nominal_machine_file()
+def _tcp(table: Table, machine_file: AnyMachine | None) -> TcpPoints:
+    machine = machine_file_of(machine_file)
     names, approach = command_names(table, machine), by_leg(APPROACHED, machine.geometry.leg_names)
     known = (*names, *RHO, *TRAVEL, *approach, *POINT, "sigma_mm")
     warnings = table.check_names(known, (*names, *POINT))

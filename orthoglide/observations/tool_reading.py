@@ -12,7 +12,7 @@ import numpy as np
 
 from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS
-from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
 from orthoglide.observations.approach import Ints
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import Fail
@@ -47,7 +47,7 @@ _KIND = Column(choice({kind: kind for kind in ("leg", "move", *INSTRUMENTS)}), "
 
 def read_readings(
     path: str | os.PathLike[str],
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     *,
     require_readings: bool = True,
 ) -> tuple[Readings, ...]:
@@ -55,7 +55,8 @@ def read_readings(
 
     Args:
         path: the CSV file, as for `read_campaign`.
-        machine_file: whose layout, stroke and controller count; the nominal one if None.
+        machine_file: the machine whose layout, stroke and controller count, or its file; the
+            nominal one if None.
         require_readings: False: a sheet not yet filled in is welcome.
 
     Returns:
@@ -70,7 +71,7 @@ def read_readings(
 
 def readings_from_rows(
     rows: Sequence[Mapping[str, str]],
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     *,
     name: str,
     lines: Sequence[int] = (),
@@ -97,18 +98,19 @@ def readings_from_rows(
 def readings_of_table(
     table: Table,
     name: str,
-    machine_file: MachineFile | None,
+    machine_file: AnyMachine | None,
     require_readings: bool = True,
 ) -> tuple[Readings, ...]:
     """Readings of any kind from a table of cells; arguments as for `read_readings`."""
-    machine = machine_file or nominal_machine_file()
+    machine = machine_file_of(machine_file)
     kinds = table.values("kind", _KIND)
     of_tool = [k for k, kind in enumerate(kinds) if kind in INSTRUMENTS]
     others = [k for k, kind in enumerate(kinds) if kind not in INSTRUMENTS]
     legs = any(kinds[k] == "leg" for k in others)
     found: list[Readings] = []
     if legs or not of_tool:
-        found.append(campaign_of_table(table.part(others), name, machine, require_readings))
+        beside = _known(table, machine) if of_tool else ()
+        found.append(campaign_of_table(table.part(others), name, machine, require_readings, beside))
     if of_tool:
         own = f"{name}-tool" if legs else name
         rows = table.part(of_tool if legs else range(len(kinds)))  # moves among dials' are theirs
@@ -116,18 +118,23 @@ def readings_of_table(
     return tuple(found)
 
 
+def _known(table: Table, machine: MachineFile) -> tuple[str, ...]:
+    """Columns that a file with readings of the tool may have."""
+    legs, names = machine.geometry.leg_names, command_names(table, machine)
+    return (
+        *TOOL_COLUMNS, *ROW_COLUMNS, *SETUP_COLUMNS, *names, *second_names(names, legs), *RHO,
+        *by_leg(APPROACHED, legs), *by_leg(TRAVELLED, legs), "reading_mrad", "sigma_mrad",
+    )  # fmt: skip
+
+
 def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool) -> ToolCampaign:
     """Readings of the tool from rows of these and of moves."""
     moved = [kind == "move" for kind in every.values("kind", _KIND)]
-    legs = machine.geometry.leg_names
-    names, approach = command_names(every, machine), by_leg(APPROACHED, legs)
-    second = second_names(names, legs)
-    known = (
-        *TOOL_COLUMNS, *ROW_COLUMNS, *SETUP_COLUMNS, *names, *second, *approach, *RHO,
-        *by_leg(TRAVELLED, legs), "reading_mrad", "sigma_mrad",
-    )  # fmt: skip
+    names = command_names(every, machine)
+    second = second_names(names, machine.geometry.leg_names)
     kinds = [k for k in every.values("kind", _KIND) if k != "move"]
     reading = [f"reading_{INSTRUMENTS[k].unit}" for k in kinds]
+    known = _known(every, machine)
     warnings = every.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
     _check_firmware(every, machine)
     table, fields = recorded(every, moved, names, machine)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from orthoglide import text, units
 from orthoglide.geometry import LEGS, Array
-from orthoglide.machine_file import Controller, DeltaKinematics, MachineFile, nominal_machine_file
+from orthoglide.layout import LegNames
+from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.observations.campaign import Campaign
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.columns import (
@@ -20,12 +21,12 @@ from orthoglide.observations.columns import (
     MM,
     PLACE,
     POINT,
-    RHO,
-    SECOND,
     SECOND_PLACE,
     TRAVELLED,
     TURNED,
     by_leg,
+    of_commands,
+    second_names,
 )
 from orthoglide.observations.tcp import TcpPoints
 from orthoglide.observations.tool import ToolCampaign
@@ -37,12 +38,10 @@ Columns = dict[str, Sequence[Any] | None]
 """Cells by column; None where a column says nothing."""
 
 _PLACED = 9  # decimals of a metre, of where a tool is sent
-_MOUNTING = ("setup", "leg", "direction", "gauge_mm", "bar")
+_MOUNTING: tuple[str, ...] = ("setup", "leg", "direction", "gauge_mm", "bar")
 
 
-def campaign_text(
-    campaign: Campaign | ToolCampaign, machine_file: MachineFile | None = None
-) -> str:
+def campaign_text(campaign: Campaign | ToolCampaign, machine_file: AnyMachine | None = None) -> str:
     """The CSV text of readings; arguments as for `campaign_rows`."""
     return csv_text(campaign_rows(campaign, machine_file))
 
@@ -59,28 +58,29 @@ def command_columns(row: Row) -> list[str]:
 
 def campaign_rows(
     campaign: Campaign | ToolCampaign,
-    machine_file: MachineFile | None = None,
+    machine_file: AnyMachine | None = None,
     *,
     places: bool = False,
+    approaches: bool = False,
 ) -> list[Row]:
     """The rows of a file of readings, moves included; optional columns only where they say
     something.
 
     Args:
         campaign: of dials or of the tool; readings that are nan are left empty.
-        machine_file: whose layout and controller count; the nominal one if None. Commands are as
-            the controller shows them, and joint coordinates with dials where it counts as these do.
+        machine_file: the machine as whose controller shows them commands are written, or its file.
+            Where none is given, or it counts as the layout does, they are the campaign's own: joint
+            coordinates of an Orthoglide, travel of others.
         places: commands are where the tool is sent, where the machine file knows how its controller
             sends it there.
+        approaches: give the approach even where it follows from the order.
 
     Returns:
         From column to text; all rows have the same columns, in the order of FORMAT's table.
     """
-    machine = machine_file or nominal_machine_file()
-    dials = isinstance(campaign, Campaign)
-    rho = dials and machine.controller == Controller()
-    kinematics = machine.kinematics if places and not dials else None
-    legs, angles = machine.geometry.leg_names, campaign.angular
+    machine = None if machine_file is None else machine_file_of(machine_file)
+    names = _names(campaign.legs, machine, places)
+    legs, angles = _legs(campaign.legs, machine).legs, campaign.angular
     timed = np.isfinite(campaign.time).any()
     taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
     columns: Columns = {
@@ -88,8 +88,8 @@ def campaign_rows(
         "setup": [campaign.setups[k].name for k in campaign.setup],
         **dict.fromkeys(("leg", "direction")),
         "posture": campaign.posture,
-        **_commands(campaign.command, machine, rho, kinematics),
-        **dict.fromkeys(("gauge_mm", "bar", *by_leg(SECOND, legs), *SECOND_PLACE)),
+        **_commands(campaign.command, machine, names),
+        **dict.fromkeys(("gauge_mm", "bar", *second_names(names, legs))),
         "repeat": campaign.repeat.tolist(),
         "order": campaign.order.tolist(),
         **_approaches(campaign.approach, legs),
@@ -102,18 +102,32 @@ def campaign_rows(
         "sigma_mrad": _told(_numbers_of(angles, campaign.sigma)),
     }
     if isinstance(campaign, Campaign):
-        own = _of_dials(campaign)
+        own, told = _of_dials(campaign, approaches), _MOUNTING
     else:
-        own = _of_tool(campaign, machine, kinematics)
+        own, told = _of_tool(campaign, machine, names), _MOUNTING[:1]
     rows = rows_of(columns | own)
-    moves = rows_of(_commands(campaign.moves.command, machine, rho, kinematics))
-    return _with_moves(rows, campaign, moves, _MOUNTING if dials else ("setup",))
+    moves = rows_of(_commands(campaign.moves.command, machine, names))
+    return _with_moves(rows, campaign, moves, told)
 
 
-def _of_dials(campaign: Campaign) -> Columns:
+def _legs(own: LegNames, machine: MachineFile | None) -> LegNames:
+    """Names of a machine's legs; readings' ``own`` where none is given."""
+    return own if machine is None else machine.geometry.layout.names
+
+
+def _names(own: LegNames, machine: MachineFile | None, places: bool = False) -> tuple[str, ...]:
+    """Columns of commands; arguments as for `_legs` and `campaign_rows`."""
+    legs = _legs(own, machine)
+    if places and machine is not None and machine.kinematics is not None:
+        return PLACE
+    plain = machine is None or machine.controller == Controller()
+    return of_commands(legs) if plain else by_leg(TRAVELLED, legs.legs)
+
+
+def _of_dials(campaign: Campaign, approaches: bool) -> Columns:
     """The columns that dials on legs have of their own."""
     setups = [campaign.setups[k] for k in campaign.setup]
-    derived = np.array_equal(campaign.approach, campaign.derived_approach)
+    derived = not approaches and np.array_equal(campaign.approach, campaign.derived_approach)
     return {
         **({} if len(campaign.moves) else {"kind": None}),
         "leg": [LEGS[s.leg] for s in setups],
@@ -125,35 +139,31 @@ def _of_dials(campaign: Campaign) -> Columns:
 
 
 def _of_tool(
-    campaign: ToolCampaign, machine: MachineFile, kinematics: DeltaKinematics | None
+    campaign: ToolCampaign, machine: MachineFile | None, names: tuple[str, ...]
 ) -> Columns:
     """The columns that readings of the tool have of their own."""
     named = [
         ("-" if sign < 0 else "") + LEGS[axis] if campaign.setups[k].instrument.axes else ""
         for axis, sign, k in zip(campaign.axis, campaign.sign, campaign.setup, strict=True)
     ]
-    second = (
-        shown_commands(campaign.second, machine, by_leg(SECOND, machine.geometry.leg_names))
-        if kinematics is None
-        else _places(campaign.second, kinematics, SECOND_PLACE)
-    )
+    others = second_names(names, _legs(campaign.legs, machine).legs)
     beside = zip(BESIDE, campaign.beside.T, strict=True)
     return {
         "direction": _told(named),
-        **(second if campaign.paired.any() else {}),
-        "firmware": _told([machine.firmware] * len(campaign)),
+        **(_commands(campaign.second, machine, others) if campaign.paired.any() else {}),
+        "firmware": _told([machine.firmware if machine else ""] * len(campaign)),
         **{name: numbers(values, MM) if values.any() else None for name, values in beside},
         TURNED: numbers(campaign.turned_by) if campaign.turned_by.any() else None,
-        **({} if kinematics is None else _touches(campaign, kinematics)),
+        **(_touches(campaign, machine) if names == PLACE else {}),
     }
 
 
-def _touches(campaign: ToolCampaign, kinematics: DeltaKinematics) -> Columns:
+def _touches(campaign: ToolCampaign, machine: MachineFile | None) -> Columns:
     """Heights and readings where a plate is still to be touched: the height is what is read."""
     open_ = campaign.touching & np.isnan(campaign.reading)
     if not open_.any():
         return {}
-    height = _places(campaign.command, kinematics, PLACE)[PLACE[2]]
+    height = _commands(campaign.command, machine, PLACE)[PLACE[2]]
     read = _numbers_of(~campaign.angular, campaign.reading)
     return {
         PLACE[2]: ["" if is_open else cell for cell, is_open in zip(height, open_, strict=True)],
@@ -161,15 +171,16 @@ def _touches(campaign: ToolCampaign, kinematics: DeltaKinematics) -> Columns:
     }
 
 
-def tcp_rows(points: TcpPoints, machine_file: MachineFile | None = None) -> list[Row]:
+def tcp_rows(points: TcpPoints, machine_file: AnyMachine | None = None) -> list[Row]:
     """The rows of a file of TCP points; optional columns only where they say something. Commands
     are joint coordinates, or the controller's values of a machine that is no Orthoglide.
     """
-    machine = machine_file or nominal_machine_file()
-    approach = _approaches(points.approach, machine.geometry.leg_names)
+    machine = None if machine_file is None else machine_file_of(machine_file)
+    legs = _legs(points.legs, machine)
+    approach = _approaches(points.approach, legs.legs)
     return rows_of(
         {
-            **_commands(points.command, machine, machine.geometry.dialled),
+            **_commands(points.command, machine, of_commands(legs)),
             **{name: numbers(points.p[:, axis], MM) for axis, name in enumerate(POINT)},
             **(approach if points.approach.any() else {}),
             "sigma_mm": _told(numbers(points.sigma, MM)),
@@ -204,32 +215,19 @@ def _with_moves(
 
 
 def _commands(
-    command: Array, machine: MachineFile, rho: bool, kinematics: DeltaKinematics | None = None
+    command: Array, machine: MachineFile | None, names: tuple[str, ...]
 ) -> dict[str, list[str]]:
-    """Cells of commands ``(n, 3)``: joint coordinates, what the controller shows, or where it sends
-    the tool.
+    """Cells of commands ``(n, 3)`` by their columns: joint coordinates, what the controller of a
+    machine shows, or where it sends the tool; nan is empty.
     """
-    if kinematics is not None:
-        return _places(command, kinematics, PLACE)
-    if rho:
-        return {name: numbers(command[:, axis], MM) for axis, name in enumerate(RHO)}
-    return shown_commands(command, machine, by_leg(TRAVELLED, machine.geometry.leg_names))
-
-
-def _places(
-    command: Array, kinematics: DeltaKinematics, names: Sequence[str]
-) -> dict[str, list[str]]:
-    """Cells of where a controller sends the tool for commands ``(n, 3)``; nan is empty."""
-    found, told = np.full(command.shape, np.nan), np.isfinite(command).all(axis=1)
-    found[told] = np.round(kinematics.places(command[told]), _PLACED) + 0.0
-    return {name: numbers(found[:, axis], MM) for axis, name in enumerate(names)}
-
-
-def shown_commands(
-    command: Array, machine: MachineFile, names: Sequence[str]
-) -> dict[str, list[str]]:
-    """Cells of commands ``(n, 3)`` as the machine's controller shows them."""
-    shown = np.round(machine.controller.from_rho(command, machine.geometry), DECIMALS) + 0.0
+    shown = command
+    if names in (PLACE, SECOND_PLACE) and machine is not None and machine.kinematics is not None:
+        shown, told = np.full(command.shape, np.nan), np.isfinite(command).all(axis=1)
+        shown[told] = np.round(machine.kinematics.places(command[told]), _PLACED) + 0.0
+    elif names[0].startswith("travel"):
+        if machine is not None:
+            shown = machine.controller.from_rho(command, machine.geometry)
+        shown = np.round(shown, DECIMALS) + 0.0
     return {name: numbers(shown[:, axis], MM) for axis, name in enumerate(names)}
 
 

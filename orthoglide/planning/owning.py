@@ -11,7 +11,7 @@ from orthoglide.errors import UnreachableError, check_word
 from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS, Instrument
 from orthoglide.machine import Machine
-from orthoglide.observations import Readings, ToolCampaign, ToolSetup, protocol
+from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
@@ -65,14 +65,8 @@ class Owned:
 
     def to_fill_in(self) -> list[ToolCampaign]:
         """The sheets of the tool's readings without these, in one sequence."""
-        found, first = [], 0
-        for sheet in self.sheets.values():
-            if isinstance(sheet, ToolCampaign):
-                blank = np.full(len(sheet), np.nan)
-                moves = replace(sheet.moves, order=sheet.moves.order + first)
-                found.append(replace(sheet, reading=blank, order=sheet.order + first, moves=moves))
-                first += len(sheet) + len(moves)
-        return found
+        of_tool = [s for s in self.sheets.values() if isinstance(s, ToolCampaign)]
+        return in_sequence([replace(s, reading=np.full(len(s), np.nan)) for s in of_tool])
 
 
 @on_one_thread
@@ -194,6 +188,7 @@ def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) ->
         reading=reading,
         sigma=nothing,
         line=count + 1,
+        legs=machine.geometry.layout.names,
     ).in_order()  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orthoglide.diagnosis.significance import Left
-from orthoglide.fit.scores import tail
+from orthoglide.fit.scores import smaller, tail
 from orthoglide.geometry import Array
 from orthoglide.posterior.causes import Outstanding
 from orthoglide.posterior.everything import FullPosterior
@@ -30,8 +30,8 @@ def remains(posterior: FullPosterior, found: Outstanding) -> Left:
 
     With ``S = 1 + A D A^T`` the rest ``S^-1 r`` has the covariance ``S^-1`` where the explanation
     is right: its chi2 is a sum of squares, each weighed by an eigenvalue of that. Of the station
-    means, which see best what repeats at every visit; and of everything, doubled, where the noise
-    is declared.
+    means, which see best what repeats at every visit; where the noise is declared the smaller of
+    that and a test of everything, allowed for being two.
 
     A posterior that did not settle was not looked at where it is: what it leaves is not known.
     """
@@ -71,7 +71,7 @@ def _chance(posterior: FullPosterior, inverse: Array) -> float:
     known = problem.noise_dof
     p = _tail(means.T @ rest, means.T @ inverse @ means, square, count, known)
     if count == 0 and not np.isfinite(known) and not problem.common.any():
-        p = float(np.nanmin([1.0, 2 * p, 2 * _tail(rest, inverse, 0.0, 0.0, np.inf)]))
+        p = smaller(p, _tail(rest, inverse, 0.0, 0.0, np.inf))
     return p if np.isfinite(p) else 1.0
 
 
