@@ -643,7 +643,7 @@ def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
     assert any("7 touches" in note for note in import_printer(file).notes)
 
 
-def test_readings_behind_a_gap_are_left_out_as_the_firmware_does(tmp_path: Path) -> None:
+def test_readings_behind_a_gap_are_read_and_half_ones_told(tmp_path: Path) -> None:
     file, text = tmp_path / "printer.cfg", V400.read_text()
     lines = text.splitlines(keepends=True)
     file.write_text("".join(x for x in lines if not x.startswith("#*# distance2 =")))
@@ -651,8 +651,8 @@ def test_readings_behind_a_gap_are_left_out_as_the_firmware_does(tmp_path: Path)
     calibration = found.campaigns[0]
     distances = [p for p, k in zip(calibration.posture, calibration.kind, strict=True)
                  if k == "distance"]  # fmt: skip
-    assert distances == ["0", "1"]
-    assert any("has no distance2" in n and "distance2 is left out" in n for n in found.notes)
+    assert distances == [str(k) for k in range(12) if k != 2]
+    assert any("a place and no reading of distance2" in note for note in found.notes)
     file.write_text("".join(x for x in lines if not x.startswith("#*# height3_pos")))
     with pytest.raises(FileError, match="height3_pos is missing"):
         import_printer(file)

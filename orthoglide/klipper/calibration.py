@@ -185,22 +185,18 @@ class Calibration:
             apart_by = row(Distance.kind, part, f"{k}", ends[0], distance, ends[1])
             yield apart_by if spoke else {**apart_by, "sigma": RIM}
 
-    def _numbers(self, word: str) -> range:
-        """Numbers of the readings of a kind: as the firmware does, up to the first that is absent.
-
-        A position without its reading stands behind a gap, and is told.
-        """
+    def _numbers(self, word: str) -> list[int]:
+        """Numbers of the readings of a kind; of a place without its reading a note is made."""
         own = re.compile(rf"{word}([0-9]{{1,4}})(?:_pos[12]?)?")
         known = {int(m[1]) for key in self.section.entries if (m := own.fullmatch(key))}
-        count = next(k for k in range(len(known) + 1) if f"{word}{k}" not in self.section)
-        beyond = sorted(k for k in known if k >= count)
-        if beyond and word not in self._told:
+        read = sorted(k for k in known if f"{word}{k}" in self.section)
+        if len(read) < len(known) and word not in self._told:
             self._told.add(word)
+            lone = ", ".join(f"{word}{k}" for k in sorted(known.difference(read)))
             self.notes.append(Note(
-                f"[delta_calibrate] has no {word}{count}, and the firmware reads none behind it: "
-                f"what is stored of {word}{beyond[0]} is left out", "heights",
+                f"[delta_calibrate] has a place and no reading of {lone}: it is left out", "heights"
             ))  # fmt: skip
-        return range(count)
+        return read
 
 
 def _step(config: Config, tower: str) -> float:
