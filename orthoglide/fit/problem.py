@@ -170,6 +170,12 @@ class Problem:
         turns = self.sigma[self.turned]
         return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
 
+    @property
+    def told_noise(self) -> float:
+        """The same of a length as it was declared, before its rounding, where it was."""
+        declared = self.noise.declared
+        return declared if np.isfinite(declared) else self.one_reading.length
+
     @cached_property
     def noises(self) -> dict[str, tuple[float, NoiseSource]]:
         """By instrument, ``leg``, ``tcp``, ``plate`` ... or ``points``, in the order they were

@@ -105,7 +105,7 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
             "toml": machine_text(spec),
             "npz": kept and b64encode(posterior_bytes(kept, spec.sha256)).decode(),
         },
-        "noise_mm": _mm(after.problem.one_reading.length),
+        "noise_mm": _mm(after.problem.told_noise),
         **_mrad(noise=after.problem.one_reading.turn),
         "noise_source": after.problem.noise_source,
         "noise_of": {
