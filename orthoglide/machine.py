@@ -6,14 +6,13 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, FileError, InputError
+from orthoglide.errors import ClosureError, FileError, InputError, check_by_name
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -190,9 +189,8 @@ class Machine:
                 that is no number or must be in another unit, and a standard deviation that is none
                 or of another parameter.
         """
+        check_by_name("parameters", values)
         for name, value in values.items():
-            if not isinstance(value, Real):
-                raise InputError(f"{name} must be a number, not {value!r}")
             if abs(value) > _ABSURD * self.tolerance(name):
                 unit = self.catalogue.effect_of(name).unit
                 own = self.tolerance(name)
@@ -371,6 +369,8 @@ _ABSURD = 1e3  # tolerances: so large is a value in another unit, a thousandth o
 
 
 def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
+    check_by_name("parameters", values)
+    check_by_name("standard deviations", sigmas)
     for name, sigma in sigmas.items():
         if name not in values:
             raise InputError(f"a standard deviation is given of {name}, which is not set: set both")
