@@ -12,15 +12,12 @@ import numpy as np
 from orthoglide.closing import Verdict, run
 from orthoglide.diagnosis.changes import visits
 from orthoglide.effects.wording import parameter_words
-from orthoglide.errors import InputError
 from orthoglide.fit import (
     Change,
     Estimate,
     Problem,
-    Source,
     account_for_changes,
     assemble,
-    readings_of,
     solve,
 )
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
@@ -31,7 +28,7 @@ from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.request import Request
+from orthoglide.request import Request, State, states_of
 from orthoglide.threads import on_one_thread
 from orthoglide.units import Unit
 
@@ -177,8 +174,8 @@ class Check(Framed):
 
 @on_one_thread
 def check(
-    old: Source | Sequence[Source],
-    new: Source | Sequence[Source],
+    old: State | Verdict,
+    new: State | Verdict,
     machine: MachineSource | None = None,
     *,
     noise: float | None = None,
@@ -194,9 +191,10 @@ def check(
 
     Args:
         old: readings of the old state, in the order they were taken; paths are read as by
-            ``read_readings``.
+            ``read_readings``. A result, its folder or its ``result.json`` has its readings.
         new: readings of the new one.
-        machine: dimensions, tolerances, dial, or the path of its file; nominal where absent.
+        machine: dimensions, tolerances, dial, or the path of its file; where absent a result's,
+            else the nominal one.
         noise: standard deviation of one reading, metres.
         seed: of every random draw.
         progress: called with each step.
@@ -205,10 +203,10 @@ def check(
         InputError: where a side is empty or the campaigns cannot be used.
         NumericsError: where the base model cannot be identified.
     """
-    if not old or not new:
-        raise InputError("there is nothing to compare: give readings of both states")
-    machine, progress = Machine.of(machine), progress or silent
-    before, after = _told_apart(readings_of(old, machine), readings_of(new, machine))
+    progress = progress or silent
+    old, new = (s.request if isinstance(s, Verdict) else s for s in (old, new))
+    machine, *sides = states_of(old, new, None if machine is None else Machine.of(machine))
+    before, after = _told_apart(*sides)
     dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
     tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
     # A fit has the dials first and takes the tool's readings for those of the last state.

@@ -19,6 +19,7 @@ from orthoglide.fit import (
     account_for_changes,
     assemble,
     identify,
+    points_of,
     readings_of,
     solve,
     sorted_out,
@@ -32,7 +33,7 @@ from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.notes import Note
-from orthoglide.observations import TcpPoints, check_given
+from orthoglide.observations import TcpPoints
 from orthoglide.posterior import (
     Cause,
     Outstanding,
@@ -125,7 +126,7 @@ def close_loop(
     own: Sequence[str] = (),
     noise: float | None = None,
     holdout: Source | Sequence[Source] | None = None,
-    tcp: TcpPoints | None = None,
+    tcp: TcpPoints | str | os.PathLike[str] | None = None,
     effects: Sequence[Effect] = (),
     seed: int = 0,
     progress: Progress | None = None,
@@ -140,7 +141,7 @@ def close_loop(
         own: effects or parameters that each campaign has for itself; the rest is shared.
         noise: standard deviation of one reading, metres.
         holdout: readings that only judge the finished result.
-        tcp: measured points that only judge the finished result.
+        tcp: measured points that only judge the finished result, or the path of their file.
         effects: of one's own, weighed beside those of the machine's catalogue.
         seed: of every random draw; the same seed gives the same answer.
         progress: called with each step; any callable will do.
@@ -152,11 +153,10 @@ def close_loop(
     """
     machine = Machine.of(machine, effects)
     several, points = sorted_out(campaigns, machine)
-    if tcp is not None:
-        check_given(tcp, machine.spec)
+    judges = None if tcp is None else points_of(tcp, machine)
     held = () if holdout is None else readings_of(holdout, machine)
     request = Request(
-        "close-loop", several, machine, tuple(own), noise, seed, held, tcp, points=points,
+        "close-loop", several, machine, tuple(own), noise, seed, held, judges, points=points,
         frame=frame,
     )  # fmt: skip
     return run(request, progress)

@@ -7,7 +7,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class OrthoglideError(Exception):
@@ -138,3 +145,52 @@ def check_list(what: str, given: object) -> None:
     """
     if isinstance(given, str):
         raise InputError(f"{what} is a list of names: give [{given!r}], not {given!r}")
+
+
+def path_of(given: str | PathLike[str]) -> Path:
+    """A path; a number is none, which the system takes for a file that is open.
+
+    Raises:
+        InputError: for what is none, naming its type.
+    """
+    if not isinstance(given, str | PathLike):
+        raise InputError(f"a {type(given).__name__} is no path: give the name of a file or folder")
+    return Path(given)
+
+
+def check_whole(what: str, given: object, least: int) -> int:
+    """A whole number that is at least so large.
+
+    Raises:
+        InputError: naming what it is.
+    """
+    if not isinstance(given, Integral) or given < least:
+        raise InputError(f"{what} must be {least} or more and whole, not {given!r}")
+    return int(given)
+
+
+def check_by_name(what: str, given: object) -> None:
+    """Refuses what are no numbers by name.
+
+    Raises:
+        InputError: naming what they are, or the first that is no number.
+    """
+    if not isinstance(given, Mapping):
+        raise InputError(f"{what} go by name: give {{NAME: NUMBER}}, not a {type(given).__name__}")
+    for name, value in given.items():
+        if not isinstance(value, Real):
+            raise InputError(f"{name} must be a number, not {value!r}")
+
+
+def numbers(what: str, given: Any) -> NDArray[np.float64]:
+    """An array of numbers, of any shape.
+
+    Raises:
+        InputError: for texts, and rows of unequal length.
+    """
+    import numpy as np
+
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be numbers, in rows of one length") from None

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
-from orthoglide.errors import FileError
+from orthoglide.errors import FileError, path_of
 from orthoglide.text import shown
 
 TEXT = 2**20
@@ -41,7 +41,9 @@ def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     Raises:
         FileError: where it is missing, empty, unreadable, too large, or a pipe into which nobody
             writes for `SILENCE` seconds.
+        InputError: for what is no path.
     """
+    path_of(path)
     most = LIMIT if most is None else most
     try:
         content = _content(path, most)
@@ -132,7 +134,7 @@ def sha256(content: bytes) -> str:
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool) -> None:
     """Writes a file that appears whole or not at all; raises as :func:`write_files`."""
-    write_files({Path(path): content}, overwrite=overwrite)
+    write_files({path_of(path): content}, overwrite=overwrite)
 
 
 def write_files(

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide import layout as layouts
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, numbers
 
 Array = NDArray[np.float64]
 Leg = Literal["x", "y", "z"]
@@ -32,9 +33,9 @@ def vectors(values: ArrayLike, name: str) -> Array:
     refused.
 
     Raises:
-        InputError: where the shape is another, or a number is not finite.
+        InputError: where the shape is another, or something is no finite number.
     """
-    array = np.asarray(values, dtype=float)
+    array = numbers(name, values)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{name} must have shape (..., 3), not {array.shape}")
     if not np.isfinite(array).all():
@@ -96,18 +97,20 @@ class Geometry:
     def __post_init__(self) -> None:
         for name in ("L", "d", "r"):
             value = getattr(self, name)
-            if not np.isfinite(value) or value <= 0:
-                raise InputError(f"geometry: {name} must be a positive length, not {value}")
-            if value > _LARGEST:
+            if not (isinstance(value, Real) and 0 < float(value) < np.inf):
+                raise InputError(f"geometry: {name} must be a positive length, not {value!r}")
+            if float(value) > _LARGEST:
                 raise InputError(
                     f"geometry: {name} = {value:g} m is far from any machine: give lengths in "
                     f"metres, not millimetres"
                 )
-        if not self.layout.stroke_fits(self.L, self.stroke):
+        limits = tuple(numbers("geometry: the stroke", self.stroke).ravel().tolist())
+        if len(limits) != 2 or not self.layout.stroke_fits(self.L, limits):
             raise InputError(
-                f"geometry: the stroke must run from below 0 to above 0 and stay within a bar's "
-                f"length, not {self.stroke}"
+                f"geometry: the stroke's two limits must run from below 0 to above 0 and stay "
+                f"within a bar's length, not {self.stroke}"
             )
+        object.__setattr__(self, "stroke", limits)
         _ = self.legs  # which says where bars are too short
 
     @cached_property

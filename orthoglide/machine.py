@@ -6,14 +6,13 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, FileError, InputError
+from orthoglide.errors import ClosureError, FileError, InputError, check_by_name
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -195,9 +194,8 @@ class Machine:
                 that is no number or must be in another unit, and a standard deviation that is none
                 or of another parameter.
         """
+        check_by_name("parameters", values)
         for name, value in values.items():
-            if not isinstance(value, Real):
-                raise InputError(f"{name} must be a number, not {value!r}")
             unit, own = self.catalogue.effect_of(name).unit, self.tolerance(name)
             length = _LONG * self.geometry.L if unit.name == "mm" else np.inf
             if abs(value) > min(_ABSURD * own, length):
@@ -378,6 +376,8 @@ _LONG = 0.1  # of a bar: no length is off by so much
 
 
 def _check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
+    check_by_name("parameters", values)
+    check_by_name("standard deviations", sigmas)
     for name, sigma in sigmas.items():
         if name not in values:
             raise InputError(f"a standard deviation is given of {name}, which is not set: set both")

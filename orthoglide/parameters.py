@@ -10,6 +10,9 @@ import re
 from collections.abc import Collection
 from typing import Any
 
+MEMBERS = ("common", "cyclic", "symmetric", "antisymmetric")
+"""Words behind the dot by which parameters of several legs go together."""
+
 _SETUP = re.compile(r'"((?:[^"]|"")*)"(?:\.([^@]*))?(?:@(.*))?', re.DOTALL)
 
 

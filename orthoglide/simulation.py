@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.accuracy import wanted_points
-from orthoglide.errors import ClosureError, InputError
+from orthoglide.errors import ClosureError, InputError, check_whole
 from orthoglide.fit.factors import Block
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, check_noise
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.seed import commands as commands_of
 from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign, protocol
 from orthoglide.observations.protocols import Kind
@@ -40,7 +40,7 @@ _DATUM = 1e-3  # metres or radians: where an instrument's zero, or its frame, ma
 
 @overload
 def simulate(
-    machine: Machine,
+    machine: MachineSource,
     sheet: Campaign | Kind = "standard",
     *,
     noise: float | None = None,
@@ -51,7 +51,7 @@ def simulate(
 
 @overload
 def simulate(
-    machine: Machine,
+    machine: MachineSource,
     sheet: ToolCampaign,
     *,
     noise: float | None = None,
@@ -61,7 +61,7 @@ def simulate(
 
 
 def simulate(
-    machine: Machine,
+    machine: MachineSource,
     sheet: Readings | Kind = "standard",
     *,
     noise: float | None = None,
@@ -75,7 +75,7 @@ def simulate(
     instrument's resolution.
 
     Args:
-        machine: with its errors as parameters.
+        machine: with its errors as parameters, or the path of its file.
         sheet: readings whose values do not count, or a kind of protocol for dials.
         noise: standard deviation of one reading, metres; the machine file's where absent, else
             the published one.
@@ -86,10 +86,16 @@ def simulate(
         InputError: for a noise that is no standard deviation, a negative seed, or an error so large
             that it must be in another unit.
     """
+    machine = Machine.of(machine)
     if isinstance(sheet, ToolCampaign):
         return _at_the_tool(machine, sheet, noise, seed, exact)
     if isinstance(sheet, str):
         sheet = protocol(sheet, machine.geometry)
+    if not isinstance(sheet, Campaign):
+        raise InputError(
+            f"a {type(sheet).__name__} is no sheet: give one campaign, readings of the tool, or a "
+            f"kind of protocol"
+        )
     draw, sd = _draws(seed), _noise(machine, noise)
     if exact:
         with _closing(machine):
@@ -158,16 +164,20 @@ def _misplaced(
     return np.asarray(slopes[rows, 3] + block.columns[np.ix_(rows, own)] @ off)
 
 
-def simulate_tcp(machine: Machine, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:
+def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed = 0) -> TcpPoints:
     """Exact TCP points at commands drawn over the workspace, in the middle of any dead band.
 
     On the Orthoglide that is the whole stroke; elsewhere they lie between points of the workspace.
 
     Args:
-        machine: with its errors as parameters.
+        machine: with its errors as parameters, or the path of its file.
         count: points.
         seed: of all random draws, or where to draw from.
+
+    Raises:
+        InputError: for no count of points, or a negative seed.
     """
+    machine, count = Machine.of(machine), check_whole("count", count, 1)
     geometry, draw = machine.geometry, _draws(seed)
     if geometry.dialled:
         rho = geometry.zero + draw.uniform(*geometry.stroke, (count, 3))
@@ -243,6 +253,6 @@ def _noise(machine: Machine, noise: float | None) -> float:
 
 
 def _draws(seed: Seed) -> np.random.Generator:
-    if not isinstance(seed, np.random.Generator) and seed < 0:
-        raise InputError(f"seed must be 0 or more, not {seed}")
-    return np.random.default_rng(seed)
+    if isinstance(seed, np.random.Generator):
+        return seed
+    return np.random.default_rng(check_whole("seed", seed, 0))

@@ -98,7 +98,7 @@ def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
 
 
 def test_both_sides_have_readings(machine: og.Machine) -> None:
-    with pytest.raises(InputError, match="readings of both states"):
+    with pytest.raises(InputError, match="at least one file of readings"):
         check([], [campaign(machine, "c", rows(1))], machine)
 
 

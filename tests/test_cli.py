@@ -744,6 +744,16 @@ def test_an_error_in_another_unit_is_refused_by_its_name(here: Path) -> None:
     assert not (here / "a.csv").exists()
 
 
+def test_an_error_of_no_setup_is_refused_with_those_there_are(here: Path) -> None:
+    og.Machine.nominal().save("nominal.toml")
+    command = ("simulate", "--machine", "nominal.toml", "--out", "a.csv", "--error")
+    told = run(*command, "gauge_scale.nope=0.01")
+    assert told.exit_code == 2
+    assert "takes the name of a setup behind the dot, one of xy-0.5, xz-0.5" in told.stderr
+    assert not (here / "a.csv").exists()
+    done(*command, "gauge_scale.xy-0.5=0.01")
+
+
 def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     """Nor are readings taken for two visits that are one file under two names, without a word."""
     longer = replace(og.Machine.nominal().spec, name="longer", geometry=og.Geometry(L=0.4))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,19 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.effects import CATALOGUE
+from orthoglide.fit import points_of
+from orthoglide.observations import csv_text, tcp_rows
+from orthoglide.parameters import MEMBERS
 from orthoglide.planning.owning import sheet_of
+from orthoglide.report import result_text
+from orthoglide.request import states_of
 
 WORN = og.Machine.nominal().with_parameters({"joint_offset.x": 6e-4, "leg_length.y": 5e-5})
 DIALS = og.simulate(WORN, "standard", noise=5e-6, seed=1)
 POINTS = og.simulate_tcp(WORN, 20, seed=1)
+ZERO = WORN.geometry.zero
+FRAME: Any = {"leg": ["x"], "reading_mm": [0.1]}
 
 
 def cases(*given: tuple[str, Callable[[], Any], str]) -> pytest.MarkDecorator:
@@ -27,6 +36,11 @@ def cases(*given: tuple[str, Callable[[], Any], str]) -> pytest.MarkDecorator:
 def refused(call: Callable[[], Any], words: str) -> None:
     with pytest.raises(og.InputError, match=words):
         call()
+
+
+@cache
+def closed() -> og.Verdict:
+    return og.close_loop(DIALS)
 
 
 def fit(given: Any = DIALS, **options: Any) -> og.Estimate:
@@ -47,9 +61,123 @@ def fit(given: Any = DIALS, **options: Any) -> og.Estimate:
     ("designed", lambda: og.design(WORN, free="leg_length"), "free is a list of names"),
     ("a count", lambda: og.design(WORN, count=12.5), "ask for 12, not 12.5"),  # type: ignore[arg-type]
     ("a method for dials", lambda: fit([DIALS, POINTS], method="reduction"), "predicts dials only"),
+    (
+        "a condition",
+        lambda: WORN.forward(ZERO, aproach=1),
+        "no condition 'aproach': .* approach, t",
+    ),
+    ("a condition back", lambda: WORN.inverse([0, 0, 0], aproach=1), "no condition 'aproach'"),
+    ("an interval", lambda: fit().interval("joint_ofset.x"), "no identified parameter 'joint_ofse"),
+    ("an effect's name", lambda: og.close_loop(DIALS, effects=["axis_tilt"]), "each an og.Effect"),
+    ("effects' names", lambda: og.close_loop(DIALS, effects="axis_tilt"), "each an og.Effect"),
+    ("a level", lambda: og.smallest_effects(WORN, DIALS, level=2), "level is a probability"),
 )
 def test_misspelt_options(call: Callable[[], Any], words: str) -> None:
     refused(call, words)
+
+
+@cases(
+    ("commands", lambda: WORN.forward(["a", "b", "c"]), "rho must be numbers"),
+    ("ragged commands", lambda: WORN.forward([[1, 2, 3], [1]]), "rho must be numbers"),
+    ("a goal", lambda: WORN.inverse("abc"), "p must be numbers"),
+    ("no parameters", lambda: WORN.with_parameters(None), "give {NAME: NUMBER}, not a NoneType"),
+    ("pairs", lambda: WORN.with_parameters([("joint_offset.x", 0.0)]), "go by name"),
+    ("only", lambda: WORN.with_only({"joint_offset.x": "1"}), "joint_offset.x must be a number"),
+    ("sigmas", lambda: WORN.with_only({}, [1.0]), "standard deviations go by name"),
+    ("two radii", lambda: og.LinearDelta(radius=(0.1, 0.1)), "radius must be three finite numbers"),
+    ("a tool", lambda: og.LinearDelta(radius=0.1, tool="a"), "tool must be numbers"),
+    ("a leg", lambda: og.FreeLeg("one", (0, 0), (1, 0, 0), (0, 1, 0)), "leg one: origin must be t"),
+    ("common", lambda: og.FreeLeg("common", (0, 0, 0), (1, 0, 0), (0, 1, 0)), "another name"),
+    ("stroke", lambda: og.Geometry(stroke=(-0.1, 0.0, 0.1)), "the stroke's two limits"),
+    ("a length", lambda: og.Geometry(L="0.3"), "L must be a positive length, not '0.3'"),
+    ("protocol", lambda: og.protocol("sweep", WORN), "give machine.geometry"),
+    ("noise", lambda: fit(noise="0.005"), "standard deviation in metres, .* not '0.005'"),
+    ("path", lambda: og.compensate(WORN, [["a", 0, 0]]), "a path must be numbers"),
+    ("load", lambda: og.compensate(WORN, [[0, 0, 0]], load="a"), "load must be numbers"),
+    ("no machine", lambda: og.compensate(3, [[0, 0, 0]]), "give a Machine, or the path of its"),
+    ("no seed", lambda: og.simulate(WORN, seed=None), "seed must be 0 or more and whole, not None"),
+    ("half a seed", lambda: og.close_loop(DIALS, seed=1.5), "seed must be 0 or more and whole"),
+    ("negative seed", lambda: og.close_loop(DIALS, seed=-1), "seed must be 0 or more"),
+    ("sheets", lambda: og.simulate(WORN, [DIALS]), "a list is no sheet: give one campaign"),
+    ("no points", lambda: og.simulate_tcp(WORN, -1), "count must be 1 or more"),
+    ("no file", lambda: og.Machine.load(None), "a NoneType is no path"),
+    ("a handle", lambda: og.read_campaign(3), "a int is no path"),
+    ("no place", lambda: WORN.save(None), "a NoneType is no path"),
+    ("no folder", lambda: closed().report(None), "a NoneType is no path"),
+)  # fmt: skip
+def test_what_is_of_another_type(call: Callable[[], Any], words: str) -> None:
+    refused(call, words)
+
+
+@cases(
+    ("identified", lambda: fit(FRAME), "dict holds no readings: .* og.Campaign.from_frame makes"),
+    ("closed", lambda: og.close_loop(FRAME), "og.Campaign.from_frame"),
+    ("checked", lambda: og.check(DIALS, FRAME), "og.Campaign.from_frame"),
+    ("rows", lambda: og.Campaign.from_frame([{"leg": "x"}]), "a list: give a data frame, or a map"),
+    ("none", lambda: og.Campaign.from_frame(None), "a NoneType: give a data frame"),
+    ("a path", lambda: og.Campaign.from_frame("a.csv"), "a str: give a data frame"),
+    ("points", lambda: og.Campaign.from_frame(POINTS), "a TcpPoints: give a data frame"),
+    ("a cell", lambda: og.Campaign.from_frame({"leg": 1}), "a column that is no list"),
+)
+def test_frames(call: Callable[[], Any], words: str) -> None:
+    refused(call, words)
+
+
+def test_a_column_twice_is_said_as_of_a_file() -> None:
+    pd = pytest.importorskip("pandas")
+    df = DIALS.to_frame()
+    twice = pd.concat([df, df[["leg"]]], axis=1)
+    refused(lambda: og.Campaign.from_frame(twice), "names column 'leg' twice: remove one")
+    refused(lambda: fit(df), "a DataFrame holds no readings: .* og.Campaign.from_frame")
+
+
+def test_campaigns_without_a_file_are_named_in_python() -> None:
+    other = og.simulate(WORN, "standard", noise=5e-6, seed=2)
+    refused(lambda: fit([DIALS, other]), "dataclasses.replace.campaign, name='second'")
+    refused(lambda: fit([POINTS, POINTS]), "TCP points file='second.csv'")
+    fit([DIALS, replace(other, name="second")])
+    fit([POINTS, replace(POINTS, file="second.csv")])
+
+
+def test_one_radius_is_that_of_all_towers() -> None:
+    assert og.LinearDelta(radius=0.12) == og.LinearDelta(radius=(0.12, 0.12, 0.12))
+
+
+def test_one_effect_is_a_list_of_one() -> None:
+    mine = replace(WORN.catalogue["axis_tilt"], name="mine")
+    known = WORN.with_effects(mine)  # type: ignore[arg-type]
+    assert list(known.catalogue) == [*WORN.catalogue, "mine"]
+
+
+def test_words_of_structured_members_name_no_leg() -> None:
+    every = {p for e in CATALOGUE for p in CATALOGUE.structured(e, ("any",))}
+    assert {p.member.rpartition(".")[2] for p in every} == set(MEMBERS)
+
+
+def test_paths_do_for_machines_and_points(tmp_path: Path) -> None:
+    file, points = tmp_path / "machine.toml", tmp_path / "points.tcp.csv"
+    WORN.save(file)
+    points.write_text(csv_text(tcp_rows(POINTS, WORN.spec)), encoding="utf-8")
+    path = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]]
+    assert np.array_equal(og.compensate(file, path).rho, og.compensate(WORN, path).rho)
+    assert np.array_equal(og.simulate(str(file), seed=3).reading, og.simulate(WORN, seed=3).reading)
+    judged, same = (points_of(p, WORN) for p in (points, POINTS))
+    assert same is POINTS
+    assert np.allclose(judged.p, POINTS.p, atol=1e-9)
+
+
+def test_states_are_read_from_results_too(tmp_path: Path) -> None:
+    verdict = closed()
+    (tmp_path / "result.json").write_text(result_text(verdict), encoding="utf-8")
+    for state in (tmp_path, tmp_path / "result.json", verdict.request):
+        machine, old, new = states_of(state, DIALS)
+        assert machine.geometry == WORN.geometry
+        assert np.array_equal(old[0].reading, DIALS.reading)
+        assert new == (DIALS,)
+    assert og.check(verdict, replace(DIALS, name="again")).old == ("standard",)
+    other = og.Machine(replace(WORN.spec, geometry=og.Geometry(L=0.32)))
+    away = replace(verdict, request=replace(verdict.request, machine=other)).request
+    refused(lambda: states_of(verdict.request, away), "machines of different dimensions")
 
 
 def test_bounds_of_what_is_free_hold() -> None:
@@ -125,6 +253,9 @@ def test_readings_that_cannot_be(call: Callable[[], Any], words: str) -> None:
     ("readings", lambda: og.close_loop(with_one("reading", np.nan)), "is empty"),
     ("hold-out", lambda: og.close_loop(DIALS, holdout=mounted(gauge=155.0)), "off the leg"),
     ("points", lambda: og.close_loop(DIALS, tcp=replace(POINTS, p=POINTS.p * 1e3)), "thousandth"),
+    ("no points", lambda: og.close_loop(DIALS, tcp=DIALS), "a Campaign holds no TCP points: give"),
+    ("a list of points", lambda: og.close_loop(DIALS, tcp=[POINTS]), "a list holds no TCP points"),
+    ("a missing file", lambda: og.close_loop(DIALS, tcp="no.tcp.csv"), "no.tcp.csv: there is no s"),
 )
 def test_the_loop_checks_all_that_it_is_given(call: Callable[[], Any], words: str) -> None:
     refused(call, words)

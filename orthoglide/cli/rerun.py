@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
@@ -16,7 +16,7 @@ from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
 from orthoglide.errors import FileError, NumericsError
 from orthoglide.progress import Step
-from orthoglide.text import brief, shown, unseen_in
+from orthoglide.text import brief
 
 SAME = 1e-6
 """Relative difference up to which numbers count as equal: other processors round otherwise."""
@@ -24,9 +24,6 @@ SAME = 1e-6
 _TINY = 1e-9  # millimetres, or what else a number stands for: rounding of what should be zero
 _APART = ("version", "inputs", "machine", "method")  # what was given, or how the numbers were found
 _FEW_SAID = 5
-
-SCHEMAS = (1, 2)
-"""Of results that can be run again."""
 
 
 @click.command()
@@ -52,13 +49,14 @@ def rerun(
 
     if out is not None:
         check_folder(out)
+    from orthoglide.request import read_result, request_of
+
     old = read_result(result)
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.closing import run
         from orthoglide.effects.loading import load_effects
         from orthoglide.report import report_files, result_text
-        from orthoglide.request import request_of
 
         found = run(request_of(old, str(result), load_effects(effects_file)), step)
         files = report_files(found, step) if out is not None else {}
@@ -116,43 +114,6 @@ def _digest(path: Path) -> str:
         return sha256(read_bytes(path))
     except FileError:
         return ""
-
-
-def read_result(path: Path) -> dict[str, Any]:
-    """A ``result.json`` that can be run again.
-
-    Raises:
-        FileError: where it is none.
-    """
-    from orthoglide.files import decode, read_bytes
-    from orthoglide.request import COMMANDS
-
-    def fail(message: str, line: int | None = None) -> NoReturn:
-        raise FileError(message, file=shown(path), line=line) from None
-
-    text = decode(read_bytes(path), path)
-    try:
-        found = json.loads(text)
-    except json.JSONDecodeError as error:
-        fail(f"is not JSON ({error.msg}): give the result.json of a run", error.lineno)
-    except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
-        fail("is no result: give the result.json of a run")
-    if trouble := unseen_in(found):
-        fail(trouble)
-    given = found.get("arguments") if isinstance(found, dict) else None
-    if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
-        fail("is of --fit-tcp, which kept no rows then: run that command again")
-    needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
-    missing = [n for n in needed if not isinstance(found, dict) or n not in found]
-    if missing:
-        fail(f"has no {missing[0]!r}: give the result.json of a run as it was written")
-    if found["schema"] not in SCHEMAS or found["command"] not in COMMANDS:
-        fail(
-            f"is of schema {brief(str(found['schema']))}, command "
-            f"{brief(str(found['command']))!r}: this version runs "
-            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
-        )
-    return found
 
 
 def _numbers(result: Mapping[str, Any], schema: int) -> dict[str, Any]:

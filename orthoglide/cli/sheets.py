@@ -79,13 +79,15 @@ def simulate(
     for path in filter(None, (out, tcp)):
         check_new(path)
     plain = opt.load_machine(machine_path, effects_file)
-    machine = plain.with_parameters(opt.quantities("--error", errors, plain.catalogue))
+    given = opt.quantities("--error", errors, plain.catalogue)
+    machine = plain.with_parameters(given)
     draw = np.random.default_rng(seed)
     sheets = (
         (protocol(kind, machine.geometry),)  # type: ignore[arg-type]
         if sheet is None
         else read_readings(sheet, machine.spec, require_readings=False)
     )
+    plain.catalogue.expand(given, [s.name for one in sheets for s in one.setups])
     filled = [
         simulation.simulate(machine, one, noise=noise, seed=draw, exact=exact) for one in sheets
     ]

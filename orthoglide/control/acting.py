@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orthoglide.errors import InputError
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 
 _WHY = {
     "partial": "its causes explain only part of what is wrong",
@@ -21,15 +21,17 @@ def withheld(machine: Machine) -> str:
     return f"the verdict on this machine warns: {cautions[0]}" if cautions else ""
 
 
-def refuse_withheld(machine: Machine, force: bool) -> None:
-    """Refuse a machine whose numbers the verdict says not to act on, unless forced.
+def not_withheld(given: MachineSource, force: bool) -> Machine:
+    """The machine, refused where the verdict says not to act on its numbers, unless forced.
 
     Raises:
         InputError: saying why.
     """
+    machine = Machine.of(given)
     why = "" if force else withheld(machine)
     if why:
         raise InputError(
             f"{why.rstrip('.')}. Its numbers are withheld: confirm the cause first, or force them "
             f"(--force, force=True)"
         )
+    return machine

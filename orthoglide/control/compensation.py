@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.accuracy import tcp_slopes
-from orthoglide.control.acting import refuse_withheld
-from orthoglide.errors import ClosureError, InputError, UnreachableError
+from orthoglide.control.acting import not_withheld
+from orthoglide.errors import ClosureError, InputError, UnreachableError, numbers
 from orthoglide.frames import Framed
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, vectors
 from orthoglide.layout import ORTHOGLIDE, LegNames
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.seed import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
@@ -180,7 +180,7 @@ def _rms(values: Array) -> float:
 
 
 def compensate(
-    machine: Machine,
+    machine: MachineSource,
     points: ArrayLike,
     *,
     start: ArrayLike | None = None,
@@ -196,7 +196,7 @@ def compensate(
     move, which depends on the command; both are settled together.
 
     Args:
-        machine: calibrated.
+        machine: calibrated, or the path of its file.
         points: TCP ``(n, 3)``, metres, in the order in which they are gone through.
         start: TCP ``(3,)`` before the first point; where absent, all drives arrive at it in +.
         time: seconds, a number or ``(n,)``.
@@ -210,17 +210,17 @@ def compensate(
             are not numbers, or an approach that cannot be settled.
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
-    refuse_withheld(machine, force)
-    goal = np.asarray(points, dtype=float)
+    machine = not_withheld(machine, force)
+    goal = numbers("a path", points)
     if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
         raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")
     bad = np.flatnonzero(~np.isfinite(goal).all(axis=1))
     if bad.size:
         raise InputError(f"row {bad[0] + 1} of the path is not finite: give numbers in metres")
-    given = {"time": time, "warming": warming, "load": load}
-    conditions = {k: np.broadcast_to(np.asarray(v, float), len(goal)) for k, v in given.items()}
+    given = Conditions.at(goal, time=time, warming=warming, load=load)
+    conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
-    before = None if start is None else _nominal_commands(machine, np.reshape(start, (1, 3)))
+    before = None if start is None else _nominal_commands(machine, vectors(start, "start")[None])
     rho, approach = _settled(machine, goal, before, conditions)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)

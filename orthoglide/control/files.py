@@ -11,7 +11,7 @@ from orthoglide.control.compensation import Compensation
 from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations.columns import MM, POINT, columns
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.text import csv_text
@@ -53,7 +53,7 @@ def commands_text(found: Compensation) -> str:
 
 
 def export_files(
-    machine: Machine, *, zeros_only: bool = False, force: bool = False
+    machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> dict[str, str]:
     """What other programs take of a machine, by file name.
 
@@ -61,13 +61,14 @@ def export_files(
     way and as ``robot.urdf`` with ``robot.yaml``.
 
     Args:
-        machine: calibrated.
+        machine: calibrated, or the path of its file.
         zeros_only: as for `controller_numbers`.
         force: as for `controller_numbers`.
 
     Raises:
         InputError: where the verdict says not to act on the machine's numbers.
     """
+    machine = Machine.of(machine)
     numbers = controller_numbers(machine, zeros_only=zeros_only, force=force)
     tree = calibrated_urdf(machine)
     return {

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
-from orthoglide.control.acting import refuse_withheld
+from orthoglide.control.acting import not_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
 from orthoglide.effects.wording import by_effect
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
 _RULE = (
@@ -212,12 +212,13 @@ class ControllerNumbers(Framed):
 
 
 def controller_numbers(
-    machine: Machine, *, zeros_only: bool = False, force: bool = False
+    machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> ControllerNumbers:
     """The corrections that a controller takes of a calibrated machine.
 
     Args:
-        machine: calibrated; its ``[controller]`` says how the controller counts.
+        machine: calibrated, or the path of its file; its ``[controller]`` says how the
+            controller counts.
         zeros_only: for a controller that takes zeros and nothing else: those that leave the least
             shape error over the workspace.
         force: give them whatever the verdict that is kept with the machine says.
@@ -225,7 +226,7 @@ def controller_numbers(
     Raises:
         InputError: where the verdict says not to act on the machine's numbers.
     """
-    refuse_withheld(machine, force)
+    machine = not_withheld(machine, force)
     settings = tool_settings(machine)
     alone = _by_kind(machine, settings["zeros"])["zero"]
     held = _by_kind(machine, machine.values)

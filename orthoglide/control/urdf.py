@@ -10,7 +10,7 @@ import numpy as np
 from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.effects.wording import by_effect
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions
 from orthoglide.urdf import to_urdf
@@ -19,7 +19,7 @@ _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held
 _LATERAL = ("lateral_b", "lateral_c")
 
 
-def calibrated_urdf(machine: Machine) -> str:
+def calibrated_urdf(machine: MachineSource) -> str:
     """URDF text of a calibrated machine; joints and links are those of the nominal one.
 
     Slide q is the commanded travel from mechanical zero. Offsets move the slides' origins, tilts
@@ -28,13 +28,15 @@ def calibrated_urdf(machine: Machine) -> str:
     machine has nothing that is constant the text is the nominal one but for its comment.
 
     Args:
-        machine: calibrated. What URDF cannot hold is left out and named in the comment.
+        machine: calibrated, or the path of its file. What URDF cannot hold is left out and named
+            in the comment.
 
     Returns:
         URDF, in metres and radians. The drawing stays nominal.
     """
     from scipy.spatial.transform import Rotation
 
+    machine = Machine.of(machine)
     nominal = to_urdf(machine.geometry)
     robot = ET.fromstring(nominal)
     origins = {j.get("name"): j.find("origin") for j in robot.iter("joint")}

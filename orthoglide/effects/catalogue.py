@@ -66,6 +66,12 @@ class Catalogue(Mapping[str, Effect]):
         Raises:
             InputError: where two effects share a name, or a basis does not work on symbols.
         """
+        more = tuple(more) if isinstance(more, Iterable) else (more,)
+        if isinstance(more, str) or not all(isinstance(e, Effect) for e in more):
+            raise InputError(
+                "effects are a list of your own, each an og.Effect: those of the catalogue are "
+                "known without"
+            )
         own = (e if e.names == self.legs else replace(e, names=self.legs) for e in more)
         new = [e for e in own if e not in self.effects]
         catalogue = Catalogue((*self.effects, *new), self.legs)
@@ -152,7 +158,10 @@ class Catalogue(Mapping[str, Effect]):
             if plain == member:
                 return member.at(campaign)
         if effect.of_dial:
-            raise InputError(f"{name}: {effect.name} takes the name of a setup behind the dot")
+            there = f", one of {', '.join(setups)}" if setups else ""
+            raise InputError(
+                f"{name}: {effect.name} takes the name of a setup behind the dot{there}"
+            )
         raise InputError(
             f"there is no parameter {name!r}: {effect.name} has {', '.join(effect.motions)}"
         )

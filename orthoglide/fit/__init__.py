@@ -9,6 +9,7 @@ from orthoglide.fit.identifying import (
     Source as Source,
     assemble as assemble,
     identify as identify,
+    points_of as points_of,
     readings_of as readings_of,
     sorted_out as sorted_out,
 )

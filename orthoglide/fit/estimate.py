@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orthoglide.errors import check_word
 from orthoglide.fit.crosscheck import CrossCheck
 from orthoglide.fit.least_squares import Linearised, Nuisances, predict
 from orthoglide.fit.problem import Problem
@@ -97,7 +98,12 @@ class Estimate(Framed):
         return float(stdtrit(max(self.scores.dof, 1), 0.975))
 
     def interval(self, name: str) -> tuple[float, float]:
-        """95 % interval of one identified value, SI."""
+        """95 % interval of one identified value, SI.
+
+        Raises:
+            InputError: for a name that was not identified.
+        """
+        check_word("identified parameter", name, self.names)
         half = self.coverage_factor * self.sigmas[name]
         return self.values[name] - half, self.values[name] + half
 

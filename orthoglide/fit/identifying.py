@@ -30,6 +30,7 @@ from orthoglide.observations import (
     ToolCampaign,
     check_given,
     read_readings,
+    read_tcp,
 )
 from orthoglide.parameters import plain_and_campaign
 from orthoglide.threads import on_one_thread
@@ -172,6 +173,23 @@ def readings_of(given: Source | Sequence[Source], machine: Machine) -> tuple[Rea
     return found
 
 
+def points_of(given: TcpPoints | str | PathLike[str], machine: Machine) -> TcpPoints:
+    """TCP points to judge by; a path is read.
+
+    Raises:
+        InputError: for readings of another kind, and points that cannot be meant.
+    """
+    if isinstance(given, str | PathLike):
+        return read_tcp(given, machine.spec)
+    if not isinstance(given, TcpPoints):
+        raise InputError(
+            f"a {type(given).__name__} holds no TCP points: give TcpPoints, or the path of one "
+            f"file of them; readings of another kind judge as holdout"
+        )
+    check_given(given, machine.spec)
+    return given
+
+
 def _read(given: Source | Sequence[Source], machine: Machine) -> list[Read]:
     read: list[Read] = []
     for one in _listed(given):
@@ -186,8 +204,9 @@ def _read(given: Source | Sequence[Source], machine: Machine) -> list[Read]:
 
 
 def _listed(given: Any) -> list[Any]:
-    """One or several as a list; a path is one."""
-    return [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    """One or several as a list; a path is one, and so is a data frame, which is none of them."""
+    one = isinstance(given, str | Mapping) or hasattr(given, "columns")
+    return [given] if one or not isinstance(given, Iterable) else list(given)
 
 
 def _beside(

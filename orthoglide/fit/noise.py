@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
@@ -313,10 +314,10 @@ def check_noise(noise: float, least: float = NOISE[0]) -> float:
     Raises:
         InputError: saying what is possible.
     """
-    if not least <= noise <= NOISE[1]:
+    if not isinstance(noise, Real) or not least <= noise <= NOISE[1]:
         raise InputError(
             f"the noise must be a standard deviation in metres, from {least:g} to {NOISE[1]:g}, "
-            f"not {noise:g}"
+            f"not {noise!r}"
         )
     return noise + 0.0
 

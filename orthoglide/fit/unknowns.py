@@ -38,7 +38,13 @@ def build_unknowns(
     """
     stems = [s.name for s in sources]
     if len(set(stems)) != len(stems):
-        raise InputError(f"two campaigns are called alike ({', '.join(stems)}): rename one file")
+        remedy = (
+            "rename one file"
+            if all(s.points.file for s in sources)
+            else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
+            "from_frame(..., name='second') does, or TCP points file='second.csv'"
+        )
+        raise InputError(f"two campaigns are called alike ({', '.join(stems)}): {remedy}")
     catalogue, unknowns = machine.catalogue, list[Unknown]()
     for name in _expanded(catalogue, free, sources):
         starts = [0] + [k for k in range(1, len(stems)) if _begins(catalogue, name, stems[k], own)]

@@ -10,10 +10,9 @@ from typing import ClassVar
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.layout.leg import Array, Leg, LegNames
+from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
+from orthoglide.parameters import MEMBERS
 from orthoglide.text import brief
-
-Triple = tuple[float, float, float]
 
 _TOUCHING = 5e-5
 """Metres by which lengths of a machine may be off: where the circles of bars and platform touch to
@@ -49,8 +48,14 @@ class FreeLeg:
                 f"layout: a leg cannot be called {brief(self.name)!r}: take up to 20 letters and "
                 f"digits"
             )
-        if not np.isfinite([self.origin, self.slide, self.link]).all():
-            raise InputError(f"leg {self.name}: origin, slide and link must be finite numbers")
+        if self.name in MEMBERS:
+            raise InputError(
+                f"layout: a leg cannot be called {self.name!r}, as structured parameters are: take "
+                f"another name"
+            )
+        for name in ("origin", "slide", "link"):
+            values = triple(f"leg {self.name}: {name}", getattr(self, name))
+            object.__setattr__(self, name, values)
 
     @cached_property
     def axes(self) -> Array:
@@ -94,8 +99,9 @@ class FreeLegs:
 
     def __post_init__(self) -> None:
         names = [leg.name for leg in self.free]
-        if len(set(names)) < 3:
+        if not len(set(names)) == len(names) == 3:
             raise InputError(f"layout: three legs need three names, not {', '.join(names)}")
+        object.__setattr__(self, "tool", triple("layout: tool", self.tool))
         for leg in self.free:
             _ = leg.axes  # which says what is wrong
 

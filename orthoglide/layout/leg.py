@@ -7,7 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.errors import InputError, numbers
+
 Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+def triple(what: str, given: object) -> Triple:
+    """Three finite numbers; ``what`` they are stands in messages.
+
+    Raises:
+        InputError: where they are not.
+    """
+    array = numbers(what, given)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{what} must be three finite numbers")
+    one, two, three = array.tolist()
+    return one, two, three
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from orthoglide.errors import InputError
-from orthoglide.layout.leg import Array, Leg, LegNames
-
-Triple = tuple[float, float, float]
+from orthoglide.errors import InputError, numbers
+from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
 
 _ACROSS = ("radial", "tangential")
 _WAYS = (("down", "downward"), ("up", "upward"))
@@ -29,7 +27,8 @@ class LinearDelta:
 
     Attributes:
         radius: horizontal distance of each tower's carriage joints from the machine's middle, which
-            is where the middle of the platform's joints stands at mechanical zero, metres.
+            is where the middle of the platform's joints stands at mechanical zero, metres; a single
+            number is that of all three.
         angles_deg: of the towers from +x, counter-clockwise, degrees.
         tool: the tool's tip from the middle of the platform's joints, metres; z negative: below.
     """
@@ -43,6 +42,14 @@ class LinearDelta:
     hanging: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        radius = numbers("layout: radius", self.radius)
+        given = {
+            "radius": radius if radius.ndim else np.full(3, radius),
+            "angles_deg": self.angles_deg,
+            "tool": self.tool,
+        }
+        for name, values in given.items():
+            object.__setattr__(self, name, triple(f"layout: {name}", values))
         if not min(self.radius) > 0:
             raise InputError("layout: the radius of every tower must be a positive length")
         around = np.sort(np.mod(self.angles_deg, 360.0))

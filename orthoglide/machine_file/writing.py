@@ -9,7 +9,7 @@ from typing import Any
 
 from orthoglide import files, units
 from orthoglide.effects import catalogue_of
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, path_of
 from orthoglide.geometry import Geometry
 from orthoglide.layout import FreeLegs, LinearDelta
 from orthoglide.machine_file.model import SCHEMA, MachineFile
@@ -33,7 +33,8 @@ def write_machine_file(
         FileError: where a file stands already and may not be replaced, or none can be written.
         InputError: where the machine holds what no machine file can.
     """
-    contents, target = machine_files(machine, str(path)), Path(path)
+    target = path_of(path)
+    contents = machine_files(machine, str(path))
     beside = posterior_path(target)
     if not overwrite:
         files.check_new(target)

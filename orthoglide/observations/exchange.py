@@ -164,8 +164,8 @@ def check_given(given: Campaign | ToolCampaign | TcpPoints, machine: MachineFile
 
     if not isinstance(given, Campaign | ToolCampaign | TcpPoints):
         raise InputError(
-            f"a {type(given).__name__} holds no readings: give a campaign, TCP points, or the path "
-            "of a file"
+            f"a {type(given).__name__} holds no readings: give a campaign, which "
+            "og.Campaign.from_frame makes of a data frame, TCP points, or the path of a file"
         )
     if not len(given):
         fail("has no readings: give some")

@@ -48,6 +48,8 @@ def check_dials(geometry: Geometry) -> None:
     Raises:
         InputError: saying what is read of it instead.
     """
+    if not isinstance(geometry, Geometry):
+        raise InputError(f"a {type(geometry).__name__} is no geometry: give machine.geometry")
     if not geometry.dialled:
         raise InputError(
             f"dials are set against an Orthoglide's legs, and this machine's layout is "

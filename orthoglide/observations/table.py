@@ -114,9 +114,24 @@ def read_table(path: str | os.PathLike[str]) -> Table:
 
 
 def frame_table(df: Any, name: str) -> Table:
-    """Cells of a data frame or a mapping of columns; rows count as lines below a header."""
-    names = [str(column) for column in (df.columns if hasattr(df, "columns") else df)]
-    columns = [[_frame_cell(value) for value in df[column]] for column in names]
+    """Cells of a data frame or a mapping of columns; rows count as lines below a header.
+
+    Raises:
+        FileError: where it is none, or not as a file may be.
+    """
+    given = getattr(df, "columns", df if isinstance(df, Mapping) else None)
+    if given is None or not hasattr(df, "__getitem__"):
+        raise FileError(
+            f"is a {type(df).__name__}: give a data frame, or a mapping of columns", file=name
+        )
+    names = [str(column) for column in given]
+    _check_distinct(names, name)
+    try:
+        columns = [[_frame_cell(value) for value in df[column]] for column in given]
+    except TypeError:
+        raise FileError(
+            "has a column that is no list: give a value for each row", file=name
+        ) from None
     if len({len(column) for column in columns}) > 1:
         raise FileError("has columns of unequal length: pad them", file=name)
     rows = [list(row) for row in zip(*columns, strict=True)]
@@ -180,12 +195,16 @@ def _table(
                 f"holds the character {found}, which cannot be shown: remove it",
                 file=file, line=line,
             )  # fmt: skip
-    for name in names:
-        if name and names.count(name) > 1:
-            raise FileError(f"names column {brief(name)!r} twice: remove one", file=file, line=1)
+    _check_distinct(names, file)
     if not rows:
         raise FileError("has a header but no rows: add the readings", file=file, line=1)
     return Table(tuple(names), tuple(rows), tuple(lines), file, digest)
+
+
+def _check_distinct(names: Sequence[str], file: str) -> None:
+    for name in names:
+        if name and names.count(name) > 1:
+            raise FileError(f"names column {brief(name)!r} twice: remove one", file=file, line=1)
 
 
 def _decimal_point(cell: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,12 @@ from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
-from orthoglide.errors import check_list
+from orthoglide.errors import InputError, check_list, check_whole
 from orthoglide.fit import Estimate, solve
 from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign, Readings
 from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import foreseen
@@ -116,7 +117,7 @@ class Detectability(Framed):
 
 
 def smallest_effects(
-    machine: Machine,
+    machine: MachineSource,
     campaign: Campaign | Sequence[Readings],
     *,
     names: Sequence[str] = (),
@@ -133,7 +134,7 @@ def smallest_effects(
     effect is worse by a chi2 of 4.
 
     Args:
-        machine: as it is believed to be.
+        machine: as it is believed to be, or the path of its file.
         campaign: stations and setups, of several instruments too; readings do not count.
         names: effects or parameters to report; all where empty. The catalogue competes whole in
             any case.
@@ -142,15 +143,15 @@ def smallest_effects(
         seed: of the bootstrap on noise.
 
     Raises:
-        InputError: for names that are neither effects nor parameters.
+        InputError: for names that are neither effects nor parameters, a level that is no
+            probability, and a negative seed.
     """
+    machine = Machine.of(machine)
     check_list("names", names)
     machine.catalogue.expand(names)
     seen = signatures(as_expected(machine, campaign, noise))
     scoring = Scoring.of(seen, seen.candidates)
-    drawn = noise_residuals(seen, np.random.default_rng(seed), DRAWS)
-    best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
-    threshold = float(np.quantile(best, 1 - level))
+    threshold = _threshold(seen, scoring, level, seed)
     single = [c for c in scoring.candidates if c.size == 1]
     length, cosine = _likeness(seen, single)
     found = []
@@ -175,6 +176,15 @@ def smallest_effects(
     effect_of = machine.catalogue.effect_of
     hidden = [n for n in seen.invisible if not names or {n, effect_of(n).name} & set(names)]
     return Detectability(tuple(found), tuple(hidden), threshold)
+
+
+def _threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> float:
+    """Evidence that the best candidate exceeds on noise alone with a probability."""
+    if not (isinstance(level, Real) and 0 < level < 1):
+        raise InputError(f"level is a probability between 0 and 1, such as 0.01, not {level!r}")
+    drawn = noise_residuals(seen, np.random.default_rng(check_whole("seed", seed, 0)), DRAWS)
+    best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
+    return float(np.quantile(best, 1 - level))
 
 
 def as_expected(

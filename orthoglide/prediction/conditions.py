@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
@@ -45,14 +45,18 @@ class Conditions:
         time: ArrayLike = 0.0,
         warming: ArrayLike = 0.0,
         load: ArrayLike = 0.0,
+        **unknown: ArrayLike,
     ) -> Conditions:
         """Conditions for commands ``(..., 3)``; the rest is broadcast to ``(...)``.
 
         Raises:
-            InputError: for what is no finite number, does not fit the commands, or is no approach.
+            InputError: for what is no finite number, does not fit the commands, or is no approach,
+                and for a condition that there is not.
         """
         rho = np.asarray(command, dtype=float)
         given = {"approach": approach, "time": time, "warming": warming, "load": load}
+        for name in unknown:
+            check_word("condition", name, given)
         found = {}
         for name, values in given.items():
             own = rho.shape[-1:] if name == "approach" else ()

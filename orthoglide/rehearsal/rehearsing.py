@@ -9,7 +9,7 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import get_args
 
-from orthoglide.errors import InputError, NumericsError
+from orthoglide.errors import InputError, NumericsError, check_whole
 from orthoglide.instruments import Probe
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign, Readings, ToolCampaign, protocol, read_readings
@@ -62,9 +62,7 @@ def rehearse(
         NumericsError: where a process is ended from outside.
     """
     progress = progress or silent
-    for name, value, least in (("campaigns", campaigns, 1), ("seed", seed, 0)):
-        if value < least:
-            raise InputError(f"{name} must be {least} or more, not {value}")
+    campaigns, seed = check_whole("campaigns", campaigns, 1), check_whole("seed", seed, 0)
     if jobs == 0:
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
     machine = Machine.of(machine).with_only({})

@@ -6,9 +6,9 @@ Everything here reads a `Result` and computes nothing of its own.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orthoglide.errors import path_of
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.report.folder import (
     check_folder as check_folder,
@@ -67,6 +67,6 @@ def write_report(
     Raises:
         FileError: where the folder is not empty and not replaced, or cannot be written.
     """
-    out = Path(folder)
+    out = path_of(folder)
     check_folder(out, overwrite)
     write_folder(out, report_files(result), overwrite)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from base64 import b64decode
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NoReturn
 
 from orthoglide.effects import CATALOGUE, Effect
 from orthoglide.errors import FileError
+from orthoglide.files import decode, read_bytes
 from orthoglide.machine import Machine
 from orthoglide.machine_file import parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
@@ -21,12 +23,51 @@ from orthoglide.observations import (
     readings_from_rows,
     tcp_from_rows,
 )
-from orthoglide.request.request import Request
+from orthoglide.request.request import COMMANDS, Request
+from orthoglide.text import brief, shown, unseen_in
 
 _ROLES = ("campaign", "fit_tcp", "holdout", "tcp")
 _FRAMES = ("rigid", "translation", "none")
 _LAST_LINE = 1_000_000
 _LONGEST_NAME = 255  # bytes
+
+SCHEMAS = (1, 2)
+"""Of results that can be run again."""
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """A ``result.json`` that can be run again.
+
+    Raises:
+        FileError: where it is none.
+    """
+
+    def fail(message: str, line: int | None = None) -> NoReturn:
+        raise FileError(message, file=shown(path), line=line) from None
+
+    text = decode(read_bytes(path), path)
+    try:
+        found = json.loads(text)
+    except json.JSONDecodeError as error:
+        fail(f"is not JSON ({error.msg}): give the result.json of a run", error.lineno)
+    except (ValueError, RecursionError):  # a number of thousands of digits, or brackets as many
+        fail("is no result: give the result.json of a run")
+    if trouble := unseen_in(found):
+        fail(trouble)
+    given = found.get("arguments") if isinstance(found, dict) else None
+    if isinstance(given, dict) and "fit_tcp" in given and not found.get("machine"):
+        fail("is of --fit-tcp, which kept no rows then: run that command again")
+    needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
+    missing = [n for n in needed if not isinstance(found, dict) or n not in found]
+    if missing:
+        fail(f"has no {missing[0]!r}: give the result.json of a run as it was written")
+    if found["schema"] not in SCHEMAS or found["command"] not in COMMANDS:
+        fail(
+            f"is of schema {brief(str(found['schema']))}, command "
+            f"{brief(str(found['command']))!r}: this version runs "
+            f"schema {' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
+        )
+    return found
 
 
 def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:

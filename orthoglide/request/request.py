@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from orthoglide.effects import CATALOGUE
+from orthoglide.errors import check_whole
 from orthoglide.files import sha256
 from orthoglide.fit.factors import Frame
 from orthoglide.machine import Machine
@@ -48,6 +49,10 @@ class Request:
     points: tuple[TcpPoints | ToolCampaign, ...] = ()
     frame: Frame = "rigid"  # how the instrument of `points` may stand to the machine
     effects_file: str = ""  # name of the file with the user's own effects, where one was given
+
+    def __post_init__(self) -> None:
+        if self.searches:  # else nothing is drawn
+            object.__setattr__(self, "seed", check_whole("seed", self.seed, 0))
 
     @property
     def searches(self) -> bool:

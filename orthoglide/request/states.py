@@ -1,0 +1,93 @@
+"""Two states of one machine, each as its readings, or as a result that keeps them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from orthoglide.effects import Effect
+from orthoglide.errors import InputError
+from orthoglide.fit import Source, readings_of
+from orthoglide.machine import Machine
+from orthoglide.observations import Readings
+from orthoglide.request.reading import read_result, request_of
+from orthoglide.request.request import Request
+
+State = Source | Sequence[Source] | Request
+"""Readings, or a run that has them; of its result the path of ``result.json`` or of its folder."""
+
+
+def states_of(
+    old: State, new: State, given: Machine | None = None, effects: tuple[Effect, ...] = ()
+) -> tuple[Machine, tuple[Readings, ...], tuple[Readings, ...]]:
+    """The machine, the readings of its old state, and those of its new one.
+
+    Args:
+        old: the state before.
+        new: the state after.
+        given: the machine by which all are read; where absent a result's own, of readings that of
+            the other state, else the nominal one.
+        effects: of a user's own, for machines that are read.
+
+    Raises:
+        InputError: where a side has no readings, or the two are of different machines.
+    """
+    machine, before = _state(old, given, None, effects)
+    other, after = _state(new, given, machine, effects)
+    one, two = _called(old, before), _called(new, after)
+    _check_numbers(one, machine, two, other)
+    if other.geometry != machine.geometry:
+        raise InputError(
+            f"{one} and {two} are of machines of different dimensions "
+            f"({machine.spec.title}; {other.spec.title}): check compares two states of one; "
+            f"where the file was corrected since, and no number that the controller counts "
+            f"with, give it for both with --machine (machine=); what other numbers of a controller "
+            f"left, close-loop tells from the new readings"
+        )
+    return machine, before, after
+
+
+def _state(
+    state: State, given: Machine | None, otherwise: Machine | None, effects: tuple[Effect, ...]
+) -> tuple[Machine, tuple[Readings, ...]]:
+    """The machine by which a state's readings are read, and these."""
+    called = ""
+    if isinstance(state, str | os.PathLike):
+        path = Path(state)
+        if path.suffix == ".toml":
+            raise InputError(
+                f"{path} is a machine file, which has no readings: give the result.json beside "
+                f"it, or the campaign"
+            )
+        path = path / "result.json" if path.is_dir() else path
+        if path.suffix == ".json":
+            called, state = str(path), request_of(read_result(path), str(path), effects)
+    if isinstance(state, Request):
+        called = called or _called(state, state.readings)
+        if given is not None:
+            file = given.spec.file or "the machine"
+            _check_numbers(called, state.machine, file, given)
+        return given or state.machine, state.readings
+    machine = given or otherwise or Machine.nominal().with_effects(effects)
+    return machine, readings_of(state, machine)
+
+
+def _called(state: State, readings: Sequence[Readings]) -> str:
+    """What a state is called in messages: by its path, else by its readings."""
+    named = isinstance(state, str | os.PathLike)
+    return str(state) if named else ", ".join(r.name for r in readings)
+
+
+def _check_numbers(one: str, machine: Machine, two: str, other: Machine) -> None:
+    """Refuses two imports with other numbers of the firmware: equal commands are no equal heights
+    of the carriages, and what was pasted would be told as what changed.
+    """
+    marks = machine.spec.firmware, other.spec.firmware
+    if all(marks) and marks[0] != marks[1]:
+        raise InputError(
+            f"{one} was imported with other numbers of the firmware ({marks[0]}) than {two} "
+            f"({marks[1]}): check compares two states under the same numbers; what the numbers "
+            f"changed between the visits left, close-loop tells from the new readings with the "
+            f"machine.toml of their import"
+        )
