@@ -180,6 +180,10 @@ def test_states_are_read_from_results_too(tmp_path: Path) -> None:
     refused(lambda: states_of(verdict.request, away), "machines of different dimensions")
 
 
+def test_points_are_no_campaign_to_write(tmp_path: Path) -> None:
+    refused(lambda: og.write_campaign(POINTS, tmp_path / "x.csv"), r"to_frame\(\).to_csv")  # type: ignore[arg-type]
+
+
 def test_bounds_of_what_is_free_hold() -> None:
     found = fit(bounds={"joint_offset": 1e-5, "leg_length.x": 1e-3})
     assert max(abs(found.values[f"joint_offset.{leg}"]) for leg in "xyz") < 1.1e-5

@@ -77,6 +77,8 @@ def write_campaign(
         InputError: where several cannot be one file: of different machines, two with dials, or two
             with a setup of the same name.
     """
+    if isinstance(campaign, TcpPoints):
+        raise InputError("points have files of their own kind: points.to_frame().to_csv(path)")
     given = (campaign,) if isinstance(campaign, Recorded) else in_one_file(campaign)
     files.write_whole(path, readings_text(given, machine_file), overwrite=overwrite)
 
