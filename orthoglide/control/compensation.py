@@ -220,7 +220,7 @@ def compensate(
     given = Conditions.at(goal, time=time, warming=warming, load=load)
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
-    before = None if start is None else _nominal_commands(machine, vectors(start, "start")[None])
+    before = None if start is None else _nominal_commands(machine, vectors(start, "start"))
     rho, approach = _settled(machine, goal, before, conditions)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
@@ -258,6 +258,7 @@ def _spread(slopes: Array, covariance: Array) -> Array:
 
 
 def _nominal_commands(machine: Machine, goal: Array) -> Array:
+    goal = goal.reshape(-1, 3)
     return _reached(lambda rows: machine.model.mechanism.inverse(goal[rows]), len(goal))
 
 
