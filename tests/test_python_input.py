@@ -95,7 +95,7 @@ def test_misspelt_options(call: Callable[[], Any], words: str) -> None:
     ("path", lambda: og.compensate(WORN, [["a", 0, 0]]), "a path must be numbers"),
     ("load", lambda: og.compensate(WORN, [[0, 0, 0]], load="a"), "load must be numbers"),
     ("start", lambda: og.compensate(WORN, [[0, 0, 0]], start="a"), "start must be numbers"),
-    ("no machine", lambda: og.compensate(3, [[0, 0, 0]]), "give a Machine, or the path of its"),
+    ("no machine", lambda: og.compensate(3, [[0, 0, 0]]), "give a Machine, the path of its"),
     ("no seed", lambda: og.simulate(WORN, seed=None), "seed must be 0 or more and whole, not None"),
     ("half a seed", lambda: og.close_loop(DIALS, seed=1.5), "seed must be 0 or more and whole"),
     ("negative seed", lambda: og.close_loop(DIALS, seed=-1), "seed must be 0 or more"),
