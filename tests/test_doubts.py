@@ -151,7 +151,8 @@ def test_points_of_the_tool_that_are_there_twice_are_said(missing: bool) -> None
     renamed = replace(points, file="other.csv")
 
     def copies(*given: og.TcpPoints) -> list[Note]:
-        return [w for w in og.identify(list(given), MACHINE).warnings if w.kind == "copies"]
+        found = og.identify(list(given), MACHINE, method="nested")
+        return [w for w in found.warnings if w.kind == "copies"]
 
     assert not copies(points)
     (whole,) = copies(points, renamed)

@@ -539,7 +539,7 @@ def test_the_workspace_is_told_before_and_after() -> None:
 
 
 def left_of(extra: np.ndarray | float, seed: int = 0) -> str:
-    fit: Estimate = identify(swept(extra, seed), rig_machine())
+    fit: Estimate = identify(swept(extra, seed), rig_machine(), method="nested")
     return "; ".join(describe_left(fit))
 
 
