@@ -185,6 +185,15 @@ def test_points_are_no_campaign_to_write(tmp_path: Path) -> None:
     refused(lambda: og.write_campaign(POINTS, tmp_path / "x.csv"), r"to_frame\(\).to_csv")  # type: ignore[arg-type]
 
 
+def test_planning_takes_the_path_of_a_machine() -> None:
+    path = Path(__file__).parent / "data" / "rig" / "machine.toml"
+    machine = og.Machine.load(path)
+    one, other = (og.design(given, count=6).campaign for given in (path, machine))
+    assert np.array_equal(one.command, other.command)
+    assert str(og.needed_tolerances(path, 5e-5)) == str(og.needed_tolerances(machine, 5e-5))
+    refused(lambda: og.owned_instruments(3, ["plate"]), "a int is no machine")  # type: ignore[arg-type]
+
+
 def test_bounds_of_what_is_free_hold() -> None:
     found = fit(bounds={"joint_offset": 1e-5, "leg_length.x": 1e-3})
     assert max(abs(found.values[f"joint_offset.{leg}"]) for leg in "xyz") < 1.1e-5

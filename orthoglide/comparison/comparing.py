@@ -267,7 +267,7 @@ def compare_effects(
 
 
 def compare_machine(
-    machine: Machine, circumstances: Circumstances | None = None
+    machine: MachineSource, circumstances: Circumstances | None = None
 ) -> tuple[Row, ...]:
     """Compare for a calibrated machine: all of its parameters together, then each alone.
 
@@ -279,6 +279,7 @@ def compare_machine(
     Returns:
         Row ``"machine"`` first, then one for every parameter that is not zero.
     """
+    machine = Machine.of(machine)
     comparison = Comparison(machine, circumstances)
     of = machine.catalogue.effect_of
     values = {name: value for name, value in machine.values.items() if value and not of(name).plate}

@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import Determinant, EffectSeparation
@@ -78,7 +78,7 @@ class Design:
 
 @on_one_thread
 def design(
-    machine: Machine,
+    machine: MachineSource,
     free: Sequence[str] | None = None,
     count: int = 24,
     criterion: Criterion = "d-optimal",
@@ -105,6 +105,7 @@ def design(
     """
     check_word("criterion", criterion, get_args(Criterion))
     check_list("free", free)
+    machine = Machine.of(machine)
     pool = pool or reading_pool(machine.geometry)
     closest: tuple[Pair, ...] = ()
     never: tuple[Pair, ...] = ()

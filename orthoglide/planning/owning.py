@@ -10,7 +10,7 @@ import numpy as np
 from orthoglide.errors import UnreachableError, check_word
 from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS, Instrument
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.planning.detectable import Detectability, smallest_effects
@@ -71,7 +71,7 @@ class Owned:
 
 @on_one_thread
 def owned_instruments(
-    machine: Machine, kinds: Sequence[str], *, count: int | None = None, seed: int = 0
+    machine: MachineSource, kinds: Sequence[str], *, count: int | None = None, seed: int = 0
 ) -> Owned:
     """What one's instruments would tell of a machine.
 
@@ -85,6 +85,7 @@ def owned_instruments(
         InputError: for a kind that there is not, or that this machine does not take; for a count
             that cannot be chosen.
     """
+    machine = Machine.of(machine)
     sheets = sheets_of(machine, kinds)
     if count is not None:
         of_tool = [s for s in sheets.values() if isinstance(s, ToolCampaign)]

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.planning.linear import LinearReadings, in_tolerances
 from orthoglide.prediction import Conditions
@@ -88,7 +88,7 @@ def _tcp_slope(machine: Machine, names: Sequence[str]) -> Array:
 
 
 def repeats_needed(
-    machine: Machine,
+    machine: MachineSource,
     campaign: Campaign,
     free: Sequence[str],
     what: str,
@@ -113,6 +113,7 @@ def repeats_needed(
     """
     if not wanted > 0:
         raise InputError(f"the accuracy wanted of {what} must be a positive standard deviation")
+    machine = Machine.of(machine)
     sigma = sigma_by_repeats(machine, campaign, free, what, noise)
     floor = sigma(np.inf)
     if sigma(_MOST) > wanted:

@@ -10,7 +10,7 @@ import numpy as np
 from orthoglide.accuracy import mean_length
 from orthoglide.errors import InputError
 from orthoglide.frames import Framed, html_table
-from orthoglide.machine import Machine
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.planning.sources import Sources, ToolError
 from orthoglide.threads import on_one_thread
@@ -89,7 +89,7 @@ class NeededTolerances(Framed):
 
 @on_one_thread
 def needed_tolerances(
-    machine: Machine, wanted: float, sheet: Campaign | None = None, noise: float | None = None
+    machine: MachineSource, wanted: float, sheet: Campaign | None = None, noise: float | None = None
 ) -> NeededTolerances:
     """The tolerances that a wanted error of the tool needs, by linear propagation.
 
@@ -105,6 +105,7 @@ def needed_tolerances(
     """
     if not 0 < wanted < 1:
         raise InputError(f"the wanted error must be a positive length in metres, not {wanted}")
+    machine = Machine.of(machine)
     sources = Sources.of(machine.with_only({}), sheet, noise)
     now = mean_length(sources.at(1.0).covariance)
     scale = _scale(sources, wanted, now)
