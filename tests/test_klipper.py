@@ -703,6 +703,21 @@ def test_a_mesh_that_is_none_and_one_saved_twice_are_left_out(tmp_path: Path) ->
     assert any("'stock' has nothing but zeros" in note for note in found.notes)
 
 
+def test_meshes_that_are_relative_are_not_told_apart_by_their_height(tmp_path: Path) -> None:
+    """Neither when they are imported nor when the loop is closed with what was."""
+    file, text = tmp_path / "printer.cfg", simulated_cfg(DeltaRig(), count=5)
+    block = text.partition("#*# [bed_mesh default]")[2]
+    higher = re.sub(r"-?0\.\d{6}", lambda m: f"{float(m[0]) + 0.5:.6f}", block)
+    for key, apart in (("", True), ("zero_reference_position: 0, 0\n", False)):
+        file.write_text(
+            text.replace("[bed_mesh]\n", f"[bed_mesh]\n{key}") + f"#*# [bed_mesh higher]{higher}"
+        )
+        found = import_printer(file)
+        assert bool(found.apart) == apart
+        verdict = close_loop(list(found.campaigns), Machine(found.machine))
+        assert any("one plate" in text for text in verdict.cautions) == apart
+
+
 def test_a_file_that_another_path_includes_is_taken_from_beside(tmp_path: Path) -> None:
     head, _, rest = V400.read_text().partition("[stepper_a]")
     (tmp_path / "towers.cfg").write_text(f"[stepper_a]{rest}".partition("#*#")[0])
@@ -718,7 +733,7 @@ def test_the_middle_of_a_plate_alone_gives_no_numbers(tmp_path: Path) -> None:
     found = import_printer(file)
     verdict = close_loop(list(found.campaigns), Machine(found.machine))
     assert verdict.firmware.corrections is None
-    assert any("out to the rim" in action.words for action in verdict.actions)
+    assert any("out to its rim" in action.words for action in verdict.actions)
 
 
 @pytest.mark.parametrize("rolls", [0.0, 0.02, -0.02])
@@ -742,6 +757,8 @@ def test_a_probe_beside_the_nozzle_leaves_the_middle_where_it_is(
     plate = _Plate(0.1, np.zeros(3), touches, places[:, :2], 1e-5, beside)
     assert (abs(lifted) > 2e-5) == (rolls != 0)
     assert _of_the_probe(old, machine, plate) == pytest.approx(lifted, abs=2e-6)
+    below = replace(plate, beside=np.array([0.03, -0.01, -5e-3]))
+    assert _of_the_probe(old, machine, below) == pytest.approx(lifted, abs=2e-6)
 
 
 def test_heights_of_another_offset_of_the_probe_are_told(tmp_path: Path) -> None:

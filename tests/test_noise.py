@@ -368,3 +368,13 @@ def test_a_dial_in_inches_among_others_is_asked_about() -> None:
     assert f"setup {campaign.setups[0].name!r}" in told[0]
     assert "look whether this dial shows inches" in told[0]
     assert not [n for n in og.identify(campaign).warnings if n.kind == "step"]
+
+
+def test_readings_that_were_never_rounded_share_no_rounding() -> None:
+    """Declared of averages, or of a finer instrument than the machine file's dial."""
+    sheet = protocol("sweep")
+    exact = og.Machine.nominal().with_parameters({"joint_offset.x": 5e-4}).readings(sheet)
+    given = sheet.with_readings(exact + np.random.default_rng(0).normal(0, 2e-6, len(sheet)))
+    found = og.identify(given, og.Machine.nominal(), noise=2e-6, method="nested")
+    assert not found.problem.common.any()
+    assert np.allclose(found.problem.sigma, 2e-6)

@@ -94,6 +94,7 @@ def test_misspelt_options(call: Callable[[], Any], words: str) -> None:
     ("noise", lambda: fit(noise="0.005"), "standard deviation in metres, .* not '0.005'"),
     ("path", lambda: og.compensate(WORN, [["a", 0, 0]]), "a path must be numbers"),
     ("load", lambda: og.compensate(WORN, [[0, 0, 0]], load="a"), "load must be numbers"),
+    ("two starts", lambda: og.compensate(WORN, [[0, 0, 0]], start=np.zeros((2, 3))), "start must"),
     ("start", lambda: og.compensate(WORN, [[0, 0, 0]], start="a"), "start must be numbers"),
     ("no machine", lambda: og.compensate(3, [[0, 0, 0]]), "give a Machine, the path of its"),
     ("no seed", lambda: og.simulate(WORN, seed=None), "seed must be 0 or more and whole, not None"),
@@ -183,6 +184,8 @@ def test_states_are_read_from_results_too(tmp_path: Path) -> None:
 
 def test_points_are_no_campaign_to_write(tmp_path: Path) -> None:
     refused(lambda: og.write_campaign(POINTS, tmp_path / "x.csv"), r"to_frame\(\).to_csv")  # type: ignore[arg-type]
+    for given in ("abc", None, [], [POINTS], DIALS.subset(np.zeros(len(DIALS), dtype=bool))):
+        refused(lambda given=given: og.write_campaign(given, tmp_path / "x.csv"), "with readings")
 
 
 def test_planning_takes_the_path_of_a_machine() -> None:

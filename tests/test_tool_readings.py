@@ -892,3 +892,20 @@ def test_a_ball_bar_pulls_at_nothing_that_it_does_not_see() -> None:
         read = [og.simulate(wrong, sheet, seed=seed) for sheet in sheets.values()]
         found = og.identify(read, machine).values
         assert np.mean([found[name] for name in errors]) == pytest.approx(0.0, abs=5e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_ball_bar_on_a_circle_in_one_plane(seed: int) -> None:
+    """The usual test: across the plane the readings do not say where the ball is."""
+    machine = og.Machine.nominal()
+    t = np.arange(36) * np.pi / 18
+    places = np.stack([0.05 * np.cos(t), 0.05 * np.sin(t), 0 * t], axis=1)
+    rho = machine.inverse(places)
+    frame = {"kind": ["ballbar"] * 36, "setup": ["ring"] * 36, "reading_mm": [50.0] * 36}
+    frame |= {f"rho_{leg}_mm": rho[:, k] * 1e3 for k, leg in enumerate("xyz")}
+    wrong = machine.with_parameters({"joint_offset.x": 6e-4, "joint_offset.y": -4e-4})
+    read = og.simulate(wrong, ToolCampaign.from_frame(frame), noise=2e-6, seed=seed)
+    found = og.identify(read, machine, method="nested")
+    assert found.scores.chi2 < 3 * found.scores.dof
+    errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
+    assert np.abs(errors).max() < 4

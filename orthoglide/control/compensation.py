@@ -13,8 +13,9 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.control.acting import not_withheld
 from orthoglide.errors import ClosureError, InputError, UnreachableError, numbers
 from orthoglide.frames import Framed
-from orthoglide.geometry import Array, vectors
+from orthoglide.geometry import Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
+from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.seed import UNITS
 from orthoglide.observations.approach import derive_approach
@@ -220,7 +221,7 @@ def compensate(
     given = Conditions.at(goal, time=time, warming=warming, load=load)
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
-    before = None if start is None else _nominal_commands(machine, vectors(start, "start"))
+    before = None if start is None else _nominal_commands(machine, np.array(triple("start", start)))
     rho, approach = _settled(machine, goal, before, conditions)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)

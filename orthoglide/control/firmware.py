@@ -10,8 +10,8 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Firmware
 
 _LACKING = (
-    "There are none: the plate is the firmware's z = 0, and no readings of it are kept with this "
-    "machine. Take calibrated.toml of a run of close-loop that reads the plate."
+    "There are none: the plate is the firmware's z = 0, and no readings of it out to its rim are "
+    "kept with this machine. Take calibrated.toml of a run of close-loop that has some."
 )
 
 
@@ -20,7 +20,7 @@ class FirmwareNumbers:
     """What a firmware takes in the place of zeros."""
 
     old: Firmware  # its present numbers
-    # old and new; `None` where the machine keeps no readings of the plate
+    # old and new; `None` where the machine keeps no readings of the plate out to its rim
     found: Corrections | None
 
     @property
@@ -55,6 +55,7 @@ class FirmwareNumbers:
             "\n".join((f"{'printer.cfg':30}{'old':>14}{'new':>14}", *named)),
             f"Height over the plate to expect: {before} rms off with the old numbers, {after} with "
             f"the new; along the plate {one} and {other}.",
+            *(() if found.gains else ("They are hardly better than the old ones: keep those.",)),
             WHERE,
             "\n".join(("To paste:", *found.new.lines())),
             "\n".join(("To undo:", *found.old.lines())),

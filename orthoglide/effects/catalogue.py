@@ -66,8 +66,8 @@ class Catalogue(Mapping[str, Effect]):
         Raises:
             InputError: where two effects share a name, or a basis does not work on symbols.
         """
-        more = tuple(more) if isinstance(more, Iterable) else (more,)
-        if isinstance(more, str) or not all(isinstance(e, Effect) for e in more):
+        more = (more,) if isinstance(more, str | Effect) else tuple(more)
+        if not all(isinstance(e, Effect) for e in more):
             raise InputError(
                 "effects are a list of your own, each an og.Effect: those of the catalogue are "
                 "known without"

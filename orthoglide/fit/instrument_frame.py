@@ -17,6 +17,10 @@ from orthoglide.observations.arrays import numbered
 _FEWEST = 4  # points
 _SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
 _CENTRE_STEPS = 10
+_PLANE = 1e-2  # of its extent, by which a circle may leave its plane
+_HELD = (
+    5e-3  # of what a reading says of a ball, that its place says: as much as noise in millimetres
+)
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
@@ -86,17 +90,27 @@ def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
     return np.stack([own[k] for own, k in zip(coordinates, order, strict=True)], axis=1)
 
 
-def centre_of(p: Array, distance: Array) -> Array:
-    """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``."""
-    columns = np.column_stack([2 * p, np.ones(len(p))])
-    right = np.sum(p * p, axis=1) - distance**2
-    centre, longer = np.linalg.lstsq(columns, right, rcond=1e-9)[0][:3], 0.0
+def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
+    """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``.
+
+    Across a circle's plane its centre could be anywhere: there it stays near a place ``(3,)``, or
+    near the plane.
+    """
+    if near is None:
+        middle = p.mean(axis=0)
+        size = max(float(np.sqrt(np.mean((p - middle) ** 2))), 1e-9)
+        q = (p - middle) / size
+        right = np.sum(q * q, axis=1) - (distance / size) ** 2
+        columns = np.column_stack([2 * q, np.ones(len(q))])
+        near = middle + size * np.linalg.lstsq(columns, right, rcond=_PLANE)[0][:3]
+    centre, longer = near, 0.0
+    held = _HELD * np.eye(3, 4)
     for _ in range(_CENTRE_STEPS):
         toward = p - centre
         length = np.maximum(np.linalg.norm(toward, axis=1), 1e-9)
-        rest = distance - length - longer
         slopes = np.column_stack([-toward / length[:, None], np.ones(len(p))])
-        step = np.linalg.lstsq(slopes, rest, rcond=1e-6)[0]
+        rest = np.concatenate([distance - length - longer, _HELD * (near - centre)])
+        step = np.linalg.lstsq(np.vstack([slopes, held]), rest, rcond=1e-9)[0]
         centre, longer = centre + step[:3], longer + float(step[3])
     return np.asarray(centre)
 
@@ -112,7 +126,7 @@ def centre_moves(p: Array, distance: Array, centre: Array, moved: Array) -> Arra
     share = (rest - rest.mean()) / length
     bent = share[:, None, None] * (np.eye(3) - u[:, :, None] * u[:, None])
     along = np.einsum("ni,nip->np", u, moved)
-    matrix = np.block([[u.T @ u - bent.sum(axis=0), -u.sum(axis=0)[:, None]],
-                       [u.sum(axis=0), -float(len(p))]])  # fmt: skip
+    square = u.T @ u - bent.sum(axis=0) + _HELD**2 * np.eye(3)
+    matrix = np.block([[square, -u.sum(axis=0)[:, None]], [u.sum(axis=0), -float(len(p))]])
     right = np.vstack([u.T @ along - np.einsum("nij,njp->ip", bent, moved), along.sum(axis=0)])
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0][:3])
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0][:3])

@@ -116,12 +116,13 @@ def noise_of(
     sigmas, commons = [], []
     for campaign, size, rounding in zip(campaigns, steps, rounds, strict=True):
         total = level.at(rounding)
-        common = _common(total, size) if again else np.zeros(len(campaign))
         given = np.isfinite(campaign.sigma) & level.rows_count
+        rounding = np.where(given, size * _is_rounded(campaign, size), rounding)
+        common = _common(total, rounding) if again else np.zeros(len(campaign))
         total = np.where(given, np.hypot(campaign.sigma, rounding / np.sqrt(12)), total)
         if common.any():
             own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
-            total = np.where(common > 0, _at_edges(campaign, own, size), total)
+            total = np.where(common > 0, _at_edges(campaign, own, rounding), total)
         sigmas.append(total)
         commons.append(common)
     return Noise(

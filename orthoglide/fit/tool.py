@@ -33,6 +33,7 @@ class ToolReadings(OfFile):
     # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
     # them; of the nominal machine, which is near enough
     place: Array
+    ball: Array  # where each setup's ball is for the nominal machine (setups, 3), metres
     # by how much single touches of a plate are above the surface of all others (n,), metres; 0 of
     # those that are not
     stray: Array
@@ -46,21 +47,24 @@ class ToolReadings(OfFile):
 
         Args:
             campaign: the readings.
-            machine: its instruments say the noise, its nominal poses where plates and balls are.
+            machine: its instruments say the noise, its nominal poses about where plates and balls
+                are.
             noise: standard deviation of one reading; replaces all others.
         """
         p = machine.forward(campaign.command) + campaign.beside
-        place = p[:, :2].copy()
+        place, ball = p[:, :2].copy(), np.zeros((len(campaign.setups), 3))
         for k, setup in enumerate(campaign.setups):
             rows = campaign.setup == k
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
             place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
+            if setup.instrument.about_ball:
+                ball[k] = centre_of(p[rows], campaign.reading[rows])
         usual = usual_sigma(campaign, machine.spec.instruments, noise)
         sigma, stray = usual, np.zeros(len(campaign))
         if not noise:
             height = p[:, 2] - campaign.reading
             sigma, stray = shown_sigma(campaign, machine.spec.instruments, usual, place, height)
-        return cls(campaign, sigma, usual, place, stray)
+        return cls(campaign, sigma, usual, place, ball, stray)
 
     def without_strays(self, machine: Machine) -> ToolReadings:
         """The same without touches that are none of their surface, which it tells."""
@@ -218,9 +222,9 @@ class ToolReadings(OfFile):
         A ball stands where its readings put it for just these places: about one that is held, a
         machine that moves as a whole, which nothing shows, would fit otherwise by the square of it.
         """
-        ball = np.zeros((len(self.points.setups), 3))
+        ball = self.ball.copy()
         for k, rows in self._about_balls():
-            ball[k] = centre_of(p[rows], self.points.reading[rows])
+            ball[k] = centre_of(p[rows], self.points.reading[rows], self.ball[k])
         return Mounting(self.points.axis, self.points.sign, ball[self.setup])
 
     def _about_balls(self) -> Iterator[tuple[int, NDArray[np.intp]]]:

@@ -5,6 +5,7 @@ The formats and equations are those of the firmware's documentation and sources
 """
 
 from orthoglide.klipper.agreeing import (
+    RELATIVE as RELATIVE,
     disagreements as disagreements,
 )
 from orthoglide.klipper.corrections import (

@@ -24,6 +24,10 @@ _HIGHER, _LEANS = 2e-4, 1.2e-4
 own heights and meshes, which are probed warm and cold, a tenth of a millimetre is common."""
 
 
+RELATIVE = "meshes_relative"
+"""Key of a machine file's provenance: whether the height at one place is taken out of meshes."""
+
+
 @dataclass(frozen=True)
 class _Surface:
     """What touches alone say of the plate, and of the radius and two angles past a plane."""

@@ -111,7 +111,8 @@ class Calibration:
             ):
                 self._fail_at(key, here, above)
         lifted = self._lifted(word, p, height, off)
-        if word == "height" and offset and abs(np.median(height) - offset) > _SAME:
+        set_since = word == "height" and offset and abs(np.median(height) - offset) > _SAME
+        if set_since and not lifted:
             self._tell_offset(float(np.median(height)), offset)
         labels = (f"{x * 1e3:.0f} {y * 1e3:.0f}" for x, y, _ in p)
         each = zip(labels, travel, height + lifted, strict=True)
@@ -138,10 +139,13 @@ class Calibration:
             if far
             else ""
         )
+        together = (
+            ", all alike, by the endstops that are stored now: these were moved together since "
+            "(Z_OFFSET_APPLY_ENDSTOP)" if alike else " by the endstops that are stored now"
+        )  # fmt: skip
         self.notes.append(Note(
-            f"the {word}s of [delta_calibrate] lie {signed(since * 1e3, 2)} mm off, all alike, by "
-            f"the endstops that are stored now: these were moved together since "
-            f"(Z_OFFSET_APPLY_ENDSTOP), and z = 0 is left where they put it{doubt}",
+            f"the {word}s of [delta_calibrate] lie {signed(since * 1e3, 2)} mm off{together}, and "
+            f"z = 0 is left where they put it{doubt}",
             "heights",
         ))  # fmt: skip
         return since

@@ -21,7 +21,7 @@ WHERE = (
 
 _WORTH, _LEAST = 0.02, 3e-6  # of an error, and metres: numbers that gain less are not worth a line
 _LARGER = 5e-4  # of a print's size: less is no more than plastic shrinks from spool to spool
-_OF_A_PRINT = 0.5  # of the radius of the towers
+_OF_A_PRINT = 1 / 3  # of the radius of the towers, which every machine's arms reach
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Distance, Probe
-from orthoglide.klipper.agreeing import Disagreement, disagreements
+from orthoglide.klipper.agreeing import RELATIVE, Disagreement, disagreements
 from orthoglide.klipper.calibration import CALLIPER
 from orthoglide.klipper.config import Config, read_config
 from orthoglide.klipper.probe import PROBE, probe_section
@@ -179,6 +179,7 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
                 "sha256": config.sha256,
                 "numbers": firmware.mark,
                 **firmware.as_dict(),
+                RELATIVE: _is_relative(config),
                 "assumed_mm": {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
             }
         },

@@ -51,10 +51,10 @@ class Stored:
             while (name := plain if number == 1 else f"{plain}-{number}").lower() in taken:
                 number += 1
             taken.add(name.lower())
+            unknown.discard(profile)
             rows = list(touches(self.config, self.firmware, section, name, self.notes))
             if not rows:
                 continue
-            unknown.discard(profile)
             mesh = campaign_of(f"mesh-{name}", rows, turn := self.turned.get(profile, 0.0))
             other = known.setdefault((turn, mesh.command.tobytes()), profile)
             if other == profile:

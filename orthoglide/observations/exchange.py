@@ -79,7 +79,10 @@ def write_campaign(
     """
     if isinstance(campaign, TcpPoints):
         raise InputError("points have files of their own kind: points.to_frame().to_csv(path)")
-    given = (campaign,) if isinstance(campaign, Recorded) else in_one_file(campaign)
+    several = campaign if isinstance(campaign, Sequence) else (campaign,)
+    if not several or not all(isinstance(one, Recorded) and len(one) for one in several):
+        raise InputError("give a campaign with readings, or a list of such, to write")
+    given = in_one_file(several)
     files.write_whole(path, readings_text(given, machine_file), overwrite=overwrite)
 
 
@@ -92,7 +95,10 @@ def in_one_file(given: Sequence[Readings]) -> list[Readings]:
     setups = [s.name for one in given for s in one.setups]
     twice = [name for name in setups if setups.count(name) > 1]
     if len({one.legs for one in given}) > 1:
-        raise InputError("one file is of one machine: write readings of others to their own files")
+        raise InputError(
+            "one file is of one machine, and these call their legs otherwise: write readings of "
+            "others to their own files"
+        )
     if sum(isinstance(one, Campaign) for one in given) > 1:
         raise InputError("one file has one campaign of dials: write the others to their own files")
     if twice:

@@ -33,8 +33,12 @@ def states_of(
     Raises:
         InputError: where a side has no readings, or the two are of different machines.
     """
-    machine, before = _state(old, given, None, effects)
-    other, after = _state(new, given, machine, effects)
+    runs = [_as_run(state, effects) for state in (old, new)]
+    kept = next((run.machine for run in runs if isinstance(run, Request)), None)
+    kept = kept or Machine.nominal().with_effects(effects)
+    (machine, before), (other, after) = (
+        _state(run, state, given, kept) for run, state in zip(runs, (old, new), strict=True)
+    )
     one, two = _called(old, before), _called(new, after)
     _check_numbers(one, machine, two, other)
     if other.geometry != machine.geometry:
@@ -48,29 +52,31 @@ def states_of(
     return machine, before, after
 
 
+def _as_run(state: State, effects: tuple[Effect, ...]) -> State:
+    """The run whose result stands at a path; other states as they are."""
+    if not isinstance(state, str | os.PathLike):
+        return state
+    path = Path(state)
+    if path.suffix == ".toml":
+        raise InputError(
+            f"{path} is a machine file, which has no readings: give the result.json beside "
+            f"it, or the campaign"
+        )
+    path = path / "result.json" if path.is_dir() else path
+    return request_of(read_result(path), str(path), effects) if path.suffix == ".json" else state
+
+
 def _state(
-    state: State, given: Machine | None, otherwise: Machine | None, effects: tuple[Effect, ...]
+    run: State, state: State, given: Machine | None, otherwise: Machine
 ) -> tuple[Machine, tuple[Readings, ...]]:
     """The machine by which a state's readings are read, and these."""
-    called = ""
-    if isinstance(state, str | os.PathLike):
-        path = Path(state)
-        if path.suffix == ".toml":
-            raise InputError(
-                f"{path} is a machine file, which has no readings: give the result.json beside "
-                f"it, or the campaign"
-            )
-        path = path / "result.json" if path.is_dir() else path
-        if path.suffix == ".json":
-            called, state = str(path), request_of(read_result(path), str(path), effects)
-    if isinstance(state, Request):
-        called = called or _called(state, state.readings)
+    if isinstance(run, Request):
         if given is not None:
-            file = given.spec.file or "the machine"
-            _check_numbers(called, state.machine, file, given)
-        return given or state.machine, state.readings
-    machine = given or otherwise or Machine.nominal().with_effects(effects)
-    return machine, readings_of(state, machine)
+            called = _called(state, run.readings)
+            _check_numbers(called, run.machine, given.spec.file or "the machine", given)
+        return given or run.machine, run.readings
+    machine = given or otherwise
+    return machine, readings_of(run, machine)
 
 
 def _called(state: State, readings: Sequence[Readings]) -> str:

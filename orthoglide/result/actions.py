@@ -96,8 +96,8 @@ def _zeros(result: Result) -> Iterator[Action]:
         found = result.firmware.corrections
         if found is None:
             touch = (
-                "Touch the plate too, for numbers for the firmware: its z = 0 is the plate, out to "
-                "the rim"
+                "Touch the plate too, out to its rim, for numbers for the firmware: its z = 0 is "
+                "the plate"
             )
             yield Action("measure", touch)
         if found is None or not found.gains:

@@ -83,12 +83,13 @@ def _of_the_probe(old: Firmware, machine: Machine, plate: _Plate) -> float:
     Readings are about the mean of what the platform's turns lift the probe by. But its offset was
     set in the middle: it touched with the tool there, and then the nozzle touched the same place.
     """
-    if not plate.beside.any():
+    beside = plate.beside * [1, 1, 0]
+    if not beside.any():
         return 0.0
-    places = np.stack([np.zeros(3), plate.beside])
+    places = np.stack([np.zeros(3), beside])
     (middle, there), at_zero = old.heights(places), _at_zero(machine)
     pose = machine.pose(np.vstack([middle - at_zero, plate.commands]))
-    lifted = (pose.R @ plate.beside)[:, 2]
+    lifted = (pose.R @ beside)[:, 2]
     higher = machine.forward(there - at_zero)[2] - pose.p[0, 2]
     return float(higher - lifted[0] + lifted[1:].mean())
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import Corrections, disagreements, doubted_rods
+from orthoglide.klipper import RELATIVE, Corrections, disagreements, doubted_rods
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
@@ -57,7 +57,7 @@ class FirmwareAdvice:
     """Numbers to paste, and what they cannot hold."""
 
     first: str  # what must be known before anything else; empty where nothing must
-    # old and new numbers; `None` where the plate, which is the firmware's z = 0, was not touched
+    # old and new numbers; `None` where the plate, the firmware's z = 0, was not touched far out
     corrections: Corrections | None
     # causes that no number of the firmware holds, each with what to do about it
     beyond: tuple[str, ...]
@@ -87,7 +87,8 @@ def apart(request: Request) -> Iterator[Note]:
     """Readings of an imported machine that are not of one plate and one set of its numbers."""
     if (old := request.machine.spec.printer) is not None:
         read = [c for c in request.points if isinstance(c, ToolCampaign)]
-        yield from (one.note for one in disagreements(old, read))
+        relative = bool(request.machine.spec.provenance["klipper"].get(RELATIVE))
+        yield from (one.note for one in disagreements(old, read, relative=relative))
 
 
 def firmware_advice(
