@@ -383,7 +383,7 @@ def test_what_an_instrument_does_not_show_is_said_to_be_invisible(instrument: st
 def test_where_the_plate_was_not_touched_no_zero_is_told(v400: Path, tmp_path: Path) -> None:
     common = ("--machine", v400 / "machine.toml", "--out", tmp_path / "out")
     told = run("close-loop", v400 / "distance.csv", *common)
-    assert "Touch the plate too, for numbers for the firmware" in told
+    assert "Touch the plate too, out to its rim, for numbers for the firmware" in told
     assert "zeros in the controller" not in told
     assert told.index("The arms that the firmware stores") < told.index("Verdict")
     page = (tmp_path / "out" / "report.html").read_text()

@@ -16,7 +16,7 @@ from orthoglide.observations.arrays import numbered
 
 _FEWEST = 4  # points
 _SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
-_CENTRE_STEPS = 10
+_CENTRE_STEPS, _SETTLED = 50, 1e-13  # at most; metres
 _PLANE = 1e-2  # of its extent, by which a circle may leave its plane
 _HELD = (
     5e-3  # of what a reading says of a ball, that its place says: as much as noise in millimetres
@@ -93,8 +93,8 @@ def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
 def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
     """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``.
 
-    Across a circle's plane its centre could be anywhere: there it stays near a place ``(3,)``, or
-    near the plane.
+    Across a circle's plane its centre could be anywhere: there it stays near a place ``(3,)`` that
+    goes with the middle of the points, or near the plane.
     """
     if near is None:
         middle = p.mean(axis=0)
@@ -112,6 +112,8 @@ def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
         rest = np.concatenate([distance - length - longer, _HELD * (near - centre)])
         step = np.linalg.lstsq(np.vstack([slopes, held]), rest, rcond=1e-9)[0]
         centre, longer = centre + step[:3], longer + float(step[3])
+        if np.abs(step).max() < _SETTLED:
+            break
     return np.asarray(centre)
 
 
@@ -128,5 +130,6 @@ def centre_moves(p: Array, distance: Array, centre: Array, moved: Array) -> Arra
     along = np.einsum("ni,nip->np", u, moved)
     square = u.T @ u - bent.sum(axis=0) + _HELD**2 * np.eye(3)
     matrix = np.block([[square, -u.sum(axis=0)[:, None]], [u.sum(axis=0), -float(len(p))]])
-    right = np.vstack([u.T @ along - np.einsum("nij,njp->ip", bent, moved), along.sum(axis=0)])
+    held = u.T @ along - np.einsum("nij,njp->ip", bent, moved) + _HELD**2 * moved.mean(axis=0)
+    right = np.vstack([held, along.sum(axis=0)])
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0][:3])

@@ -33,7 +33,7 @@ class ToolReadings(OfFile):
     # on the plates over their largest measured radius (n, 2), along their own axes, which turn with
     # them; of the nominal machine, which is near enough
     place: Array
-    ball: Array  # where each setup's ball is for the nominal machine (setups, 3), metres
+    ball: Array  # from the middle of each setup's places to about its ball (setups, 3), metres
     # by how much single touches of a plate are above the surface of all others (n,), metres; 0 of
     # those that are not
     stray: Array
@@ -58,7 +58,7 @@ class ToolReadings(OfFile):
             place[rows] /= np.hypot(*p[rows, :2].T).max(initial=1e-3)
             place[rows] = place[rows] @ _turn(np.deg2rad(setup.turned))
             if setup.instrument.about_ball:
-                ball[k] = centre_of(p[rows], campaign.reading[rows])
+                ball[k] = centre_of(p[rows], campaign.reading[rows]) - p[rows].mean(axis=0)
         usual = usual_sigma(campaign, machine.spec.instruments, noise)
         sigma, stray = usual, np.zeros(len(campaign))
         if not noise:
@@ -222,9 +222,10 @@ class ToolReadings(OfFile):
         A ball stands where its readings put it for just these places: about one that is held, a
         machine that moves as a whole, which nothing shows, would fit otherwise by the square of it.
         """
-        ball = self.ball.copy()
+        ball = np.zeros_like(self.ball)
         for k, rows in self._about_balls():
-            ball[k] = centre_of(p[rows], self.points.reading[rows], self.ball[k])
+            near = p[rows].mean(axis=0) + self.ball[k]
+            ball[k] = centre_of(p[rows], self.points.reading[rows], near)
         return Mounting(self.points.axis, self.points.sign, ball[self.setup])
 
     def _about_balls(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
