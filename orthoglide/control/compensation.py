@@ -221,7 +221,7 @@ def compensate(
     given = Conditions.at(goal, time=time, warming=warming, load=load)
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
-    before = None if start is None else _nominal_commands(machine, np.array(triple("start", start)))
+    before = _before(machine, start)
     rho, approach = _settled(machine, goal, before, conditions)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
@@ -258,8 +258,14 @@ def _spread(slopes: Array, covariance: Array) -> Array:
     return np.sqrt(np.maximum(variance, 0.0))
 
 
+def _before(machine: Machine, start: ArrayLike | None) -> Array | None:
+    """Nominal command ``(1, 3)`` of the place before the first point, if that is known."""
+    if start is None:
+        return None
+    return _nominal_commands(machine, np.array([triple("start", start)]))
+
+
 def _nominal_commands(machine: Machine, goal: Array) -> Array:
-    goal = goal.reshape(-1, 3)
     return _reached(lambda rows: machine.model.mechanism.inverse(goal[rows]), len(goal))
 
 

@@ -18,9 +18,7 @@ _FEWEST = 4  # points
 _SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
 _CENTRE_STEPS, _SETTLED = 50, 1e-13  # at most; metres
 _PLANE = 1e-2  # of its extent, by which a circle may leave its plane
-_HELD = (
-    5e-3  # of what a reading says of a ball, that its place says: as much as noise in millimetres
-)
+_HELD = 5e-3  # weight of a ball's place against a reading: a noise of 5 um in a millimetre
 
 
 def turned_to(points: TcpPoints, p: Array) -> TcpPoints:

@@ -109,15 +109,15 @@ def noise_of(
     level = _level(fine, replace(dial, resolution=finest), declared)
     # What is declared may be told of readings that were averaged, or never rounded.
     told = level.source == "declared"
-    rounds = [s * (_is_rounded(c, s) | (not told)) for c, s in zip(campaigns, steps, strict=True)]
-    most = commonest if any(r.any() for r in rounds) else 0.0
-    typical = float(level.at(np.array([most if told else commonest]))[0])
+    shown = [s * _is_rounded(c, s) for c, s in zip(campaigns, steps, strict=True)]
+    counted = commonest if not told or any(s.any() for s in shown) else 0.0
+    typical = float(level.at(np.array([counted]))[0])
     again = repeated(campaigns)
     sigmas, commons = [], []
-    for campaign, size, rounding in zip(campaigns, steps, rounds, strict=True):
-        total = level.at(rounding)
+    for campaign, size, own in zip(campaigns, steps, shown, strict=True):
         given = np.isfinite(campaign.sigma) & level.rows_count
-        rounding = np.where(given, size * _is_rounded(campaign, size), rounding)
+        rounding = np.where(given | told, own, size)
+        total = level.at(rounding)
         common = _common(total, rounding) if again else np.zeros(len(campaign))
         total = np.where(given, np.hypot(campaign.sigma, rounding / np.sqrt(12)), total)
         if common.any():

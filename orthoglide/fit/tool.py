@@ -166,8 +166,8 @@ class ToolReadings(OfFile):
     def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Readings, nuisances apart."""
         out = model.outputs(values, self.conditions())
-        shape = self._shape(model.catalogue, values)
-        return self._value(self._pose(out.p, out.R), shape)
+        pose = self._pose(out.p, out.R)
+        return self._value(pose, self.mounting_at(pose.p), self._shape(model.catalogue, values))
 
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
@@ -180,11 +180,12 @@ class ToolReadings(OfFile):
         jacobian = np.zeros((n, len(names)))
         of_machine = [k for k, name in enumerate(names) if name in set(machine)]
         pose = self._pose(out.p, out.R)
-        jacobian[:, of_machine] = self._derivative(pose, by_name[:, :12])
+        mounting = self.mounting_at(pose.p)
+        jacobian[:, of_machine] = self._derivative(pose, mounting, by_name[:, :12])
         for k, name in enumerate(names):
             if k not in of_machine:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
-        value = self._value(pose, self._shape(catalogue, values))
+        value = self._value(pose, mounting, self._shape(catalogue, values))
         return LinearRows(value, jacobian, np.column_stack([pose.p, value]))
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
@@ -192,9 +193,11 @@ class ToolReadings(OfFile):
         where = self.conditions()
         slopes, out = model.by_joints(values, where)[:, :12], model.outputs(values, where)
         pose = self._pose(out.p, out.R)
+        mounting = self.mounting_at(pose.p)
 
         def moved(joints: Array, functions: Array) -> Array:
-            return self._derivative(pose, (slopes @ joints)[:, :, None] * functions[:, None])
+            moves = (slopes @ joints)[:, :, None] * functions[:, None]
+            return self._derivative(pose, mounting, moves)
 
         return moved
 
@@ -256,18 +259,18 @@ class ToolReadings(OfFile):
         found[self.twice] = p[:n][self.twice] - p[n:]
         return found
 
-    def _value(self, pose: Pose, shape: Array) -> Array:
-        found, mounting = np.empty(len(self.points)), self.mounting_at(pose.p)
+    def _value(self, pose: Pose, mounting: Mounting, shape: Array) -> Array:
+        found = np.empty(len(self.points))
         for instrument, rows in self._instruments:
             found[rows] = instrument.value(pose.at(rows), mounting.at(rows))
         return found + shape
 
-    def _derivative(self, pose: Pose, by_name: Array) -> Array:
+    def _derivative(self, pose: Pose, mounting: Mounting, by_name: Array) -> Array:
         """Of the readings ``(n, P)``, by that of places and rotations ``(N, 12, P)``."""
         n, by_R = len(self.points), by_name[:, 3:].reshape(len(by_name), 3, 3, -1)
         by_p = self._taken(by_name[:, :3], by_R)
         by_pose = {"p": by_p[:n], "R": by_name[:n, 3:], "apart": self._apart(by_p)}
-        found, mounting = np.zeros((n, by_name.shape[-1])), self.mounting_at(pose.p)
+        found = np.zeros((n, by_name.shape[-1]))
         for instrument, rows in self._instruments:
             gradient = instrument.gradient(pose.at(rows), mounting.at(rows))
             for varied, slope in gradient.items():

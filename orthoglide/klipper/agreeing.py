@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,9 +68,8 @@ def disagreements(
     """
     alike = list[_Surface]()
     for campaign in sorted(campaigns, key=lambda c: c.name != CALIBRATION):
-        if (own := _surface(firmware, campaign)) is None:
+        if (own := _surface(firmware, campaign, relative)) is None:
             continue
-        own = replace(own, relative=relative and campaign.name != CALIBRATION)
         same = (one for one in alike if one.turned == own.turned)
         told = ((one, said) for one in same if (said := _apart(one, own)))
         other, said = next(told, (None, ""))
@@ -113,7 +112,7 @@ def _apart(one: _Surface, own: _Surface) -> str:
     )
 
 
-def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
+def _surface(firmware: Firmware, campaign: ToolCampaign, relative: bool) -> _Surface | None:
     """``None`` where its touches do not tell the six numbers apart."""
     rows = campaign.touching
     below = campaign.command[rows] + firmware.zero - firmware.at_endstop
@@ -145,6 +144,6 @@ def _surface(firmware: Firmware, campaign: ToolCampaign) -> _Surface | None:
         spread,
         max(PROBE, float(scatter)),
         bends,
-        False,
+        relative and campaign.name != CALIBRATION,
         float(campaign.turned_by[rows].max(initial=0.0)),
     )

@@ -65,21 +65,19 @@ class Calibration:
 
     def _goes_with(self, step: Array) -> bool:
         """Whether the heights are places on the plate if a step is so long."""
-        found = [
-            self._travel(f"{word}{k}_pos", step)
-            for word in ("height", "manual_height") for k in self._numbers(word)
-        ]  # fmt: skip
-        told = [
-            self.section.number(f"{word}{k}", low=-100, high=100) * 1e-3
-            for word in ("height", "manual_height") for k in self._numbers(word)
-        ]  # fmt: skip
-        if not found:
+        words = ("height", "manual_height")
+        keys = [f"{word}{k}" for word in words for k in self._numbers(word)]
+        if not keys:
             return False
+        travel = np.array([self._travel(f"{key}_pos", step) for key in keys])
         try:
-            p = self.firmware.points(np.array(found) + self.firmware.zero)
+            p = self.firmware.points(travel + self.firmware.zero)
         except InputError:
             return False
-        return bool((np.abs(p[:, 2] - told) < _FAR).all())
+        return bool((np.abs(p[:, 2] - [self._height(key) for key in keys]) < _FAR).all())
+
+    def _height(self, key: str) -> float:
+        return self.section.number(key, low=-100, high=100) * 1e-3
 
     def _travel(self, key: str, step: Array | None = None) -> Array:
         steps = np.array(self.section.numbers(key, 3)) * (self.step if step is None else step)
@@ -100,7 +98,7 @@ class Calibration:
             return []
         offset, beside = probe_offset(self.config)
         touched = beside if word == "height" else np.zeros(2)
-        height = np.array([self.section.number(k, low=-100, high=100) * 1e-3 for k in keys])
+        height = np.array([self._height(key) for key in keys])
         travel = [self._travel(f"{key}_pos") for key in keys]
         p = np.array([self._believed(f"{k}_pos", t) for k, t in zip(keys, travel, strict=True)])
         off = float(np.median(p[:, 2] - height))

@@ -72,12 +72,12 @@ class Corrections:
         most = max(changed, key=lambda name: abs(changed[name]))
         by = signed(changed[most] * 1e3, 3)
         before, after = (f"{v * 1e3:.3f}" for v in self.height)
-        size = ""
-        if abs(self.size) > _LARGER:
-            way = "larger" if self.size > 0 else "smaller"
+        larger, size = self.size, ""
+        if abs(larger) > _LARGER:
+            way = "larger" if larger > 0 else "smaller"
             size = (
-                f", and prints become {abs(self.size) * 100:.2f} % {way} (where their size was "
-                f"right, scale them by {1 / (1 + self.size):.4f})"
+                f", and prints become {abs(larger) * 100:.2f} % {way} (where their size was right, "
+                f"scale them by {1 / (1 + larger):.4f})"
             )
         return (
             f"most of all {most} by {by} mm; height over the plate goes from {before} to {after} "
