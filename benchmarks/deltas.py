@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks import held_out
 from orthoglide.closing import Verdict, close_loop
-from orthoglide.fit.surface import own_shapes
+from orthoglide.effects.plates import own_shapes
 from orthoglide.klipper import import_printer
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Firmware

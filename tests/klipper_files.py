@@ -21,6 +21,7 @@ def simulated_cfg(
     *,
     lobes: float = 0.0,
     turned: Mapping[str, float] | None = None,
+    middle: float = 0.0,
 ) -> str:
     """A ``printer.cfg`` with meshes of a machine whose plate is z = 0; the firmware knows no error.
 
@@ -39,9 +40,9 @@ def simulated_cfg(
         rows = []
         for y in side:
             row = []
-            for x in side:
+            for x in side + middle:
                 z, far = 0.0, np.hypot(x, y) / reach
-                if far <= 1 + 1e-9:
+                if np.hypot(x - middle, y) <= reach * (1 + 1e-9):
                     way = 3 * (np.arctan2(y, x) - np.deg2rad(angle))
                     plate = lobes * far**3 * np.cos(way)
                     z = _touched(rig, x, y, plate) + noise * rng.standard_normal()
@@ -50,7 +51,7 @@ def simulated_cfg(
         saved += (
             f"#*# [bed_mesh {name}]\n#*# version = 1\n#*# points =\n" + "\n".join(rows) +
             f"\n#*# x_count = {count}\n#*# y_count = {count}\n"
-            f"#*# min_x = {-reach * 1e3}\n#*# max_x = {reach * 1e3}\n"
+            f"#*# min_x = {(middle - reach) * 1e3}\n#*# max_x = {(middle + reach) * 1e3}\n"
             f"#*# min_y = {-reach * 1e3}\n#*# max_y = {reach * 1e3}\n"
         )  # fmt: skip
     towers = "\n".join(

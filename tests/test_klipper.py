@@ -117,6 +117,17 @@ def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> Non
     assert float(size[1]) == pytest.approx(0.5, abs=0.1)
 
 
+def test_meshes_of_other_places_on_one_bent_plate_go_together(tmp_path: Path) -> None:
+    """Three lobes bend each of two meshes as another radius and other angles would."""
+    file = tmp_path / "printer.cfg"
+    now = simulated_cfg(DeltaRig(), lobes=8e-5)
+    for wrong, told in (({}, False), ({"axis_offset.a.radial": 2e-3}, True)):
+        beside = simulated_cfg(DeltaRig(errors=wrong), lobes=8e-5, middle=0.03, seed=1)
+        other = beside.partition("#*# [bed_mesh default]")[2]
+        file.write_text(f"{now}#*# [bed_mesh beside]{other}")
+        assert bool(import_printer(file).apart) == told
+
+
 def test_a_stale_mesh_is_left_out_and_its_numbers_are_held_back(tmp_path: Path) -> None:
     """The heights are steps and go with any numbers; the mesh was probed with other ones."""
     file, folder, text = tmp_path / "printer.cfg", tmp_path / "in", V400.read_text()

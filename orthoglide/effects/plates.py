@@ -6,15 +6,21 @@ two slopes are fitted with every setup; here is what is left of its shape.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import Words, mm, more
+from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM
+
+FLAT = 1e-4
+"""Standard deviation of a shape that an effect names, a bowl or three lobes, metres."""
 
 PLATE_BOW = Effect(
     "plate_bow",
     MM,
-    0.1,
+    FLAT / MM.si,
     because="a heated bed is flat to a tenth or two",
     sentence="the plate is a bowl or a dome",
     look_at="the plate with a straight edge across its middle",
@@ -38,7 +44,7 @@ PLATE_BOW = Effect(
 PLATE_TREFOIL = Effect(
     "plate_trefoil",
     MM,
-    0.1,
+    FLAT / MM.si,
     because="a bed on three screws, or heated, warps by a tenth in three lobes",
     sentence="the plate has three high and three low sides",
     look_at="the plate turned by 60 degrees on its seat: a pattern of its own turns with it",
@@ -74,3 +80,39 @@ def _lobe(part: str, value: float) -> int:
 
 
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
+
+
+def own_shapes(place: Array) -> list[tuple[Array, float]]:
+    """Shapes of degree 2 to 4 that no effect names, each ``(n,)`` with its standard deviation.
+
+    No plate is flat but for a bowl and three lobes, and what is left of it is no cause in the
+    machine. A finer shape is smaller: half for each degree of the polynomial.
+
+    Args:
+        place: on the plate over its radius ``(n, 2)``.
+    """
+    x, y = place.T
+    square = x**2 + y**2
+    two = (x**2 - y**2, 2 * x * y)
+    by_degree = {
+        2: two,
+        3: (x * (3 * square - 2), y * (3 * square - 2)),
+        4: (
+            6 * square**2 - 6 * square + 1,
+            *(shape * (4 * square - 3) for shape in two),
+            x**4 - 6 * x**2 * y**2 + y**4,
+            4 * x * y * (x**2 - y**2),
+        ),
+    }
+    return [
+        (shape, FLAT / 2 ** (degree - 1))
+        for degree, shapes in by_degree.items()
+        for shape in shapes
+    ]
+
+
+def every_shape(place: Array) -> Iterator[tuple[Array, float]]:
+    """The same with those that effects name."""
+    for effect in EFFECTS:
+        yield from ((shape(*place.T), FLAT) for _, shape in effect.plate)
+    yield from own_shapes(place)

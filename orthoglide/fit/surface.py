@@ -1,4 +1,4 @@
-"""What the surface of a probed plate has besides a plane: its own shape, and its roughness."""
+"""How rough the surface of a probed plate is, and which touches are off it."""
 
 from __future__ import annotations
 
@@ -9,43 +9,11 @@ from orthoglide.geometry import Array
 DEGREE = 4
 """Of the smoothest surface: no rigid cause makes more waves than a polynomial of this degree."""
 
-_FLAT = 1e-4
-"""Standard deviation of the shapes that effects name, a bowl or three lobes, metres."""
-
 _OF_A_SIDE = 1  # degree of what approach from the other side adds
 _FEWEST_ROUGH = 12
 _STRAY = 6.0  # times what the other heights scatter, of one that is none of them
 _STRAYS = 0.05  # share of a mesh: more are no single touches
 _FINEST = 1e-6  # metres: no plate is smoother
-
-
-def own_shapes(place: Array) -> list[tuple[Array, float]]:
-    """Shapes of degree 2 to 4 that no effect names, each ``(n,)`` with its standard deviation.
-
-    No plate is flat but for a bowl and three lobes, and what is left of it is no cause in the
-    machine. A finer shape is smaller: half for each degree of the polynomial.
-
-    Args:
-        place: on the plate over its radius ``(n, 2)``.
-    """
-    x, y = place.T
-    square = x**2 + y**2
-    two = (x**2 - y**2, 2 * x * y)
-    by_degree = {
-        2: two,
-        3: (x * (3 * square - 2), y * (3 * square - 2)),
-        4: (
-            6 * square**2 - 6 * square + 1,
-            *(shape * (4 * square - 3) for shape in two),
-            x**4 - 6 * x**2 * y**2 + y**4,
-            4 * x * y * (x**2 - y**2),
-        ),
-    }
-    return [
-        (shape, _FLAT / 2 ** (degree - 1))
-        for degree, shapes in by_degree.items()
-        for shape in shapes
-    ]
 
 
 def _polynomials(place: Array, degree: int) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orthoglide.effects.plates import every_shape
 from orthoglide.geometry import Array
 from orthoglide.klipper.firmware import FITTED, shifted
 from orthoglide.klipper.probe import PROBE
@@ -17,6 +18,8 @@ from orthoglide.numerals import signed
 from orthoglide.observations import ToolCampaign
 
 _BEYOND = 16.3  # chi2 of three numbers that chance exceeds once in a thousand
+_WIDE = 0.7  # of the radius of the towers: about as far as plates reach
+_BENT = 0.5  # of what a plate's shapes may be: all of it hides that numbers were changed
 _WIDTH = 1e-6
 _MANY = 2 * FITTED  # touches whose scatter says how noisy they are
 _HIGHER, _LEANS = 2e-4, 1.2e-4
@@ -36,8 +39,9 @@ class _Surface:
     plane: Array  # height (metres) and slopes of what was touched, by the present numbers (3,)
     reach: float  # most that a touch is away from the centre, metres
     change: Array  # of the firmware's radius (metres) and angles (radians) (3,)
-    spread: Array  # their covariance over the variance of a touch (3, 3)
-    sigma: float  # of a touch, metres
+    spread: Array  # their covariance by the noise of touches (3, 3)
+    # what of them is a smooth shape's that is no number's, a column each of a standard deviation
+    shapes: Array  # (3, k)
     bends: Array  # what each of these bends the surface by at every touch (n, 3)
     relative: bool  # whether its height says nothing
     turned: float  # how far the plate was turned on its seat, degrees
@@ -58,8 +62,9 @@ def disagreements(
     """Every mesh by which the plate, or the firmware's radius and angles, would be others.
 
     A cause in the machine lifts and bends all surfaces alike; between two of them the plate or the
-    endstops were moved, the plate was bent, or the firmware's numbers were changed. A plate that is
-    known to be turned takes its shape along: its surface is not compared.
+    endstops were moved, the plate was bent, or the firmware's numbers were changed. Of one smooth
+    shape, the plate's own or a cause's, other places make other numbers: as much is allowed. A
+    plate that is known to be turned takes its shape along: its surface is not compared.
 
     Args:
         firmware: its present numbers.
@@ -86,8 +91,8 @@ def disagreements(
 
 def _apart(one: _Surface, own: _Surface) -> str:
     """In what two surfaces differ, and why they may; empty where they agree."""
-    difference = own.change - one.change
-    spread = one.sigma**2 * one.spread + own.sigma**2 * own.spread
+    difference, shapes = own.change - one.change, own.shapes - one.shapes
+    spread = one.spread + own.spread + shapes @ shapes.T
     if difference @ np.linalg.solve(spread, difference) > _BEYOND:
         most = float(np.abs(own.bends @ difference).max())
         return (
@@ -131,18 +136,19 @@ def _surface(firmware: Firmware, campaign: ToolCampaign, relative: bool) -> _Sur
         return None
     rest = campaign.reading[rows] - p[:, 2]
     lies = np.linalg.lstsq(plane, rest, rcond=None)[0]
-    rest = rest - plane @ lies
-    change = np.linalg.lstsq(bends, rest, rcond=None)[0]
-    left = rest - bends @ change
+    # Planes take no part: the bends are past them.
+    taken = np.linalg.pinv(bends)
+    change = taken @ rest
+    left = rest - plane @ lies - bends @ change
     scatter = np.sqrt(left @ left / (len(p) - FITTED)) if len(p) >= _MANY else 0.0
-    spread = np.asarray(np.linalg.inv(bends.T @ bends), dtype=float)
+    shapes = every_shape(p[:, :2] / (_WIDE * firmware.delta_radius))
     return _Surface(
         campaign.name,
         -np.asarray(lies),
         float(np.hypot(*p[:, :2].T).max()),
         change,
-        spread,
-        max(PROBE, float(scatter)),
+        max(PROBE, float(scatter)) ** 2 * (taken @ taken.T),
+        _BENT * np.stack([taken @ (size * shape) for shape, size in shapes], axis=1),
         bends,
         relative and campaign.name != CALIBRATION,
         float(campaign.turned_by[rows].max(initial=0.0)),

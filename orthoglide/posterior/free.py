@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects.places import BUILD_UP, Place, Session, all_dials, dial_places, places
+from orthoglide.effects.plates import own_shapes
 from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
 from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.problem import Factor
-from orthoglide.fit.surface import own_shapes
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import Instrument
