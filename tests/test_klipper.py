@@ -128,6 +128,23 @@ def test_meshes_of_other_places_on_one_bent_plate_go_together(tmp_path: Path) ->
         assert bool(import_printer(file).apart) == told
 
 
+def test_numbers_of_a_result_that_does_not_stand_are_of_the_machine_that_it_has(
+    tmp_path: Path,
+) -> None:
+    """That machine is the base's, so the plate's slopes are as the base has them, no cause's."""
+    file = tmp_path / "printer.cfg"
+    file.write_text(simulated_cfg(DeltaRig(errors={"mount_tilt.a.b": 4e-2})))
+    found = import_printer(file)
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    assert verdict.word == "ambiguous"
+    zero = []
+    for one in (verdict, replace(verdict, word="partial")):
+        assert one.firmware is not None
+        assert one.firmware.corrections is not None
+        zero.append(np.array(one.firmware.corrections.new.endstop))
+    assert np.abs(zero[1] - zero[0]).max() < 1e-4
+
+
 def test_a_stale_mesh_is_left_out_and_its_numbers_are_held_back(tmp_path: Path) -> None:
     """The heights are steps and go with any numbers; the mesh was probed with other ones."""
     file, folder, text = tmp_path / "printer.cfg", tmp_path / "in", V400.read_text()

@@ -171,7 +171,8 @@ class Result(Framed):
     @cached_property
     def _corrections(self) -> Corrections | None:
         old = self.request.machine.spec.printer
-        return None if old is None else corrections(old, self._machine, self.after)
+        fit = self.after if self.stands else self.before  # which the machine is of
+        return None if old is None else corrections(old, self._machine, fit)
 
     @property
     def _machine(self) -> Machine:
