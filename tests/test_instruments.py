@@ -6,6 +6,7 @@ A new file under `orthoglide/instruments` is taken up by itself.
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,8 @@ def drawn(one: Instrument, seed: int = 3) -> tuple[Pose, Mounting]:
     R = Rotation.from_rotvec(rng.normal(scale=1e-3, size=(COUNT, 3))).as_matrix()
     axis = np.array([one.axes[k % len(one.axes)] if one.axes else 0 for k in range(COUNT)])
     ball = np.tile(rng.normal(scale=0.1, size=3), (COUNT, 1))
-    return Pose(p, R, apart), Mounting(axis, rng.choice([-1.0, 1.0], COUNT), ball)
+    turn = np.tile(Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), (COUNT, 1, 1))
+    return Pose(p, R, apart), Mounting(axis, rng.choice([-1.0, 1.0], COUNT), ball, turn)
 
 
 @every
@@ -87,7 +89,7 @@ LINEAR = {
 def test_nuisances_span_what_a_setup_shows_besides_the_machine(one: Instrument) -> None:
     """Where an instrument says itself what it shows out of its place, the test above holds it."""
     pose, mounting = drawn(one)
-    mounting = Mounting(mounting.axis, np.ones(COUNT), mounting.ball)
+    mounting = replace(mounting, sign=np.ones(COUNT))
     moved = one.displaced(pose.p, mounting, np.random.default_rng(5), 1e-5)
     assert (moved is None) is (one.kind in LINEAR)
     if moved is not None:
@@ -103,7 +105,7 @@ def test_nuisances_span_what_a_setup_shows_besides_the_machine(one: Instrument) 
 @every
 def test_counting_the_other_way_turns_the_sign(one: Instrument) -> None:
     pose, mounting = drawn(one)
-    other = Mounting(mounting.axis, -mounting.sign, mounting.ball)
+    other = replace(mounting, sign=-mounting.sign)
     factor = -1.0 if one.axes else 1.0
     np.testing.assert_array_equal(one.value(pose, other), factor * one.value(pose, mounting))
 

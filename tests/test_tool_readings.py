@@ -1,5 +1,6 @@
 """Readings of the tool: read, written, predicted, and fitted with their nuisances."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -168,7 +169,7 @@ def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
         assert np.array_equal(again.beside, campaign.beside)
         factor = ToolReadings.of(again, true)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
-        factor = factor.about(linear.value)
+        factor = factor.about(linear.value, linear.slopes)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
         assert np.array_equal(linear.value, factor.predict(true.model, true.values))
         columns = factor.nuisances(linear.slopes).columns
@@ -645,14 +646,43 @@ def test_the_frame_of_a_tracker_may_be_turned_but_not_left_handed(tmp_path: Path
         found(Rotation.from_rotvec([0.5, 0.4, 0.3]).as_matrix() @ mirror)
 
 
-def test_single_coordinates_in_a_turned_frame_are_refused(tmp_path: Path) -> None:
-    """Which cannot be turned back: of every place one coordinate alone was read."""
+SHIFTED = MACHINE.with_parameters(
+    {"joint_offset.a": 4e-4, "axis_offset.b.radial": -3e-4, "leg_length.c": 5e-5}
+)
+
+
+@pytest.mark.parametrize("kept", ["xyz", "xy"])
+def test_coordinates_in_a_turned_frame_where_some_are_missing(tmp_path: Path, kept: str) -> None:
+    """Of every place one or two, by an instrument that stands at any angle."""
     (campaign,) = read(tmp_path, text(("tcp",), noise=2e-5))
     assert isinstance(campaign, ToolCampaign)
-    p = TRUE.forward(campaign.command)
-    turned = np.stack([-p[:, 1], p[:, 0], p[:, 2]], axis=1)[np.arange(len(p)), campaign.axis]
-    with pytest.raises(og.InputError, match="turned, its x, y, z being −y, x, z of the machine"):
-        og.identify([replace(campaign, reading=turned)], MACHINE)
+    campaign = campaign.subset(np.isin(campaign.axis, ["xyz".index(k) for k in kept]))
+    p, found = SHIFTED.forward(campaign.command), []
+    for vector in ([0.0, 0.0, 0.0], [0.1, -0.05, 0.02], [0.0, 0.0, 1.5], [0.5, 0.6, 0.0]):
+        seen = np.add(Rotation.from_rotvec(vector).apply(p), [0.1, 0.2, 0.3])
+        given = replace(campaign, reading=seen[np.arange(len(p)), campaign.axis])
+        found.append(og.identify([given], MACHINE, noise=1e-6))
+        assert found[-1].scores.rms < 1e-6
+    sigma = np.sqrt(np.diag(found[0].covariance))
+    for turned in found[1:]:  # whose two axes see a little else
+        assert np.abs((turned.x - found[0].x) / sigma).max() < 0.2
+
+
+def test_a_dial_at_the_tool_points_about_along_its_direction(tmp_path: Path) -> None:
+    """A degree off, it bends no machine that is known no better."""
+    (campaign,) = read(tmp_path, text(("tcp",), noise=2e-5))
+    assert isinstance(campaign, ToolCampaign)
+    campaign = replace(campaign, axis=np.full(len(campaign), 2))
+    for angle in (0.0, 0.02, 0.08):
+        along = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        given = replace(campaign, reading=SHIFTED.forward(campaign.command) @ along)
+        found = og.identify([given], MACHINE)
+        said = [w for w in found.warnings if w.kind == "askew"]
+        assert len(said) == (angle == 0.08)
+        assert all(re.search(r"points 4\.\d degrees beside z \(along 0\.0[78]", w) for w in said)
+        for name in found.names:
+            low, high = found.interval(name)
+            assert low <= SHIFTED.values.get(name, 0.0) <= high
 
 
 @pytest.mark.parametrize(("kind", "size"), [("ballbar", 1.5e-4), ("tcp", 4e-4)])

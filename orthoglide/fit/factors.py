@@ -205,8 +205,10 @@ class TcpReadings:
         sigma = np.where(silent, SILENT * self.declared, self.declared)
         return replace(self, points=replace(self.points, sigma=sigma))
 
-    def about(self, value: Array) -> TcpReadings:
-        """The same with the frame turned to where a machine has the rows ``(n,)``."""
+    def about(self, value: Array, slopes: Array) -> TcpReadings:
+        """The same with the frame turned to where a machine has the rows ``(n,)``; ``slopes`` are
+        not needed.
+        """
         if self.frame != "rigid" or not self.known.all():
             return self
         near = turned_near(self.points.p, value.reshape(-1, 3), heard(self.declared))

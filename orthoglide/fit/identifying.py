@@ -14,7 +14,7 @@ from orthoglide.fit.doubts import check_slips, check_units
 from orthoglide.fit.earlier import account_for_changes, earlier_of
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Frame, TcpReadings
-from orthoglide.fit.instrument_frame import turned_back, turned_to
+from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.meant import check_meant
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.problem import Beside, Problem
@@ -216,9 +216,8 @@ def _beside(
     p = machine.forward(points.command)
     if isinstance(points, ToolCampaign):
         check_meant(points, p, machine)
-        value = points.sign * p[np.arange(len(points)), points.axis]
-        read = ToolReadings.of(turned_back(points, value), machine, sigma)
-        return read.without_strays(machine)
+        read = ToolReadings.of(points, machine, sigma)
+        return read.about(read.measured, p + points.beside, start=True).without_strays(machine)
     if len(points) < 3:
         raise InputError(
             f"{points.name}: these are too few TCP points to identify anything: measure three or "

@@ -1,6 +1,6 @@
 """An instrument's own frame brought near the machine's by a rigid motion; the centre of a ball.
 
-What is left of the turn is small and is fitted. Points with missing coordinates cannot be turned.
+What is left of the turn is small and is fitted.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array, moved_onto
-from orthoglide.observations import TcpPoints, ToolCampaign
-from orthoglide.observations.arrays import numbered
+from orthoglide.observations import TcpPoints
 
 _FEWEST = 4  # points
-_SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
-_CENTRE_STEPS, _SETTLED = 50, 1e-13  # at most; metres
+SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts of a micrometre
+_TURNS, _SEEN = 30, 1e-3  # steps at most; of a turn, by which readings have to show it
+_CENTRE_STEPS, _SETTLED = 50, 1e-13  # at most; metres or radians
 _PLANE = 1e-2  # of its extent, by which a circle may leave its plane
 _HELD = 5e-3  # weight of a ball's place against a reading: a noise of 5 um in a millimetre
 
@@ -33,27 +33,60 @@ def turned_to(points: TcpPoints, p: Array) -> TcpPoints:
     return replace(points, p=moved_onto(points.p, points.p, p))
 
 
-def turned_back(
-    points: ToolCampaign, value: Array, known: NDArray[np.bool_] | None = None
-) -> ToolCampaign:
-    """The same of the setups of a file that have all three coordinates of every point.
+def frame_of(
+    p: Array,
+    axis: NDArray[np.int64],
+    value: Array,
+    sigma: Array,
+    sd: float,
+    start: Array | None = None,
+) -> Array:
+    """Axes of the frame ``(3, 3)``, in the base, in which coordinates were read past a datum each.
+
+    Gauss-Newton; a turn that no reading shows is none.
 
     Args:
-        points: readings of the tool.
-        value: about what the machine has for them ``(n,)``, metres.
-        known: which have any weight ``(n,)``; all where absent.
+        p: where the machine has what was read ``(n, 3)``, metres.
+        axis: of the frame that was read ``(n,)``.
+        value: read ``(n,)``, metres.
+        sigma: standard deviation of each ``(n,)``, metres.
+        sd: how well the frame is known to be the base's, radians; infinite where it is not.
+        start: the frame at first; the nearest of those along the base's axes if ``None``, or the
+            base's where something is known.
     """
-    reading, changed = points.reading.copy(), False
-    for k in range(len(points.setups)):
-        rows = whole_points(points, k)
-        if rows is None:
-            continue
-        whole = np.ones(len(rows), dtype=bool) if known is None else known[rows].all(axis=1)
-        measured, p = ((points.sign * read)[rows] for read in (points.reading, value))
-        near = turned_near(measured, p, np.asarray(whole))
-        if near is not None:
-            reading[rows], changed = points.sign[rows] * near, True
-    return replace(points, reading=reading) if changed else points
+    from scipy.spatial.transform import Rotation
+
+    rows, about = np.arange(len(p)), p - p.mean(axis=0)
+    datum = np.eye(3)[axis]
+
+    def left(turn: Array) -> tuple[Array, Array]:
+        """The small turn that is left, and what that leaves, in sigmas."""
+        seen = about @ turn.T
+        turns = np.stack([np.cross(e, seen)[rows, axis] for e in np.eye(3)], axis=1)
+        columns = np.hstack([turns, datum]) / sigma[:, None]
+        rest = (value - seen[rows, axis]) / sigma
+        known = Rotation.from_matrix(turn).as_rotvec() / sd
+        columns = np.vstack([columns, np.eye(3, 6) / sd])
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        step = np.linalg.lstsq(columns / size, np.append(rest, -known), rcond=_SEEN)[0] / size
+        return step[:3], np.append(rest, -known) - columns @ step
+
+    def cost(turn: Array) -> float:
+        rest = left(turn)[1]
+        return float(rest @ rest)
+
+    if start is not None:
+        turn = start
+    elif np.isfinite(sd):
+        turn = np.eye(3)
+    else:
+        turn = min(Rotation.create_group("O").as_matrix(), key=cost)
+    for _ in range(_TURNS):
+        step, _ = left(turn)
+        turn = Rotation.from_rotvec(step).as_matrix() @ turn
+        if np.abs(step).max() < _SETTLED:
+            break
+    return np.asarray(turn)
 
 
 def turned_near(measured: Array, p: Array, known: NDArray[np.bool_]) -> Array | None:
@@ -63,29 +96,7 @@ def turned_near(measured: Array, p: Array, known: NDArray[np.bool_]) -> Array | 
     near = moved_onto(measured, measured[known], p[known])
     centred = measured - measured.mean(axis=0)
     turned = np.linalg.norm(near - near.mean(axis=0) - centred)
-    return near if turned > _SMALL * np.linalg.norm(centred) else None
-
-
-def whole_points(points: ToolCampaign, setup: int) -> NDArray[np.intp] | None:
-    """Rows of x, y and z of every point of a setup ``(m, 3)``; ``None`` where one is missing, or
-    it has no coordinates.
-    """
-    instrument = points.setups[setup].instrument
-    if instrument.angular or not instrument.axes:
-        return None
-    rows = np.flatnonzero(points.setup == setup)
-    if len(rows) < 3 * _FEWEST:
-        return None
-    known = np.column_stack([points.command, points.approach, points.repeat, points.load])[rows]
-    point = numbered(known)
-    # A point that was visited twice has its first x with its first y and its first z.
-    coordinates = [rows[points.axis[rows] == j] for j in range(3)]
-    places = [point[points.axis[rows] == j] for j in range(3)]
-    order = [np.argsort(own, kind="stable") for own in places]
-    first, *others = (own[k] for own, k in zip(places, order, strict=True))
-    if any(not np.array_equal(first, other) for other in others):
-        return None
-    return np.stack([own[k] for own, k in zip(coordinates, order, strict=True)], axis=1)
+    return near if turned > SMALL * np.linalg.norm(centred) else None
 
 
 def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:

@@ -12,7 +12,7 @@ from itertools import permutations, product
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.fit.instrument_frame import centre_of, whole_points
+from orthoglide.fit.instrument_frame import centre_of, frame_of
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import MINUS, compact
@@ -32,6 +32,7 @@ _FRAMES = [
     for order in permutations(range(3))
     for signs in product((1.0, -1.0), repeat=3)
 ]
+_MIRRORED = np.linalg.det(_FRAMES) < 0
 
 
 def check_meant(points: TcpPoints | ToolCampaign, p: Array, machine: Machine) -> None:
@@ -57,7 +58,7 @@ def check_meant(points: TcpPoints | ToolCampaign, p: Array, machine: Machine) ->
             continue
         instrument = setup.instrument
         if instrument.axes and not instrument.angular:
-            said = _frame(p[rows], points.axis[rows], value, whole_points(points, k) is not None)
+            said = _frame(p[rows], points.axis[rows], value, instrument.turn_sd(points.axis[rows]))
         elif instrument.paired:
             apart = np.linalg.norm(machine.forward(points.second[rows]) - p[rows], axis=1)
             said = _unit(np.stack([_rms(f * value - apart) for f in _FACTORS]))
@@ -86,16 +87,24 @@ def _unit(left: Array) -> str:
     )
 
 
-def _frame(p: Array, axis: Ints, value: Array, turns: bool = False) -> str:
+def _frame(p: Array, axis: Ints, value: Array, turn_sd: float = 0.0) -> str:
     """What coordinates ``(m,)`` of a tool at ``(m, 3)`` seem to be, as a clause; else empty.
 
-    Where the instrument's frame ``turns``, a turn of it is taken out later, and is no fault.
+    Where it is not known how the instrument's frame is turned, a turn is taken out later, and is no
+    fault.
     """
     plain = _left(np.eye(3), p, axis, value)
     if len(value) < _FEWEST or plain[0] < _FAR:
         return ""
+    if np.isinf(turn_sd):
+        found = frame_of(p, axis, value, np.full(len(p), _FAR), turn_sd)
+        if _left(found, p, axis, value)[0] < max(_FAR, _MENDED * plain[0]):
+            return ""
     left = np.stack([_left(turn, p, axis, value) for turn in _FRAMES])
+    # Of points in one plane a mirrored frame is as good as one that is turned.
+    left[_MIRRORED] /= _MENDED
     best, unit = np.unravel_index(int(np.argmin(left)), left.shape)
+    left[_MIRRORED] *= _MENDED
     if left[best, unit] > _FAR and (turn := _nearest_frame(p, axis, value)) is not None:
         shown, far = "", _left(turn, p, axis, value)[0]
     else:
@@ -103,7 +112,7 @@ def _frame(p: Array, axis: Ints, value: Array, turns: bool = False) -> str:
         shown = f", its x, y, z being {', '.join(map(_axis, turn))} of the machine"
     factor = float(_FACTORS[unit])
     mirrored, as_is = np.linalg.det(turn) < 0, np.allclose(turn, np.eye(3))
-    if far > _MENDED * plain[0] or (turns and factor == 1 and not mirrored):
+    if far > _MENDED * plain[0]:
         return ""
     if as_is:
         return _unit(plain)

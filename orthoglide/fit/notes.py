@@ -23,6 +23,7 @@ from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
+_ASKEW = 3.0  # standard deviations
 _FEWEST = 8  # different readings: by chance one in eight is a multiple of the step
 _ON_STEP = 0.9  # share of the readings of a setup that its dial's step tells
 _TURNED = (
@@ -56,7 +57,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
+    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate), *askew(problem)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -175,6 +176,28 @@ def louder(estimate: Estimate) -> Iterator[Note]:
                         f"motion passes for the noise of its repeats: {TELL_SIDES}",
                         "side",
                     )
+
+
+def askew(problem: Problem) -> Iterator[Note]:
+    """Dials at the tool that point beside their direction, by more than one is held askew."""
+    for factor in problem.points:
+        if not isinstance(factor, ToolReadings):
+            continue
+        for k, setup in enumerate(factor.points.setups):
+            axis = factor.points.axis[factor.setup == k]
+            sd = setup.instrument.turn_sd(axis)
+            if not 0 < sd < np.inf:
+                continue
+            along = factor.turn[k][axis[0]]
+            angle = float(np.arccos(np.clip(along[axis[0]], -1.0, 1.0)))
+            if angle > _ASKEW * sd:
+                yield Note(
+                    f"{source(factor.points)}, setup {setup.name!r}: by its readings it points "
+                    f"{np.rad2deg(angle):.1f} degrees beside {'xyz'[axis[0]]} (along "
+                    f"{', '.join(f'{v:.3f}' for v in along)}), and is taken so: look how it is "
+                    f"held, and whether the direction in the file is right",
+                    "askew",
+                )
 
 
 def slips(estimate: Estimate) -> Iterator[Note]:

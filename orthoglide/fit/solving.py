@@ -78,9 +78,9 @@ def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
 
 def about_machine(problem: Problem, at: Linearised) -> Problem:
     """The problem with instruments' frames brought to a machine; itself where they are there."""
-    ends = np.cumsum([len(f.measured) for f in problem.factors])
-    values = np.split(at.value, ends[:-1])[len(problem.campaigns) :]
-    points = tuple(f.about(v) for f, v in zip(problem.points, values, strict=True))
+    first = len(problem.campaigns)
+    each = zip(problem.points, problem.factor_rows[first:], at.slopes[first:], strict=True)
+    points = tuple(factor.about(at.value[rows], slopes) for factor, rows, slopes in each)
     if all(new is old for new, old in zip(points, problem.points, strict=True)):
         return problem
     return replace(problem, points=points)

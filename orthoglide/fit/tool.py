@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.fit.factors import SILENT, Block, ByJoints, OfFile, heard
-from orthoglide.fit.instrument_frame import centre_moves, centre_of, turned_back
+from orthoglide.fit.instrument_frame import SMALL, centre_moves, centre_of, frame_of
 from orthoglide.fit.noise import FEWEST_REPEATS, NoiseSource, repeat_variance
 from orthoglide.fit.tool_noise import LOUD, shown_sigma, usual_sigma
 from orthoglide.geometry import Array
@@ -37,6 +37,7 @@ class ToolReadings(OfFile):
     # by how much single touches of a plate are above the surface of all others (n,), metres; 0 of
     # those that are not
     stray: Array
+    turn: Array  # axes of each setup's frame, in the base (setups, 3, 3)
     left_out: tuple[str, ...] = ()  # strays that are none of these readings, each in a sentence
 
     @classmethod
@@ -64,7 +65,8 @@ class ToolReadings(OfFile):
         if not noise:
             height = p[:, 2] - campaign.reading
             sigma, stray = shown_sigma(campaign, machine.spec.instruments, usual, place, height)
-        return cls(campaign, sigma, usual, place, ball, stray)
+        turn = np.tile(np.eye(3), (len(campaign.setups), 1, 1))
+        return cls(campaign, sigma, usual, place, ball, stray, turn)
 
     def without_strays(self, machine: Machine) -> ToolReadings:
         """The same without touches that are none of their surface, which it tells."""
@@ -136,12 +138,27 @@ class ToolReadings(OfFile):
         """The same with some rows ``(n,)`` without weight."""
         return replace(self, sigma=np.where(rows, SILENT * self.sigma, self.sigma))
 
-    def about(self, value: Array) -> ToolReadings:
-        """The same with instruments' frames brought to where a machine has them, by its rows
-        ``(n,)``.
+    def about(self, value: Array, slopes: Array, start: bool = False) -> ToolReadings:
+        """The same with instruments' frames turned to where a machine has them.
+
+        Args:
+            value: not needed.
+            slopes: where it takes the readings, first ``(n, 3 or more)``, metres.
+            start: whether nothing is known of the frames yet; else they are near.
         """
-        points = turned_back(self.points, value, heard(self.sigma))
-        return self if points is self.points else replace(self, points=points)
+        turn, known, c = self.turn.copy(), heard(self.sigma), self.points
+        for k, setup in enumerate(c.setups):
+            rows = np.flatnonzero((self.setup == k) & known)
+            sd = setup.instrument.turn_sd(c.axis[rows])
+            if sd == 0 or not len(rows):
+                continue
+            found = frame_of(
+                slopes[rows, :3], c.axis[rows], c.sign[rows] * c.reading[rows],
+                self.sigma[rows], sd, None if start else turn[k],
+            )  # fmt: skip
+            if np.abs(found - turn[k]).max() > SMALL:
+                turn[k] = found
+        return self if (turn == self.turn).all() else replace(self, turn=turn)
 
     @cached_property
     def twice(self) -> NDArray[np.bool_]:
@@ -229,7 +246,8 @@ class ToolReadings(OfFile):
         for k, rows in self._about_balls():
             near = p[rows].mean(axis=0) + self.ball[k]
             ball[k] = centre_of(p[rows], self.points.reading[rows], near)
-        return Mounting(self.points.axis, self.points.sign, ball[self.setup])
+        axis, sign = self.points.axis, self.points.sign
+        return Mounting(axis, sign, ball[self.setup], self.turn[self.setup])
 
     def _about_balls(self) -> Iterator[tuple[int, NDArray[np.intp]]]:
         """Setups that read about a ball, each with the rows that say where it is."""

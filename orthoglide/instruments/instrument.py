@@ -44,10 +44,17 @@ class Mounting:
     axis: NDArray[np.int64]  # base axis that is read (n,); 0 where the instrument has none
     sign: Array  # -1 where it counts against that axis, else +1 (n,)
     ball: Array  # centre of a fixed ball (n, 3), metres; 0 where there is none
+    turn: Array  # axes of the instrument's frame, in the base (n, 3, 3)
 
     def at(self, rows: NDArray[np.intp]) -> Mounting:
         """Some of the rows."""
-        return Mounting(self.axis[rows], self.sign[rows], self.ball[rows])
+        return Mounting(self.axis[rows], self.sign[rows], self.ball[rows], self.turn[rows])
+
+    @property
+    def along(self) -> Array:
+        """Direction in which it counts, in the base ``(n, 3)``."""
+        own = self.turn[np.arange(len(self.axis)), self.axis]
+        return np.asarray(self.sign[:, None] * own)
 
 
 class Instrument(ABC):
@@ -109,6 +116,12 @@ class Instrument(ABC):
             value: the readings there ``(n,)``.
             mounting: of the instrument.
         """
+
+    def turn_sd(self, axis: NDArray[np.int64]) -> float:
+        """How well the frame of a setup that reads some axes is known to be the base's, radians:
+        0 where it has none, infinite where nothing is known.
+        """
+        return 0.0
 
     def displaced(
         self, p: Array, mounting: Mounting, draw: np.random.Generator, sd: float

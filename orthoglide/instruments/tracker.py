@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.instruments.instrument import Instrument, Mounting, Nuisance, Pose, Varied, datums
 
+HELD_SD = 0.02
+"""How well a dial that is held at the tool points along its direction, radians: a degree."""
+
 
 class Tracker(Instrument):
-    """Coordinates of the tool, in a frame that may be turned a little where it has two or more."""
+    """Coordinates of the tool, in a frame that may be turned; of a dial that reads one of them the
+    direction is known, and not exactly.
+    """
 
     kind = "tcp"
     words = "a tracker at the tool"
@@ -23,20 +29,21 @@ class Tracker(Instrument):
 
     def value(self, pose: Pose, mounting: Mounting) -> Array:
         """The coordinate along the axis."""
-        rows = np.arange(len(pose.p))
-        return np.asarray(mounting.sign * pose.p[rows, mounting.axis])
+        return np.asarray(np.sum(mounting.along * pose.p, axis=1))
 
     def gradient(self, pose: Pose, mounting: Mounting) -> Mapping[Varied, Array]:
         """The axis."""
-        return {"p": mounting.sign[:, None] * np.eye(3)[mounting.axis]}
+        return {"p": mounting.along}
 
     def nuisances(self, p: Array, value: Array, mounting: Mounting) -> list[Nuisance]:
         """A datum an axis, and three turns of the frame."""
-        if len(np.unique(mounting.axis)) < 2:
-            return datums(mounting)
-        turns = np.stack([np.cross(e, p) for e in np.eye(3)], axis=2)  # (n, xyz, about)
-        own = mounting.sign[:, None] * turns[np.arange(len(p)), mounting.axis]
-        return [*datums(mounting), *((column, np.inf) for column in own.T)]
+        turns = [np.sum(np.cross(e, p) * mounting.along, axis=1) for e in np.eye(3)]
+        sd = self.turn_sd(mounting.axis)
+        return [*datums(mounting), *((column, sd) for column in turns)]
+
+    def turn_sd(self, axis: NDArray[np.int64]) -> float:
+        """Not at all where it has two axes or more."""
+        return HELD_SD if len(np.unique(axis)) < 2 else np.inf
 
     def displaced(
         self, p: Array, mounting: Mounting, draw: np.random.Generator, sd: float
@@ -44,8 +51,7 @@ class Tracker(Instrument):
         """In a frame that is shifted and turned."""
         from scipy.spatial.transform import Rotation
 
-        if len(np.unique(mounting.axis)) < 2:
-            return None
         shift, turn = draw.normal(scale=sd, size=(2, 3))
-        seen = Rotation.from_rotvec(turn).apply(p) + shift
+        own = np.einsum("nij,nj->ni", mounting.turn, p)
+        seen = Rotation.from_rotvec(turn).apply(own) + shift
         return np.asarray(mounting.sign * seen[np.arange(len(p)), mounting.axis])
