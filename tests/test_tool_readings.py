@@ -939,3 +939,26 @@ def test_a_ball_bar_on_a_circle_in_one_plane(seed: int) -> None:
     assert found.scores.chi2 < 3 * found.scores.dof
     errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
     assert np.abs(errors).max() < 4
+
+
+@pytest.mark.parametrize("ball", [(0.01, -0.005, -0.2), (0.15, 0.05, -0.1)])
+def test_a_ball_below_the_plane_of_a_circle(ball: tuple[float, float, float]) -> None:
+    """Lengths say how far below: there its readings say what the tool does across the plane."""
+    machine = og.Machine.nominal()
+    t = np.arange(48) * np.pi / 12
+    places = np.stack([0.04 * np.cos(t), 0.04 * np.sin(t), 0 * t], axis=1)
+    rho = machine.inverse(places)
+    wrong = machine.with_parameters({"joint_offset.x": 2e-3, "joint_offset.z": 4e-4})
+    length = np.linalg.norm(wrong.forward(rho) - ball, axis=1)
+    length += 5e-6 * np.random.default_rng(0).standard_normal(len(length))
+    frame = {"kind": ["ballbar"] * 48, "setup": ["ring"] * 48, "reading_mm": length * 1e3}
+    frame |= {f"rho_{leg}_mm": rho[:, k] * 1e3 for k, leg in enumerate("xyz")}
+    read = ToolCampaign.from_frame(frame)
+    found = og.identify(read, machine)
+    errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
+    assert np.abs(errors).max() < 3
+    (said,) = (w for w in found.warnings if w.kind == "mirrored")
+    far = re.search(r"the ball (\d+) mm beside it", said)
+    assert far is not None
+    assert float(far[1]) == pytest.approx(-ball[2] * 1e3, rel=0.05)
+    assert og.close_loop([read]).word == "adequate"

@@ -18,6 +18,7 @@ SMALL = 1e-3  # radians: the square of a smaller turn moves no more than parts o
 _TURNS, _SEEN = 30, 1e-3  # steps at most; of a turn, by which readings have to show it
 _CENTRE_STEPS, _SETTLED = 50, 1e-13  # at most; metres or radians
 _PLANE = 1e-2  # of its extent, by which a circle may leave its plane
+_BESIDE = 0.25  # square of a distance from the plane, over a circle's radius: zeros make less
 _HELD = 5e-3  # weight of a ball's place against a reading: a noise of 5 um in a millimetre
 
 
@@ -103,7 +104,7 @@ def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
     """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``.
 
     Across a circle's plane its centre could be anywhere: there it stays near a place ``(3,)`` that
-    goes with the middle of the points, or near the plane.
+    goes with the middle of the points, or as far below the plane as distances that are lengths say.
     """
     if near is None:
         middle = p.mean(axis=0)
@@ -111,7 +112,13 @@ def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
         q = (p - middle) / size
         right = np.sum(q * q, axis=1) - (distance / size) ** 2
         columns = np.column_stack([2 * q, np.ones(len(q))])
-        near = middle + size * np.linalg.lstsq(columns, right, rcond=_PLANE)[0][:3]
+        found = np.linalg.lstsq(columns, right, rcond=_PLANE)[0][:3]
+        if (across := plane_of(p)) is not None and distance.min() > 0:
+            # Lengths say how far beside the plane it stands, and not on which side.
+            beside = np.mean((distance / size) ** 2 - np.sum((q - found) ** 2, axis=1))
+            if beside > _BESIDE:
+                found = found + np.sqrt(beside) * across
+        near = middle + size * found
     centre, longer = near, 0.0
     held = _HELD * np.eye(3, 4)
     for _ in range(_CENTRE_STEPS):
@@ -124,6 +131,14 @@ def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
         if np.abs(step).max() < _SETTLED:
             break
     return np.asarray(centre)
+
+
+def plane_of(p: Array) -> Array | None:
+    """Down across the plane in which points ``(n, 3)`` lie, of length 1; ``None`` where in none."""
+    _, size, ways = np.linalg.svd(p - p.mean(axis=0), full_matrices=False)
+    if len(size) < 3 or size[2] > _PLANE * size[1]:
+        return None
+    return np.asarray(-np.copysign(1.0, ways[2, 2]) * ways[2])
 
 
 def centre_moves(p: Array, distance: Array, centre: Array, moved: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.instrument_frame import plane_of
 from orthoglide.fit.loud import loud_dials
 from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.fit.problem import Problem
@@ -23,6 +24,7 @@ from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
+_BESIDE = 0.1  # of the extent of its places, how far a ball is from their plane
 _ASKEW = 3.0  # standard deviations
 _FEWEST = 8  # different readings: by chance one in eight is a multiple of the step
 _ON_STEP = 0.9  # share of the readings of a setup that its dial's step tells
@@ -57,7 +59,8 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         found.append(Note(text, "lack_of_fit"))
     else:
         found += slips(estimate)
-    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate), *askew(problem)]
+    found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
+    found += [*askew(problem), *mirrored(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         found.append(Note(text, "bound"))
@@ -197,6 +200,30 @@ def askew(problem: Problem) -> Iterator[Note]:
                     f"{', '.join(f'{v:.3f}' for v in along)}), and is taken so: look how it is "
                     f"held, and whether the direction in the file is right",
                     "askew",
+                )
+
+
+def mirrored(estimate: Estimate) -> Iterator[Note]:
+    """Balls beside the one plane of all places about them, which could be on its other side."""
+    problem = estimate.problem
+    for k, factor in enumerate(problem.points, len(problem.campaigns)):
+        if not isinstance(factor, ToolReadings):
+            continue
+        p = estimate.at.slopes[k][:, :3]
+        ball = factor.mounting_at(p).ball
+        for j, setup in enumerate(factor.points.setups):
+            rows = factor.setup == j
+            if not setup.instrument.about_ball or (across := plane_of(p[rows])) is None:
+                continue
+            size = float(np.sqrt(np.mean((p[rows] - p[rows].mean(axis=0)) ** 2)))
+            beside = float(abs((ball[rows] - p[rows]).mean(axis=0) @ across))
+            if beside > _BESIDE * size:
+                yield Note(
+                    f"{source(factor.points)}, setup {setup.name!r}: its places lie in one plane, "
+                    f"and the ball {compact(beside * 1e3, 2)} mm beside it; on which side no "
+                    f"reading says, below was taken: on the other one, what is told of the "
+                    f"machine across that plane has the other sign; read places out of it as well",
+                    "mirrored",
                 )
 
 

@@ -16,6 +16,10 @@ from orthoglide.instruments.instrument import (
     unit_vectors,
 )
 
+CENTRE_SD = 1e-3
+"""How far the ball may be from where the readings have it, metres: more than a micrometre of theirs
+leaves open, but across the plane of a circle, where they do not say."""
+
 
 class BallBar(Instrument):
     """Lengths, or deviations of them, about a ball that stands somewhere near its place."""
@@ -39,7 +43,7 @@ class BallBar(Instrument):
     def nuisances(self, p: Array, value: Array, mounting: Mounting) -> list[Nuisance]:
         """The ball's centre and the bar's length."""
         toward = unit_vectors(p - mounting.ball)
-        return [*((column, np.inf) for column in toward.T), (np.ones(len(p)), np.inf)]
+        return [*((column, CENTRE_SD) for column in toward.T), (np.ones(len(p)), np.inf)]
 
     def displaced(
         self, p: Array, mounting: Mounting, draw: np.random.Generator, sd: float
