@@ -173,5 +173,5 @@ def _shown(posterior: FullPosterior, names: Sequence[str]) -> ByUnit:
         if set(place.effect.motions) & set(names):
             at += about.coefficients(place).tolist()
     rows = about.rows[:, at] @ mean[at]
-    rows = rows - posterior.before.nuisance.fitted(rows)
+    rows = rows - posterior.about.nuisance.fitted(rows)
     return rms_by_unit(rows, about.problem.turned)

@@ -15,8 +15,9 @@ from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
-from orthoglide.fit.least_squares import Linearised, linearise, predict
+from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, nuisances, predict
 from orthoglide.fit.problem import rows_about
+from orthoglide.fit.solving import about_machine
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
@@ -71,6 +72,7 @@ class Everything:
     known_rows: tuple[Array, Array]
     asked: tuple[Parameter, ...]  # parameters beyond the base whose conditions the readings vary
     outside: float  # square of what the readings have where nothing could show
+    nuisance: Nuisances  # of the instruments, where the readings are linearised
     apart: float = float("nan")  # of the prediction from its linearisation at the mean, sigmas
 
     @property
@@ -82,7 +84,7 @@ class Everything:
         """Where a place's coefficients stand."""
         return _spans(self.places, self.known)[place.name]
 
-    def distance(self, mean: Array, before: Estimate) -> float:
+    def distance(self, mean: Array) -> float:
         """Root mean square, in sigmas, of the prediction at a mean ``(C,)`` past its
         linearisation; what dials do goes by the readings that are predicted, and by their order.
         """
@@ -94,7 +96,7 @@ class Everything:
             if name in own:
                 at = own[name]
                 predicted = predicted + (columns[:, part] - self.rows[:, at]) @ mean[at]
-        off = before.nuisance.project(predicted - linear)
+        off = self.nuisance.project(predicted - linear)
         return float(np.sqrt(np.mean(off[: len(linear)] ** 2)))
 
 
@@ -130,7 +132,11 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     wide = with_everything(problem)
     free = len(problem.unknowns)
     x, here = _linearised(estimate, wide, at)
-    project, sd = estimate.nuisance.project, wide.tolerance
+    if (near := about_machine(wide, here)) is not wide:  # where it has the instruments' frames
+        wide = near
+        x, here = _linearised(estimate, wide, at)
+    nuisance = nuisances(wide, here.slopes)
+    project, sd = nuisance.project, wide.tolerance
     free_rows, found = curves(wide, x)
     of_dials, dials = curves_of_dials(wide, here.value)
     of_plates, sizes = plates(wide)
@@ -139,7 +145,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     value = here.value - here.jacobian @ x
     many, beyond = len(value) > MANY, (0.0, 0.0, 1.0)
     if many:
-        nuisance, rest = estimate.nuisance, problem.measured - value
+        rest = problem.measured - value
         columns, residual, stations, beyond = compressed(nuisance, rows, rest)
     else:
         columns, residual = project(rows), project(problem.measured - value)
@@ -175,8 +181,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)
     return Everything(
-        wide, scale, found, causes, reduced, by_name, translations(slopes), rows,
-        value, (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside,
+        wide, scale, found, causes, reduced, by_name, translations(slopes), rows, value,
+        (padded, known[1]), tuple(n for n in asked if n.plain not in gone), outside, nuisance,
     )  # fmt: skip
 
 

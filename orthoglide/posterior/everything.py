@@ -309,7 +309,7 @@ def _about(
     at, start = (None, ()) if last is None else (last.next_point, last.mixture.standing)
     about = everything(before, at)
     found = FullPosterior(before, about, Mixture(about.linear, given, start))
-    return replace(found, about=replace(about, apart=about.distance(found.mean, before)))
+    return replace(found, about=replace(about, apart=about.distance(found.mean)))
 
 
 def _unreached(before: Estimate) -> str:

@@ -180,7 +180,7 @@ class _Reader:
                 zip(candidate.parameters, (np.sqrt(np.diag(spread)) * unit).tolist(), strict=True)
             ),
             dict(zip(names, values.tolist(), strict=True)),
-            shown - posterior.before.nuisance.fitted(shown),
+            shown - posterior.about.nuisance.fitted(shown),
             posterior.machine.catalogue,  # which knows places, too
         )
 

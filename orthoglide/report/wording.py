@@ -139,6 +139,11 @@ def _weighed(result: Result) -> str:
     what = f"the noise of {of}"
     if any(w.kind == "side" for w in result.warnings):
         what = "what repeats scatter by: noise of the readings, or lost motion of the machine"
+    if result.after.sigma_scale > 1:
+        what = (
+            f"more than {what}: what is likely fits them, each by itself, and their mean, which "
+            f"the calibrated machine has, not quite"
+        )
     return f"With {given}, {_fall(result)}, which is {what}.{_alone(result)}"
 
 
