@@ -64,11 +64,12 @@ the command that is proposed; a result that was made of them all the same warns,
 not to be entered.
 
 Where heights are off by the same everywhere, all endstops were moved together since
-(`Z_OFFSET_APPLY_ENDSTOP`): z = 0 stays where it was set, and the heights tell the rest. Of a probe
-beside the nozzle the offset is taken as set in the middle of the plate. Numbers are given where
-the plate was touched out to a third of the towers' radius at least, and not to be entered where
-they gain next to nothing. Where prints become larger or smaller by them, the report says by how
-much: heights know nothing of the size that was measured on a print.
+(`Z_OFFSET_APPLY_ENDSTOP`): z = 0 stays where it was set, and heights and meshes tell the rest. Of a
+probe beside the nozzle the offset is taken as set in the middle of the plate. Numbers are given
+where the plate was touched out to a third of the towers' radius at least, and not to be entered
+where they gain next to nothing. Where distances were read, prints keep their size as far as heights
+allow, as a part's shrinkage is not known, and arms are fitted as the firmware fits them; by heights
+alone arms stay the rods. Where prints become larger or smaller the report says by how much.
 
 A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches, and a

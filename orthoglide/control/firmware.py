@@ -55,7 +55,7 @@ class FirmwareNumbers:
             "\n".join((f"{'printer.cfg':30}{'old':>14}{'new':>14}", *named)),
             f"Height over the plate to expect: {before} rms off with the old numbers, {after} with "
             f"the new; along the plate {one} and {other}.",
-            *(() if found.gains else ("They are hardly better than the old ones: keep those.",)),
+            *(() if found.gains else (f"They are {found.vain} than the old ones: keep those.",)),
             WHERE,
             "\n".join(("To paste:", *found.new.lines())),
             "\n".join(("To undo:", *found.old.lines())),

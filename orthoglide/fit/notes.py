@@ -16,6 +16,7 @@ from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import LOUD
+from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
@@ -24,6 +25,7 @@ from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
 _CHANCE = 1e-3  # of a campaign in which noise alone makes a reading that is said to be off
 _ABOUT = 0.999  # of the loudest that a plate's roughness may count as
 _SAID = 8  # lines
+_FEW = 1.0  # degrees of freedom: less is no test of a model
 _BESIDE = 0.1  # of the extent of its places, how far a ball is from their plane
 _ASKEW = 3.0  # standard deviations
 _FEWEST = 8  # different readings: by chance one in eight is a multiple of the step
@@ -46,7 +48,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     found += copies(problem)
     told = (t for f in problem.points if isinstance(f, ToolReadings) for t in f.left_out)
     found += [Note(text, "stray") for text in told]
-    if estimate.sigma_scale > 1:
+    if estimate.sigma_scale > 1 and scores.dof >= _FEW:
         text = (
             f"the residuals are {estimate.sigma_scale:.1f} times the noise of "
             f"{problem.one_reading.said()} (chi2 {scores.chi2:.0f} on {scores.dof:.0f} "
@@ -196,7 +198,7 @@ def askew(problem: Problem) -> Iterator[Note]:
             if angle > _ASKEW * sd:
                 yield Note(
                     f"{source(factor.points)}, setup {setup.name!r}: by its readings it points "
-                    f"{np.rad2deg(angle):.1f} degrees beside {'xyz'[axis[0]]} (along "
+                    f"{np.rad2deg(angle):.1f} degrees beside {LEGS[axis[0]]} (along "
                     f"{', '.join(f'{v:.3f}' for v in along)}), and is taken so: look how it is "
                     f"held, and whether the direction in the file is right",
                     "askew",

@@ -14,6 +14,7 @@ from orthoglide.klipper.corrections import (
     corrections_of as corrections_of,
 )
 from orthoglide.klipper.importing import (
+    ASSUMED as ASSUMED,
     Imported as Imported,
     import_printer as import_printer,
 )

@@ -44,6 +44,7 @@ class Calibration:
     def __init__(self, config: Config, firmware: Firmware, notes: list[Note]) -> None:
         self.config, self.firmware, self.notes = config, firmware, notes
         self.section = config.section("delta_calibrate")
+        self.set_since = False  # whether z = 0 is no longer where the heights had it
         self._told = set[str]()  # kinds of readings of which some are left out
 
     def rows(self) -> list[dict[str, Any]]:
@@ -130,7 +131,7 @@ class Calibration:
         far, alike = abs(off) > _FAR, leans <= max(_LEANS[0], _LEANS[1] * abs(mean))
         if not far and not (alike and abs(mean) > _SET):
             return 0.0
-        since = mean if alike else off
+        self.set_since, since = True, mean if alike else off
         doubt = (
             "; so far is no setting of the nozzle: if these heights are of another machine, or of "
             "another hotend, run DELTA_CALIBRATE again before you enter anything"

@@ -53,6 +53,12 @@ class Corrections:
         return before - after > max(_WORTH * before, _LEAST)
 
     @property
+    def vain(self) -> str:
+        """What they are than the old ones that should be kept; empty where they gain something."""
+        before, after = self.height
+        return "" if self.gains else "hardly better" if after < before else "no better"
+
+    @property
     def size(self) -> float:
         """How much larger prints become along the plate, over their size with the old numbers."""
         reach = _OF_A_PRINT * self.old.delta_radius

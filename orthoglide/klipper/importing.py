@@ -26,6 +26,9 @@ from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign
 from orthoglide.text import shown
 
+ASSUMED = "assumed_mm"
+"""Key of a machine file's provenance: what the firmware does not store, millimetres."""
+
 PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 """What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
 nozzle below the platform's joints. Typical ones; effects that turn the platform depend on them."""
@@ -180,7 +183,7 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
                 "numbers": firmware.mark,
                 **firmware.as_dict(),
                 RELATIVE: _is_relative(config),
-                "assumed_mm": {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
+                ASSUMED: {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
             }
         },
     )

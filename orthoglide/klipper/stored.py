@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
 
 from orthoglide.errors import InputError
 from orthoglide.klipper.calibration import Calibration
@@ -38,9 +41,12 @@ class Stored:
 
     def campaigns(self) -> Iterator[ToolCampaign]:
         """Heights with distances, then meshes; no two of one name, in capitals or not."""
-        calibrated = "delta_calibrate" in self.config.sections
-        if calibrated and (rows := Calibration(self.config, self.firmware, self.notes).rows()):
-            yield campaign_of(CALIBRATION, rows)
+        set_since = False
+        if "delta_calibrate" in self.config.sections:
+            calibration = Calibration(self.config, self.firmware, self.notes)
+            if rows := calibration.rows():
+                yield campaign_of(CALIBRATION, rows)
+            set_since = calibration.set_since
         taken, unknown = set[str](), set(self.turned)
         known: dict[tuple[float, bytes], str] = {}
         for section in self.config.named("bed_mesh"):
@@ -56,6 +62,8 @@ class Stored:
             if not rows:
                 continue
             mesh = campaign_of(f"mesh-{name}", rows, turn := self.turned.get(profile, 0.0))
+            if set_since:
+                mesh = self._as_set(mesh)
             other = known.setdefault((turn, mesh.command.tobytes()), profile)
             if other == profile:
                 yield mesh
@@ -71,6 +79,15 @@ class Stored:
                 f"there is no mesh {min(unknown)!r} whose plate was turned: take one of "
                 f"{have or 'none'}"
             )
+
+    def _as_set(self, mesh: ToolCampaign) -> ToolCampaign:
+        """A mesh with z = 0 where its owner has set it since the heights were probed, before the
+        mesh or after it.
+        """
+        p = self.firmware.points(mesh.command + self.firmware.zero)
+        plane = np.column_stack([np.ones(len(p)), p[:, :2]])
+        higher = np.linalg.lstsq(plane, p[:, 2] - mesh.reading, rcond=None)[0][0]
+        return replace(mesh, reading=mesh.reading + higher)
 
 
 def _plain(name: str) -> str:

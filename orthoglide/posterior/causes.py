@@ -45,6 +45,11 @@ class Explanation:
         return cause_words(self.catalogue, self.name, values)
 
     @property
+    def is_there(self) -> bool:
+        """Whether anything of it is larger than its uncertainty: else it explains nothing."""
+        return any(abs(value) > self.sigmas[n] for n, value in self.values.items())
+
+    @property
     def look_at(self) -> str:
         """Where to look for it on the machine."""
         return self.catalogue.effect_of(self.name).look_at

@@ -129,12 +129,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
         at: parameters to linearise at ``(P,)``, SI; the fit's, others zero, where absent.
     """
     problem = estimate.problem
-    wide = with_everything(problem)
     free = len(problem.unknowns)
-    x, here = _linearised(estimate, wide, at)
-    if (near := about_machine(wide, here)) is not wide:  # where it has the instruments' frames
-        wide = near
-        x, here = _linearised(estimate, wide, at)
+    wide, x, here = _linearised(estimate, at)
     nuisance = nuisances(wide, here.slopes)
     project, sd = nuisance.project, wide.tolerance
     free_rows, found = curves(wide, x)
@@ -186,19 +182,25 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     )  # fmt: skip
 
 
-def _linearised(estimate: Estimate, wide: Problem, at: Array | None) -> tuple[Array, Linearised]:
-    """Where to linearise ``(P,)``, SI, and the readings there."""
+def _linearised(estimate: Estimate, at: Array | None) -> tuple[Problem, Array, Linearised]:
+    """Everything about a machine that has the instruments' frames where it is linearised, that
+    place ``(P,)``, SI, and the readings there.
+    """
+    wide = with_everything(estimate.problem)
     start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(estimate.x))])
+    x = start if at is None else at
+    here = linearise(wide, x)
+    if (near := about_machine(wide, here)) is not wide:
+        wide, here = near, linearise(near, x)
     if at is None:
-        return start, linearise(wide, start)
-    here = linearise(wide, at)
+        return wide, x, here
     # A dial that magnifies everything found so far would be one coefficient in place of many: what
     # a dial does that does not stand out is taken at the base fit, where it cannot stand in for the
     # machine.
     of_dial = [wide.machine.catalogue.effect_of(n).of_dial for n in wide.names]
     resting = np.array(of_dial) & (at == 0)
     here.jacobian[:, resting] = linearise(wide, start).jacobian[:, resting]
-    return at, here
+    return wide, x, here
 
 
 def _with_plates(linear: Linear, problem: Problem) -> Linear:

@@ -112,7 +112,7 @@ class _Reader:
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         named = [o for o in odds if not self.groups[o[0]].free]
         several = [one for k, p in named for one in self._twins(self._explanation(member, k, p))]
-        chosen, rest = several[0], several[1:]
+        chosen, rest = several[0], [one for one in several[1:] if one.is_there]
         alike = [self._same_tool(chosen, other) for other in rest]
         return Cause(
             chosen,

@@ -76,7 +76,7 @@ def too_early(result: Result) -> str:
     if result.cautions:
         return "the verdict warns of what would bend them"
     found = result.firmware.corrections if result.firmware else None
-    return "they are hardly better than those that are there" if found and not found.gains else ""
+    return f"they are {found.vain} than those that are there" if found and found.vain else ""
 
 
 def firmware(advice: FirmwareAdvice, found: Corrections, early: str) -> Data:

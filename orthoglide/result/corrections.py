@@ -40,7 +40,9 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     """New numbers for a machine's firmware in place of old ones; ``None`` where the fit's readings
     do not touch the plate, or its middle alone.
 
-    The plate is the firmware's z = 0: its height and slopes, as fitted, go into the endstops.
+    The plate is the firmware's z = 0: its height and slopes, as fitted, go into the endstops. Where
+    distances were read, the old numbers were fitted to them, and prints have the size that was
+    measured; as a part's shrinkage is not known, the readings know no better, and it is kept.
     """
     plate = _plate(fit)
     if plate is None or plate.radius < _SPAN * old.delta_radius:
@@ -58,14 +60,17 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     ]
     a, b, c = (geometry.L + v for v in longer)
     start = replace(old, arm=(a, b, c))
-    level, along = _spread(machine, plate, wanted, commands)
+    sized = any(s.instrument.paired for tool in fit.problem.tool_campaigns for s in tool.setups)
+    kept = _past_moves(wanted, sized)
+    level, along = _spread(machine, plate, wanted, commands, kept)
+    goal = _of_size(wanted, old.points(below + old.at_endstop)) if sized else wanted
     # Where the plate was touched is known; what a cause that was guessed does far above it is not.
     above = np.where(wanted[:, 2] > 0, _ABOVE, 1.0)
-    new, _ = refitted(start, wanted, below, above / np.sqrt(plate.sigma**2 + level))
-    errors = [f.points(below + f.at_endstop) - wanted for f in (old, new)]
+    weight = above / np.sqrt(plate.sigma**2 + level)
+    new, _ = refitted(start, goal, below, weight, _past_moves(wanted, False), arms=sized)
+    errors = [f.points(below + f.at_endstop) - goal for f in (old, new)]
     on = wanted[:, 2] == 0
     before, after = (float(np.sqrt(np.mean(e[on, 2] ** 2 + level[on]))) for e in errors)
-    kept = _past_moves(wanted)
     one, other = (
         float(np.sqrt(np.sum((kept @ e[:, :2].ravel()) ** 2) / len(e) + along)) for e in errors
     )
@@ -94,16 +99,19 @@ def _of_the_probe(old: Firmware, machine: Machine, plate: _Plate) -> float:
     return float(higher - lifted[0] + lifted[1:].mean())
 
 
-def _spread(machine: Machine, plate: _Plate, points: Array, commands: Array) -> tuple[Array, float]:
-    """Variances of the tool's height over the plate as it was touched ``(g,)``, and along it past a
-    shift and a turn, the mean, square metres, at points ``(g, 3)`` with their commands ``(g, 3)``.
+def _spread(
+    machine: Machine, plate: _Plate, points: Array, commands: Array, kept: Array
+) -> tuple[Array, float]:
+    """Variances of the tool's height over the plate as it was touched ``(g,)``, and along it, the
+    mean, of what is kept of errors there ``(2 g, 2 g)``, square metres, at points ``(g, 3)`` with
+    their commands ``(g, 3)``.
     """
     known = machine.posterior
     here = tcp_slopes(machine, known.names, Conditions.at(commands))
     touched = tcp_slopes(machine, known.names, Conditions.at(plate.commands))[:, 2]
     columns = _plane(plate.places)
     level = here[:, 2] - _plane(points) @ np.linalg.lstsq(columns, touched, rcond=None)[0]
-    along = _past_moves(points) @ here[:, :2].reshape(-1, len(known.names))
+    along = kept @ here[:, :2].reshape(-1, len(known.names))
     noise = plate.sigma**2 * np.linalg.pinv(columns.T @ columns)
     heights, ways = (
         np.einsum("gp,pq,gq->g", rows, known.covariance, rows) for rows in (level, along)
@@ -117,12 +125,23 @@ def _plane(points: Array) -> Array:
     return np.column_stack([np.ones(len(points)), points[:, :2]])
 
 
-def _past_moves(points: Array) -> Array:
-    """Takes a shift and a turn along the plate out of errors there, as ``(2 g, 2 g)``."""
-    moves = np.zeros((len(points), 2, 3))
+def _of_size(points: Array, believed: Array) -> Array:
+    """Points ``(g, 3)`` as much larger along the plate as they are believed to be ``(g, 3)``."""
+    own, other = (p[:, 0] + 1j * p[:, 1] for p in (points, believed))
+    own, other = own - own.mean(), other - other.mean()
+    larger = abs(np.vdot(own, other)) / np.vdot(own, own).real
+    return points * [larger, larger, 1.0]
+
+
+def _past_moves(points: Array, sized: bool) -> Array:
+    """Takes a shift and a turn along the plate, and what is ``sized`` otherwise, out of errors
+    there, as ``(2 g, 2 g)``.
+    """
+    moves = np.zeros((len(points), 2, 4))
     moves[:, 0, 0] = moves[:, 1, 1] = 1.0
     moves[:, :, 2] = np.column_stack([-points[:, 1], points[:, 0]])
-    turn = np.linalg.qr(moves.reshape(-1, 3))[0]
+    moves[:, :, 3] = points[:, :2]
+    turn = np.linalg.qr(moves.reshape(-1, 4)[:, : 3 + sized])[0]
     return np.asarray(np.eye(len(turn)) - turn @ turn.T)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import RELATIVE, Corrections, disagreements, doubted_rods
+from orthoglide.klipper import ASSUMED, RELATIVE, Corrections, disagreements, doubted_rods
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
@@ -89,6 +91,29 @@ def apart(request: Request) -> Iterator[Note]:
         read = [c for c in request.points if isinstance(c, ToolCampaign)]
         relative = bool(request.machine.spec.provenance["klipper"].get(RELATIVE))
         yield from (one.note for one in disagreements(old, read, relative=relative))
+
+
+def assumed(machine: Machine, causes: Sequence[Cause]) -> Iterator[Note]:
+    """What was assumed of an imported machine and is so still, where causes depend on it."""
+    kept = machine.spec.provenance.get("klipper")
+    of = machine.catalogue.effect_of
+    told = any(not of(one.name).of_dial for cause in causes for one in cause.explanations)
+    if not (told and isinstance(kept, Mapping) and isinstance(kept.get(ASSUMED), Mapping)):
+        return
+    geometry = machine.geometry
+    below = float(geometry.legs[0].platform[2])
+    now = {"r": geometry.r, "d": geometry.d, "tool_below": below}
+    same = {n: v for n, v in kept[ASSUMED].items() if abs(now.get(n, np.inf) * 1e3 - v) < 1e-6}
+    if same:
+        words = {"r": "the platform's radius", "d": "the distance of an arm's two rods",
+                 "tool_below": "how far the nozzle hangs below the joints"}  # fmt: skip
+        sizes = ", ".join(f"{words[n]} ({v:g} mm)" for n, v in same.items())
+        yield Note(
+            f"assumed, as no firmware stores it: {sizes}; sizes of causes that turn the platform "
+            f"go with that, and their uncertainty does not count it: measure it and correct it "
+            f"in machine.toml",
+            "assumed",
+        )
 
 
 def firmware_advice(

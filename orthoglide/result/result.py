@@ -37,7 +37,7 @@ from orthoglide.posterior import (
 from orthoglide.request import Request
 from orthoglide.result.actions import Action, actions
 from orthoglide.result.corrections import corrections
-from orthoglide.result.firmware import FirmwareAdvice, apart, firmware_advice
+from orthoglide.result.firmware import FirmwareAdvice, apart, assumed, firmware_advice
 from orthoglide.result.following import next_measurements
 from orthoglide.result.picture import Picture, picture, view_of
 from orthoglide.result.workspace import Workspace, uncertain_effects, workspace_of
@@ -387,7 +387,8 @@ class Result(Framed):
     @property
     def warnings(self) -> tuple[Note, ...]:
         """Of the final fit, lack of fit apart: the verdict's word says it already."""
-        return tuple(w for w in self.after.warnings if w.kind != "lack_of_fit")
+        found = (*self.after.warnings, *assumed(self.request.machine, self.effects))
+        return tuple(w for w in found if w.kind != "lack_of_fit")
 
     @property
     def scattering(self) -> tuple[str, ...]:
