@@ -215,16 +215,15 @@ def check(
     request = Request("close-loop", dials, machine, (), noise, seed, points=points)
     together = run(request, progress)
     # A change that is one of several leaves open what there was before: not so the new readings.
-    now_dials = tuple(r for r in dials if r in after)
-    now_points = tuple(r for r in points if r in after)
-    verdict = run(replace(request, campaigns=now_dials, points=now_points), progress)
-    progress(Step("comparing"))
-    names = _compared(together)
+    verdict = run(_of_one(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
-    apart = _one_value_each(together, past, names, new_names)
-    problem = together.before.problem
-    searched = not past and len(visits(problem)) > 1
-    differences = tuple(_differences(apart, names, together.changed, searched))
+    if not past and len(visits(together.before.problem)) > 1:
+        progress(Step("comparing"))
+        differences = tuple(_of_both(together, new_names))
+    else:
+        was = run(_of_one(request, before), progress)
+        progress(Step("comparing"))
+        differences = tuple(_of_each(was, verdict))
     none = Change(
         differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
         float("nan"), machine.catalogue,
@@ -233,6 +232,14 @@ def check(
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
     return Check(old_names, new_names, verdict, differences, changes, moves)
+
+
+def _of_one(request: Request, side: Sequence[Readings]) -> Request:
+    """The request of one state alone."""
+    dials = tuple(r for r in side if isinstance(r, Campaign))
+    return replace(
+        request, campaigns=dials, points=tuple(r for r in side if isinstance(r, ToolCampaign))
+    )
 
 
 def _told_apart(
@@ -250,18 +257,45 @@ def _told_apart(
     return before, after
 
 
-def _one_value_each(
-    together: Verdict, past: Sequence[ToolCampaign], names: list[str], later: Collection[str]
-) -> Estimate:
-    """A fit of all readings with one value of each parameter before and one in the later campaigns;
-    closing both states together left out the tool's readings of the ``past``.
-    """
+def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:
+    """A fit of all readings with one value of each parameter before and one in later campaigns."""
+    names = _compared(together)
     problem, request = together.before.problem, together.request
     # Rows taken for faulty have lost their weight there.
     kept = [*problem.campaigns, *(replace(f.points, sigma=f.sigma) for f in problem.points)]
     noise = request.noise if request.campaigns else None
-    both = assemble([*kept, *past], request.machine, names, own=names, noise=noise)
-    return account_for_changes(solve(_two_states(both, later)))
+    both = assemble(kept, request.machine, names, own=names, noise=noise)
+    apart = account_for_changes(solve(_two_states(both, later)))
+    yield from _differences(apart, names, together.changed)
+
+
+def _of_each(was: Verdict, now: Verdict) -> Iterator[Difference]:
+    """Parameters as each state's own readings have them, all that they leave open allowed for, as
+    other instruments see other errors.
+    """
+    names = dict.fromkeys([*_compared(was), *_compared(now)])
+    rivals = {
+        name: (*cause.same, *cause.rivals)
+        for cause in (*was.effects, *now.effects)
+        for name in cause.chosen.parameters
+    }
+    others = {n: f" (or {', or '.join(e.words for e in es)})" for n, es in rivals.items() if es}
+    catalogue, known = now.catalogue, [v.machine.posterior for v in (was, now)]
+    for name in names:
+        if not all(name in one.names for one in known):
+            continue
+        at = [one.names.index(name) for one in known]
+        before, after = (v.machine.values.get(name, 0.0) for v in (was, now))
+        variance = 0.0
+        for one, k in zip(known, at, strict=True):
+            # What readings did not see is small in a sound machine, and could have been anything.
+            alone = 0.0 if one.alone is None else float(one.alone[k])
+            variance += max(float(one.covariance[k, k]), alone)
+        parameter = catalogue.parameter(name)
+        unit = catalogue.effect_of(parameter).unit
+        told = others.get(name, "")
+        found = Difference(parameter, before, after, float(np.sqrt(variance)), unit, False, told)
+        yield replace(found, changed=found.far)
 
 
 def _two_states(problem: Problem, later: Collection[str]) -> Problem:
@@ -306,8 +340,8 @@ def _changes(
 
 
 def _differences(
-    estimate: Estimate, names: Iterable[str], changed: Sequence[Change], searched: bool
-) -> Iterable[Difference]:
+    estimate: Estimate, names: Iterable[str], changed: Sequence[Change]
+) -> Iterator[Difference]:
     """What is known to have changed with its values, all else at what it did; the rest as it is
     where all of them may have.
     """
@@ -327,5 +361,4 @@ def _differences(
             one, other = (float(v) for v in estimate.x[places])
             spread = estimate.covariance[np.ix_(places, places)]
             sigma = float(np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1]))
-            difference = Difference(parameter, one, other, sigma, unit, False)
-            yield replace(difference, changed=difference.far and not searched)
+            yield Difference(parameter, one, other, sigma, unit, False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -314,3 +315,28 @@ def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
     )
     assert "need no change" in beyond
     assert "joint offset of leg z +0.050 ± 0.010 mm" in beyond
+
+
+def test_visits_with_other_instruments_are_compared_by_what_each_leaves_open() -> None:
+    """A link that was exchanged was told as three lengths: of base and causes, which of them changed
+    is not searched for where other instruments see other errors.
+    """
+    machine, told = delta(), {"joint_offset.a": 7e-4, "joint_offset.b": -4e-4}
+
+    def visit(seed: int, kinds: Sequence[str], **changed: float) -> list[ToolCampaign]:
+        true, rng = machine.with_parameters(told | changed), np.random.default_rng(seed)
+        read = []
+        for kind in kinds:
+            sheet = sheet_of(machine, kind)
+            assert isinstance(sheet, ToolCampaign)
+            near = replace(sheet, reading=np.where(np.isfinite(sheet.reading), sheet.reading, 0.0))
+            read.append(og.simulate(true, near, seed=int(rng.integers(1 << 20))))
+        return read
+
+    for changed in ({}, {"parallelogram_width.a": 6e-4}):
+        now = visit(2, ["tcp"], **changed)
+        found = check(visit(1, ["plate", "incline"]), now, machine)
+        assert [str(d.parameter) for d in found.differences if d.changed] == list(changed)
+        for one in found.differences:
+            if one.changed:
+                assert one.after - one.before == pytest.approx(6e-4, abs=3 * one.sigma)
