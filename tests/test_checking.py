@@ -318,8 +318,8 @@ def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
 
 
 def test_visits_with_other_instruments_are_compared_by_what_each_leaves_open() -> None:
-    """A link that was exchanged was told as three lengths: of base and causes, which of them changed
-    is not searched for where other instruments see other errors.
+    """A link that was exchanged was told as three lengths: what changed is not searched for where
+    other instruments see other errors.
     """
     machine, told = delta(), {"joint_offset.a": 7e-4, "joint_offset.b": -4e-4}
 
