@@ -278,12 +278,17 @@ def test_new_zeros_and_compensated_commands_are_never_both_told() -> None:
     """Together they correct the zeros twice: whichever comes later says so, on every list."""
     verdict = verdict_of("explained")
     commands = next(a.words for a in verdict.actions if a.kind == "compensate")
-    assert commands.startswith("Or send compensated commands, in place of new zeros and never with")
+    said = "Or, as the machine is now, send compensated commands, in place of new zeros and never"
+    assert commands.startswith(said)
     assert commands in " ".join(to_do(verdict))
     assert commands in " ".join(screen(verdict).split())
     assert commands in [a["words"] for a in json.loads(result_text(verdict))["actions"]]
     zeros, both = Action("zeros", "Enter new zeros"), Action("compensate", "Send them")
     assert [a.words for a in _one_of_two([both, zeros])] == ["Send them", "Or enter new zeros"]
+    mend = Action("mend", "Look, confirm and put right, then measure again")
+    told = [a.words for a in _one_of_two([zeros, mend, both])]
+    as_is = "the machine is now, "
+    assert told == [f"As {as_is}enter new zeros", mend.words, f"Or, as {as_is}send them"]
     assert _one_of_two([both]) == [both]
 
 
@@ -389,7 +394,7 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
 def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
     text = screen(lost(which))
     assert "Lost motion is left out: the numbers are for the middle" in text
-    assert "put right: lost motion, which the errors of the tool above leave out" in text
+    assert "again (lost motion, which the errors of the tool above leave out)" in text
     assert "gains 0 mm" not in text
     page = words(report_files(lost(which))["report.html"])
     assert "in calibrated.toml , but not that" in page.replace("  ", " ")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
-from orthoglide.report.phrases import WHICHEVER, sentence
+from orthoglide.report.phrases import gain_words, sentence
 from orthoglide.report.wording import (
     BESIDES,
     MEANINGS,
@@ -183,9 +183,7 @@ def _tile(what: str, error: ExpectedError) -> Tile:
 
 def action_data(action: Action) -> Data:
     """What a page shows of one thing to do."""
-    gain = ""
-    if math.isfinite(action.gain):
-        gain = f"{compact(max(action.gain, 0.0) * 1e3, 2)} mm"
+    gain, mean = gain_words(action)
     options = [
         {
             "words": sentence(o.words),
@@ -198,6 +196,6 @@ def action_data(action: Action) -> Data:
         "kind": action.kind,
         "words": sentence(action.words),
         "gain": gain,
-        "mean": f" {WHICHEVER}" if gain and action.whichever else "",
+        "mean": mean,
         "options": options,
     }

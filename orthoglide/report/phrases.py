@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -14,9 +15,25 @@ from orthoglide.result.unvaried import one_sided, unvaried
 if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
     from orthoglide.result import Result
+    from orthoglide.result.actions import Action
 
-WHICHEVER = "on average, whichever of these it is"
+_FEW = 2.0  # degrees of freedom
+_SOUND = 0.05  # probability of what the base leaves, from which nothing more is told
+_KNOWN = 0.1  # of a gain, by which it may be off without a word
+
+WHICHEVER, PLATE = "on average, whichever of these it is", "on average, nothing if it is the plate"
 """Behind what it gains to put right one of several causes."""
+
+
+def gain_words(action: Action) -> tuple[str, str]:
+    """What it gains with its uncertainty, and whether that is a mean; empty where not known."""
+    if not math.isfinite(action.gain):
+        return "", ""
+    size = compact(max(action.gain, 0.0) * 1e3, 2)
+    if math.isfinite(action.gain_sigma) and action.gain_sigma > _KNOWN * action.gain:
+        size = f"{size} ± {compact(action.gain_sigma * 1e3, 2)}"
+    mean = PLATE if action.plate else WHICHEVER
+    return f"{size} mm", f" {mean}" if action.whichever else ""
 
 
 def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
@@ -116,3 +133,13 @@ def listed(parts: Iterable[str]) -> str:
     if len(every) < 2:
         return "".join(every)
     return f"{', '.join(every[:-1])} and {every[-1]}"
+
+
+def a_little(result: Result) -> bool:
+    """Whether the base alone leaves so much that something small is wrong with everything."""
+    return result.improved and result.before.scores.lack_of_fit_p < _SOUND
+
+
+def none_left_over(result: Result) -> bool:
+    """Whether what was fitted takes up all that the readings say."""
+    return result.before.scores.dof < _FEW or result.after.scores.dof < 1.0

@@ -6,10 +6,10 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from orthoglide.numerals import compact, hundredths, signed
+from orthoglide.numerals import hundredths, signed
 from orthoglide.report.follows import too_early
 from orthoglide.report.phrases import (
-    WHICHEVER,
+    gain_words,
     sentence,
     unshown_words,
     unvaried_words,
@@ -73,8 +73,8 @@ def _gain(action: Action) -> str:
     """What it gains, in brackets; empty where nothing."""
     if not action.gain > 0:
         return ""
-    mean = f" {WHICHEVER}" if action.whichever else ""
-    return f" (gains {compact(action.gain * 1e3, 2)} mm at the tool{mean})"
+    gain, mean = gain_words(action)
+    return f" (gains {gain} at the tool{mean})"
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:

@@ -10,7 +10,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed, told_apart
-from orthoglide.report.phrases import listed, sentence
+from orthoglide.report.phrases import a_little, listed, none_left_over, sentence
 
 if TYPE_CHECKING:
     from orthoglide.fit import Change, Estimate, Scores
@@ -23,13 +23,12 @@ _SLIGHT = 0.9  # the same of a cause that was added
 _MATTERS = 1.5  # times what the base leaves: so much more without it makes it the first to be said
 _UNSEEN = 0.9  # of its tolerance: a value known no better than this is known from that alone
 _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
-_FEW = 2.0  # degrees of freedom
 _MOST_ALONE = 8
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
 
 MEANINGS: Mapping[str, str] = {
-    "adequate": "nothing significant is left, and nothing was added",
+    "adequate": "nothing significant is left, and no single cause was added",
     "explained": "a cause was found, and nothing significant is left",
     "ambiguous": "explained, but other causes fit these readings as well",
     "located": "a place was found that no known shape explains, and nothing significant is left",
@@ -69,14 +68,14 @@ def standing(result: Result) -> str:
         noisy = " ".join(map(sentence, result.scattering))
         against = f"Against what was declared, {text[:1].lower()}{text[1:]}"
         return f"{noisy} {against}" if noisy else text
-    if result.before.scores.dof < _FEW:
+    if none_left_over(result):
         return (
             f"These readings are too few to look for causes with: the "
             f"{effects_named(result.before)} take up nearly all that they say, and too few are "
             f"left over to tell what the rest comes from."
         )
     first = _to_enter(result)
-    if result.improved:
+    if a_little(result):
         return (
             f"{first}No single cause stands out{' beyond that' if first else ''}: everything is "
             f"off by a little, about {compact(result.share, 1)} of its tolerance."
@@ -132,9 +131,12 @@ def _weighed(result: Result) -> str:
     if result.found:
         given = "this in the model"
     else:
-        given = f"the {base} set right" + (" and all of it in the model" if result.improved else "")
+        more = "all of it" if a_little(result) else "small errors of everything else"
+        given = f"the {base} set right" + f" and {more} in the model" * result.improved
     if result.posterior is not None and result.posterior.mixture.linear.unnamed.any():
         given += " and small shapes of the plate's own"
+    if none_left_over(result):
+        return f"With {given}, {_fall(result)}, and too few readings are left over to judge that."
     of = "the dial" if result.after.problem.dials_alone else "the readings"
     what = f"the noise of {of}"
     if any(w.kind == "side" for w in result.warnings):

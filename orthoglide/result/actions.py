@@ -26,6 +26,7 @@ _DIAL_TURNS = (
 )
 _PLAIN = "for which nothing is changed on the machine"
 _INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
+_MEND = "Look, confirm and put right, then measure again"
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
 
 
@@ -52,6 +53,7 @@ class Action:
     gain_sigma: float = math.nan  # standard deviation of that; nan where it is not known
     options: tuple[Suspect, ...] = ()  # causes to look for, most probable first
     whichever: bool = False  # whether `gain` is the mean over the options, of which one is there
+    plate: bool = False  # whether an option is the plate's own, which moves no tool
 
 
 def actions(result: Result) -> tuple[Action, ...]:
@@ -73,20 +75,23 @@ def actions(result: Result) -> tuple[Action, ...]:
 
 
 def _one_of_two(done: list[Action]) -> list[Action]:
-    """Actions of which new zeros and compensated commands, where both are there, say that they
-    stand in place of each other: together they would correct the zeros twice.
+    """Actions of which those that take the place of one another say so: new zeros and compensated
+    commands together would correct the zeros twice, and either holds what is then put right.
     """
-    places = [k for k, action in enumerate(done) if action.kind in ("zeros", "compensate")]
-    if len(places) < 2:
-        return done
-    told, later = list(done), places[-1]
-    for k in places:
-        words = done[k].words
-        if done[k].kind == "compensate":
-            words = words.replace(_PLAIN, _INSTEAD, 1)
-        if k == later:
-            words = f"Or {words[:1].lower()}{words[1:]}"
-        told[k] = replace(done[k], words=words)
+    kinds = [action.kind for action in done]
+    both, mended = {"zeros", "compensate"} <= set(kinds), "mend" in kinds
+    told = []
+    for k, action in enumerate(done):
+        words = action.words
+        if action.kind in ("zeros", "compensate"):
+            if both and action.kind == "compensate":
+                words = words.replace(_PLAIN, _INSTEAD, 1)
+            before = {"zeros", "compensate", "mend"} & set(kinds[:k])
+            start = "Or " * bool(before and (both or mended))
+            if mended:
+                start = f"{start.strip()}{', as' if start else 'As'} the machine is now, "
+            words = f"{start}{words[:1].lower()}{words[1:]}" if start else words
+        told.append(replace(action, words=words))
     return told
 
 
@@ -118,16 +123,17 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
     """Causes, places and changes found, each with what to look at and what it gains."""
     found = [item for item in result.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
-    what = {"confirm": "Confirm before anything is changed", "mend": "Look, confirm and put right"}
-    several: tuple[Cause | Located, ...] = (*result.effects, *result.located)
-    for one in several:
+    what = {"confirm": "Confirm before anything is changed", "mend": _MEND}
+    claims: tuple[Cause | Located, ...] = (*result.effects, *result.located)
+    for one in claims:
         name = one.name if isinstance(one, Cause) else one.in_machine(result.catalogue)[0]
         options = suspects(one)
         if kind == "mend" and not loses(one):
             gain = gains.get(name, (0.0, 0.0))
-            yield Action(kind, what[kind], *gain, options, whichever=len(options) > 1)
+            several = len(options) > 1
+            yield Action(kind, what[kind], *gain, options, several, several and _of_plate(one))
         else:
-            lost = f": {_LOST}" if kind == "mend" else ""
+            lost = f" ({_LOST})" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=options)
     for change in result.moved:
         again = _AGAIN.format(change.files[1])
@@ -151,6 +157,13 @@ def loses(found: Cause | Located | Change) -> bool:
     one = found.chosen if isinstance(found, Cause) else found
     names = found.members if isinstance(found, Change) else found.parameters
     return any("approach" in one.catalogue.effect_of(name).needs for name in names)
+
+
+def _of_plate(found: Cause | Located) -> bool:
+    """Whether it may be a plate's own shape."""
+    if isinstance(found, Located):
+        return False
+    return any(bool(e.catalogue.effect_of(e.name).plate) for e in found.explanations)
 
 
 def suspects(found: Cause | Located | Change) -> tuple[Suspect, ...]:

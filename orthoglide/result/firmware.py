@@ -96,8 +96,8 @@ def apart(request: Request) -> Iterator[Note]:
 def assumed(machine: Machine, causes: Sequence[Cause]) -> Iterator[Note]:
     """What was assumed of an imported machine and is so still, where causes depend on it."""
     kept = machine.spec.provenance.get("klipper")
-    of = machine.catalogue.effect_of
-    told = any(not of(one.name).of_dial for cause in causes for one in cause.explanations)
+    every = [one for cause in causes for one in cause.explanations]
+    told = any(not one.catalogue.effect_of(one.name).of_dial for one in every)
     if not (told and isinstance(kept, Mapping) and isinstance(kept.get(ASSUMED), Mapping)):
         return
     geometry = machine.geometry
