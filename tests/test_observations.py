@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
+import orthoglide as og
 from orthoglide import units
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -864,3 +865,14 @@ def test_malformed_tcp_points(text: str, phrase: str, line: int, tmp_path: Path)
     with pytest.raises(FileError) as caught:
         read_tcp(file)
     assert_refused(caught.value, file, phrase, line)
+
+
+def test_a_minus_as_this_package_prints_it_is_one(tmp_path: Path) -> None:
+    text = campaign_text(og.simulate(og.Machine.nominal(), og.protocol("standard"), seed=1))
+    assert ",-" in text
+    plain, printed = tmp_path / "plain.csv", tmp_path / "printed.csv"
+    plain.write_text(text)
+    printed.write_text(text.replace(",-", ",\N{MINUS SIGN}"), encoding="utf-8")
+    one, other = (og.read_campaign(path) for path in (plain, printed))
+    assert np.array_equal(one.reading, other.reading)
+    assert np.array_equal(one.command, other.command)

@@ -15,12 +15,14 @@ from orthoglide import files, units
 from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
+from orthoglide.numerals import MINUS
 from orthoglide.text import brief, cell_text, shown, unseen
 
 _DELIMITERS = ",;\t"
 _MOST_COLUMNS = 200
 _LONGEST_LABEL = 100
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
+_SIGN = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package prints it
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 
@@ -159,7 +161,7 @@ def _cells(text: str, delimiter: str, file: str) -> tuple[list[str], list[list[s
     rows, lines = [], []
     try:
         for row in reader:
-            cells = [cell_text(cell) for cell in row]
+            cells = [_SIGN.sub("-", cell_text(cell)) for cell in row]
             if any(cells):
                 rows.append(cells)
                 lines.append(reader.line_num)

@@ -19,6 +19,7 @@ from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sen
 from orthoglide.report.rows import millimetres, parameter_rows
 from orthoglide.report.wording import effects_named
 from orthoglide.result.firmware import UNSEEN, FirmwareAdvice
+from orthoglide.result.unvaried import unshown
 
 if TYPE_CHECKING:
     from orthoglide.fit import CrossCheck
@@ -66,20 +67,23 @@ def _kept(found: Located) -> bool:
     return found.members[0].place.of_machine
 
 
-def too_early(result: Result) -> str:
-    """Why numbers are not to be entered yet, as a clause; empty where they may."""
+def too_early(result: Result) -> tuple[str, str]:
+    """What to do in place of entering numbers, and why, each a clause; empty where they may be."""
+    early = "Do not enter these numbers yet"
     if not result.stands:
-        return (
+        return early, (
             "the verdict says that something is left that nothing explains, and they would be bent "
             "by it"
         )
     if result.cautions:
-        return "the verdict warns of what would bend them"
+        return early, "the verdict warns of what would bend them"
     found = result.firmware.corrections if result.firmware else None
-    return f"they are {found.vain} than those that are there" if found and found.vain else ""
+    if found is None or not found.vain:
+        return "", ""
+    return "Keep the numbers that are there", f"by what is known the new ones are {found.vain}"
 
 
-def firmware(advice: FirmwareAdvice, found: Corrections, early: str) -> Data:
+def firmware(advice: FirmwareAdvice, found: Corrections, early: tuple[str, str]) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
     return {
         "first": advice.first,
@@ -202,7 +206,7 @@ def unseen(result: Result, figures: Figures) -> Data:
     figure = figures.get("correlations")
     return {
         "sentences": weak_sentences(result.after.weak, result.catalogue),
-        "effects": [(words, listed(members)) for words, members in result.unshown],
+        "effects": [(words, listed(members)) for words, members in unshown(result)],
         "unexcited": [f.replace("_", " ") for f in result.unexcited],
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
         "dialled": result.machine.geometry.dialled,

@@ -10,7 +10,7 @@ from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.numerals import compact, signed
 from orthoglide.observations.approach import SIDES_UNTOLD, TELL_SIDES
-from orthoglide.result.unvaried import one_sided, unvaried
+from orthoglide.result.unvaried import one_sided, unshown, unvaried
 
 if TYPE_CHECKING:
     from orthoglide.fit import WeakDirection
@@ -94,9 +94,9 @@ def _narrowed(weak: WeakDirection) -> str:
 
 def unshown_words(result: Result) -> str:
     """What these readings would not show, by effect, as a clause; empty where there is nothing."""
-    if not result.unshown:
+    if not (hidden := unshown(result)):
         return ""
-    parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in result.unshown)
+    parts = (f"that {words}{f' ({listed(of)})' if of else ''}" for words, of in hidden)
     taken = listed(result.instruments.values())
     return (
         f"not visible to {taken} even at three times its tolerance, which is not absent: "

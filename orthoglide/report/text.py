@@ -47,8 +47,9 @@ def summary(result: Result, ranked: bool = False) -> str:
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
         parts += _table(("printer.cfg", "old", "new"), result.firmware.corrections.rows)
-        if why := too_early(result):
-            parts.append(Text(f"Do not enter these numbers yet: {why}.", style="bold"))
+        instead, why = too_early(result)
+        if instead:
+            parts.append(Text(f"{instead}: {why}.", style="bold"))
         parts += [Text(line) for line in _unseen(result.firmware.unseen)]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)

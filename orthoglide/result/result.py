@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -235,23 +234,6 @@ class Result(Framed):
     def invisible(self) -> tuple[Parameter, ...]:
         """Parameters that these readings would not show at three tolerances: not absent."""
         return () if self.posterior is None else self.posterior.invisible
-
-    @cached_property
-    def unshown(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
-        """The same by effect: in words, and which of its parameters where it is not all of them."""
-        asked = [] if self.posterior is None else self.posterior.about.asked
-        every, hidden = (Counter(n.effect for n in names) for names in (asked, self.invisible))
-        return tuple(
-            (
-                cause_short(self.catalogue, effect),
-                tuple(
-                    str(n).removeprefix(f"{effect}.")
-                    for n in self.invisible
-                    if n.effect == effect and count < every[effect]
-                ),
-            )
-            for effect, count in hidden.items()
-        )
 
     @cached_property
     def instruments(self) -> dict[str, str]:

@@ -2,13 +2,36 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Literal
 
+from orthoglide.effects.wording import cause_short
 from orthoglide.fit.excited import unmet
 from orthoglide.posterior.free import one_surface
 
 if TYPE_CHECKING:
     from orthoglide.result.result import Result
+
+
+_OF_ONE = "one alone, or several differently"
+
+
+def unshown(result: Result) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Effects that the readings would not show at three tolerances: in words, and which of an
+    effect's parameters where it is not all of them; of one that is told, all alike, only others.
+    """
+    asked = [] if result.posterior is None else result.posterior.about.asked
+    every, hidden = (Counter(n.effect for n in names) for names in (asked, result.invisible))
+    several = [one for cause in result.effects for one in cause.explanations]
+    told = {one.catalogue.effect_of(one.name).name for one in several}
+
+    def which(effect: str) -> tuple[str, ...]:
+        if hidden[effect] == every[effect]:
+            return (_OF_ONE,) if effect in told else ()
+        names = (str(n) for n in result.invisible if n.effect == effect)
+        return tuple(name.removeprefix(f"{effect}.") for name in names)
+
+    return tuple((cause_short(result.catalogue, effect), which(effect)) for effect in hidden)
 
 
 def unvaried(result: Result) -> dict[str, tuple[str, ...]]:
