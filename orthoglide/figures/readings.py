@@ -158,7 +158,7 @@ def draw_residuals(estimate: Estimate, before: Array) -> Drawing:
     units = " or ".join(_by_unit(setups))
     axes.set_xlabel(f"reading less prediction, {units}", labelpad=2)
     figure.legend(loc="upper left", ncols=3, borderaxespad=0.1, handlelength=1.4,
-                  bbox_to_anchor=(margin / style.SINGLE - 0.02, 1.0))  # fmt: skip
+                  bbox_to_anchor=(0.0, 1.0))  # fmt: skip
     return Drawing("residuals", "Residuals by setup, before and after", style.svg_text(figure))
 
 

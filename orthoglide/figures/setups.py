@@ -45,14 +45,14 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
                 leg = setup.leg
                 travel = read.command[there, leg] - problem.machine.geometry.zero[leg]
                 moves = np.ptp(travel) > _MOVES
-                name = f"{read.name} · {setup.name}" if several else setup.name
+                name = _named(read.name, setup.name) if several else setup.name
                 title = f"{name}: leg {LEGS[leg]}, read along {setup.direction}"
                 label = f"travel of carriage {LEGS[leg]}, mm" if moves else "place in the file"
                 x = travel * 1e3 if moves else read.order[there].astype(float)
                 side = read.approach[there, leg]
             elif isinstance(setup, ToolSetup):
-                name, label = f"{read.name} · {setup.name}", "reading"
-                title = f"{read.name}: {setup.name}, {setup.kind}"
+                name, label = _named(read.name, setup.name), "reading"
+                title = f"{name}, {setup.kind}"
             else:
                 name, label = f"{read.name} · {setup}", "point"
                 title = f"{read.name}: coordinate {setup} of the TCP"
@@ -60,3 +60,8 @@ def mountings(problem: Problem) -> Iterator[Mounting]:
                 x, side = points + 1.0, read.approach[points, k]
             unit = "mrad" if factor.turned[there[0]] else "mm"
             yield Mounting(name, title, label, part.start + there, x, side, unit)
+
+
+def _named(file: str, setup: str) -> str:
+    """A setup by its file, whose name may have it already."""
+    return file if setup in file else f"{file} · {setup}"
