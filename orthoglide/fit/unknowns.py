@@ -39,7 +39,7 @@ def build_unknowns(
     stems = [s.name for s in sources]
     if len(set(stems)) != len(stems):
         remedy = (
-            "rename one file"
+            "rename one file, or leave one out where it is the same"
             if all(s.points.file for s in sources)
             else "give one a name of its own, dataclasses.replace(campaign, name='second'), as "
             "from_frame(..., name='second') does, or TCP points file='second.csv'"
