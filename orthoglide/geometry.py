@@ -54,6 +54,22 @@ def moved_onto(points: Array, source: Array, target: Array) -> Array:
     return np.asarray((points - centre) @ (left @ flip @ right) + goal)
 
 
+def small_turns(points: Array, axis: NDArray[np.int64]) -> Array:
+    """By how much small turns about x, y and z move a coordinate of each point ``(n, 3)``.
+
+    Args:
+        points: ``(n, 3)``.
+        axis: which coordinate of it ``(n,)``.
+    """
+    rows = np.arange(len(points))
+    return np.stack([np.cross(e, points)[rows, axis] for e in np.eye(3)], axis=1)
+
+
+def plane_columns(points: Array) -> Array:
+    """What a height and two slopes make of it at points ``(n, 2 or more)``: ``(n, 3)``."""
+    return np.column_stack([np.ones(len(points)), points[:, :2]])
+
+
 def axial(matrices: Array) -> Array:
     """Axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of rotations the sine of the
     angle times the axis, of small ones the turn about x, y and z.

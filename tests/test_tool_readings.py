@@ -169,7 +169,7 @@ def test_a_longer_tool_swings_as_the_platform_turns(tmp_path: Path) -> None:
         assert np.array_equal(again.beside, campaign.beside)
         factor = ToolReadings.of(again, true)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
-        factor = factor.about(linear.value, linear.slopes)
+        factor = factor.about(linear.slopes)
         linear = factor.linearise(true.model, true.values, ["joint_offset.b"])
         assert np.array_equal(linear.value, factor.predict(true.model, true.values))
         columns = factor.nuisances(linear.slopes).columns

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orthoglide.effects import Effect
 from orthoglide.fit.instrument_frame import turned_near
 from orthoglide.fit.noise import NoiseSource
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, small_turns
 from orthoglide.observations import Campaign, Recorded, TcpPoints
 from orthoglide.observations.approach import Ints
 from orthoglide.prediction import Conditions, LinearRows, Model
@@ -205,13 +205,11 @@ class TcpReadings:
         sigma = np.where(silent, SILENT * self.declared, self.declared)
         return replace(self, points=replace(self.points, sigma=sigma))
 
-    def about(self, value: Array, slopes: Array) -> TcpReadings:
-        """The same with the frame turned to where a machine has the rows ``(n,)``; ``slopes`` are
-        not needed.
-        """
+    def about(self, slopes: Array) -> TcpReadings:
+        """The same with the frame turned to where a machine has each row's point ``(n, 3)``."""
         if self.frame != "rigid" or not self.known.all():
             return self
-        near = turned_near(self.points.p, value.reshape(-1, 3), heard(self.declared))
+        near = turned_near(self.points.p, slopes[::3], heard(self.declared))
         return self if near is None else replace(self, points=replace(self.points, p=near))
 
     @property
@@ -236,15 +234,13 @@ class TcpReadings:
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
-        """Coordinates; the slopes are by a small turn of the frame."""
+        """Coordinates; the slopes are the point itself ``(n, 3)``."""
         machine = [n for n in names if not model.catalogue.effect_of(n).of_dial]
         out, by_name = model.sensitivities(values, self.conditions(), machine)
         jacobian = np.zeros((len(self.measured), len(names)))
         columns = [k for k, n in enumerate(names) if n in set(machine)]
         jacobian[:, columns] = by_name[:, :3][self.known]
-        p = out.p
-        turn = np.stack([np.cross(axis, p) for axis in np.eye(3)], axis=2)  # (n, xyz, axis)
-        return LinearRows(np.asarray(p[self.known]), jacobian, turn[self.known])
+        return LinearRows(np.asarray(out.p[self.known]), jacobian, out.p[self.point])
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:
         """How the rows follow virtual joints that move as functions of the conditions."""
@@ -258,8 +254,8 @@ class TcpReadings:
     def nuisances(self, slopes: Array) -> Block:
         """A datum a coordinate, and three turns, as far as the frame is free."""
         datum = np.eye(3)[self.setup]
-        columns = {"none": datum[:, :0], "translation": datum,
-                   "rigid": np.hstack([datum, slopes])}[self.frame]  # fmt: skip
+        rigid = np.hstack([datum, small_turns(slopes, self.setup)])
+        columns = {"none": datum[:, :0], "translation": datum, "rigid": rigid}[self.frame]
         # What no row shows (a coordinate that was never measured) is no nuisance.
         kept = np.abs(columns).max(axis=0, initial=0.0) > 0
         count = int(kept.sum())

@@ -217,7 +217,7 @@ def _beside(
     if isinstance(points, ToolCampaign):
         check_meant(points, p, machine)
         read = ToolReadings.of(points, machine, sigma)
-        return read.about(read.measured, p + points.beside, start=True).without_strays(machine)
+        return read.about(p + points.beside, start=True).without_strays(machine)
     if len(points) < 3:
         raise InputError(
             f"{points.name}: these are too few TCP points to identify anything: measure three or "

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.geometry import Array, moved_onto
+from orthoglide.geometry import Array, moved_onto, small_turns
 from orthoglide.observations import TcpPoints
 
 _FEWEST = 4  # points
@@ -63,14 +63,13 @@ def frame_of(
     def left(turn: Array) -> tuple[Array, Array]:
         """The small turn that is left, and what that leaves, in sigmas."""
         seen = about @ turn.T
-        turns = np.stack([np.cross(e, seen)[rows, axis] for e in np.eye(3)], axis=1)
-        columns = np.hstack([turns, datum]) / sigma[:, None]
-        rest = (value - seen[rows, axis]) / sigma
+        columns = np.hstack([small_turns(seen, axis), datum]) / sigma[:, None]
         known = Rotation.from_matrix(turn).as_rotvec() / sd
+        rest = np.append((value - seen[rows, axis]) / sigma, -known)
         columns = np.vstack([columns, np.eye(3, 6) / sd])
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        step = np.linalg.lstsq(columns / size, np.append(rest, -known), rcond=_SEEN)[0] / size
-        return step[:3], np.append(rest, -known) - columns @ step
+        step = np.linalg.lstsq(columns / size, rest, rcond=_SEEN)[0] / size
+        return step[:3], rest - columns @ step
 
     def cost(turn: Array) -> float:
         rest = left(turn)[1]

@@ -13,7 +13,7 @@ import numpy as np
 
 from orthoglide.errors import InputError
 from orthoglide.fit.instrument_frame import centre_of, frame_of
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, small_turns
 from orthoglide.machine import Machine
 from orthoglide.numerals import MINUS, compact
 from orthoglide.observations import TcpPoints, ToolCampaign, source
@@ -141,8 +141,7 @@ def _left(turn: Array, p: Array, axis: Ints, value: Array) -> Array:
     of the instrument, were its frame turned.
     """
     seen, rows = p @ turn.T, np.arange(len(p))
-    turns = np.stack([np.cross(e, seen)[rows, axis] for e in np.eye(3)], axis=1)
-    columns = np.column_stack([np.eye(3)[axis], turns])
+    columns = np.column_stack([np.eye(3)[axis], small_turns(seen, axis)])
     rest = value[:, None] * _FACTORS - seen[rows, axis][:, None]
     rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=1e-9)[0]
     return np.asarray(np.sqrt(np.mean(rest**2, axis=0)))

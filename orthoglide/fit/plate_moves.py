@@ -15,7 +15,7 @@ import numpy as np
 from orthoglide.fit.factors import heard
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.tool import ToolReadings
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, plane_columns
 from orthoglide.numerals import plain
 
 _SIGMAS = 3.0
@@ -120,6 +120,6 @@ def _move(setup: str, old: Array, new: Array) -> PlateMove:
 def _plane(touches: Array, middle: Array, radius: float) -> tuple[Array, Array]:
     """Height in the middle and rise to the rim along x and y ``(3,)``, and their covariance."""
     place, height, sigma = (touches[:, :2] - middle) / radius, touches[:, 2], touches[:, 3]
-    columns = np.column_stack([np.ones(len(place)), place]) / sigma[:, None]
+    columns = plane_columns(place) / sigma[:, None]
     spread = np.linalg.pinv(columns.T @ columns)
     return np.asarray(spread @ columns.T @ (height / sigma)), np.asarray(spread)

@@ -78,9 +78,8 @@ def _fitted(problem: Problem, method: Method, start: Array | None) -> Estimate:
 
 def about_machine(problem: Problem, at: Linearised) -> Problem:
     """The problem with instruments' frames brought to a machine; itself where they are there."""
-    first = len(problem.campaigns)
-    each = zip(problem.points, problem.factor_rows[first:], at.slopes[first:], strict=True)
-    points = tuple(factor.about(at.value[rows], slopes) for factor, rows, slopes in each)
+    slopes = at.slopes[len(problem.campaigns) :]
+    points = tuple(f.about(s) for f, s in zip(problem.points, slopes, strict=True))
     if all(new is old for new, old in zip(points, problem.points, strict=True)):
         return problem
     return replace(problem, points=points)

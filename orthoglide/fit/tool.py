@@ -138,11 +138,10 @@ class ToolReadings(OfFile):
         """The same with some rows ``(n,)`` without weight."""
         return replace(self, sigma=np.where(rows, SILENT * self.sigma, self.sigma))
 
-    def about(self, value: Array, slopes: Array, start: bool = False) -> ToolReadings:
+    def about(self, slopes: Array, start: bool = False) -> ToolReadings:
         """The same with instruments' frames turned to where a machine has them.
 
         Args:
-            value: not needed.
             slopes: where it takes the readings, first ``(n, 3 or more)``, metres.
             start: whether nothing is known of the frames yet; else they are near.
         """

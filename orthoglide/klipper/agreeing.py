@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.effects.plates import every_shape
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, plane_columns
 from orthoglide.klipper.firmware import FITTED, shifted
 from orthoglide.klipper.probe import PROBE
 from orthoglide.klipper.stored import CALIBRATION
@@ -126,7 +126,7 @@ def _surface(firmware: Firmware, campaign: ToolCampaign, relative: bool) -> _Sur
         return numbers.points(below + numbers.at_endstop)[:, 2]
 
     p = firmware.points(below + firmware.at_endstop)
-    plane = np.column_stack([np.ones(len(p)), p[:, :2]])
+    plane = plane_columns(p)
     bends = np.stack(
         [(height(shifted(firmware, _WIDTH * e)) - height(shifted(firmware, -_WIDTH * e)))
          / (2 * _WIDTH) for e in np.eye(FITTED)[3:]], axis=1,

@@ -13,7 +13,7 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.config import Config
-from orthoglide.klipper.probe import probe_offset
+from orthoglide.klipper.probe import lies, probe_offset
 from orthoglide.klipper.rows import ROUND, row
 from orthoglide.machine_file import TOWERS, Firmware
 from orthoglide.notes import Note
@@ -125,9 +125,8 @@ class Calibration:
         z = 0 is, the owner knows better than these heights. A delta reads alike at every height, so
         they tell all else as before.
         """
-        plane = np.column_stack([np.ones(len(p)), p[:, :2]])
-        mean, *slopes = np.linalg.lstsq(plane, p[:, 2] - height, rcond=None)[0].tolist()
-        leans = float(np.hypot(*slopes) * np.hypot(*p[:, :2].T).max())
+        mean, along_x, along_y = lies(p, height)
+        leans = float(np.hypot(along_x, along_y) * np.hypot(*p[:, :2].T).max())
         far, alike = abs(off) > _FAR, leans <= max(_LEANS[0], _LEANS[1] * abs(mean))
         if not far and not (alike and abs(mean) > _SET):
             return 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, plane_columns
 from orthoglide.klipper.config import Config
 from orthoglide.klipper.entries import Section
 
@@ -15,6 +15,14 @@ _PROBES = (
     "probe", "bltouch", "smart_effector", "load_cell_probe", "probe_eddy_current", "beacon",
     "cartographer", "scanner", "dockable_probe",
 )  # fmt: skip
+
+
+def lies(p: Array, height: Array) -> tuple[float, float, float]:
+    """By how much places ``(n, 3)`` are higher than ``(n,)`` in the middle, metres, and two slopes
+    of that.
+    """
+    middle, x, y = np.linalg.lstsq(plane_columns(p), p[:, 2] - height, rcond=None)[0].tolist()
+    return middle, x, y
 
 
 def probe_section(config: Config) -> Section | None:

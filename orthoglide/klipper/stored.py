@@ -6,12 +6,11 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from orthoglide.errors import InputError
 from orthoglide.klipper.calibration import Calibration
 from orthoglide.klipper.config import Config
 from orthoglide.klipper.mesh import touches
+from orthoglide.klipper.probe import lies
 from orthoglide.klipper.rows import campaign_of
 from orthoglide.machine_file import Firmware
 from orthoglide.notes import Note
@@ -85,8 +84,7 @@ class Stored:
         mesh or after it.
         """
         p = self.firmware.points(mesh.command + self.firmware.zero)
-        plane = np.column_stack([np.ones(len(p)), p[:, :2]])
-        higher = np.linalg.lstsq(plane, p[:, 2] - mesh.reading, rcond=None)[0][0]
+        higher, *_ = lies(p, mesh.reading)
         return replace(mesh, reading=mesh.reading + higher)
 
 

@@ -86,11 +86,10 @@ def _one_of_two(done: list[Action]) -> list[Action]:
         if action.kind in ("zeros", "compensate"):
             if both and action.kind == "compensate":
                 words = words.replace(_PLAIN, _INSTEAD, 1)
-            before = {"zeros", "compensate", "mend"} & set(kinds[:k])
-            start = "Or " * bool(before and (both or mended))
-            if mended:
-                start = f"{start.strip()}{', as' if start else 'As'} the machine is now, "
-            words = f"{start}{words[:1].lower()}{words[1:]}" if start else words
+            later = not {"zeros", "compensate", "mend"}.isdisjoint(kinds[:k])
+            if lead := ", ".join(["or"] * later + ["as the machine is now"] * mended):
+                lead = f"{lead[:1].upper()}{lead[1:]}{',' * mended}"
+                words = f"{lead} {words[:1].lower()}{words[1:]}"
         told.append(replace(action, words=words))
     return told
 

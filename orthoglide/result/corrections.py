@@ -11,7 +11,7 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
 from orthoglide.fit.tool import ToolReadings
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, plane_columns
 from orthoglide.klipper import Corrections
 from orthoglide.klipper.firmware import refitted
 from orthoglide.machine import Machine
@@ -48,7 +48,7 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     if plate is None or plate.radius < _SPAN * old.delta_radius:
         return None
     wanted = _points(plate.radius)
-    higher = _plane(wanted) @ plate.plane + _of_the_probe(old, machine, plate)
+    higher = plane_columns(wanted) @ plate.plane + _of_the_probe(old, machine, plate)
     lifted = wanted + np.outer(higher, [0.0, 0.0, 1.0])
     geometry, commands = machine.geometry, machine.inverse(lifted)
     at_zero = _at_zero(machine)
@@ -109,20 +109,15 @@ def _spread(
     known = machine.posterior
     here = tcp_slopes(machine, known.names, Conditions.at(commands))
     touched = tcp_slopes(machine, known.names, Conditions.at(plate.commands))[:, 2]
-    columns = _plane(plate.places)
-    level = here[:, 2] - _plane(points) @ np.linalg.lstsq(columns, touched, rcond=None)[0]
+    columns = plane_columns(plate.places)
+    level = here[:, 2] - plane_columns(points) @ np.linalg.lstsq(columns, touched, rcond=None)[0]
     along = kept @ here[:, :2].reshape(-1, len(known.names))
     noise = plate.sigma**2 * np.linalg.pinv(columns.T @ columns)
     heights, ways = (
         np.einsum("gp,pq,gq->g", rows, known.covariance, rows) for rows in (level, along)
     )
-    touches = np.einsum("gp,pq,gq->g", _plane(points), noise, _plane(points))
+    touches = np.einsum("gp,pq,gq->g", plane_columns(points), noise, plane_columns(points))
     return heights + touches, float(ways.sum()) / len(points)
-
-
-def _plane(points: Array) -> Array:
-    """What a height and two slopes make of it at points ``(n, 2 or more)``: ``(n, 3)``."""
-    return np.column_stack([np.ones(len(points)), points[:, :2]])
 
 
 def _of_size(points: Array, believed: Array) -> Array:
@@ -210,7 +205,7 @@ def _plate(fit: Estimate) -> _Plate | None:
             if not setup.instrument.touches or len(own) < 3:
                 continue
             places = slopes[own, :2]
-            plane = np.asarray(-np.linalg.lstsq(_plane(places), rest[own], rcond=None)[0])
+            plane = np.asarray(-np.linalg.lstsq(plane_columns(places), rest[own], rcond=None)[0])
             found.append(_Plate(
                 float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
                 float(np.median(problem.sigma[rows][own])), np.array(setup.beside),
