@@ -568,3 +568,19 @@ def test_frames_of_instruments_stand_about_the_machine_that_is_told() -> None:
     assert verdict.after.scores.rms < 1.2e-5
     assert verdict.after.scores.chi2 < 1.5 * verdict.after.scores.dof
     assert np.abs(verdict.after.values["parallelogram_width.a"] + 8.7e-4) < 5e-5
+
+
+def test_the_bump_of_a_bed_is_no_slip_of_the_probe() -> None:
+    """Off by over a millimetre at its top, and by less and less beside it."""
+
+    def bed(x: float, y: float) -> float:
+        return float(1.6e-3 * np.exp(-((x - 0.05) ** 2 + (y - 0.024) ** 2) / 7e-4))
+
+    rng = np.random.default_rng(3)
+    mesh = measured(DeltaRig(bed=bed), rng, machine=nominal(), instrument="mesh")
+    assert close_loop([mesh], nominal()).word == "unexplained"
+    bad = mesh.reading.copy()
+    bad[5] += 8e-3
+    found = close_loop([replace(mesh, reading=bad)], nominal())
+    assert found.word == "unexplained"
+    assert any(f"line {mesh.line[5]}," in str(note) for note in found.warnings)

@@ -6,7 +6,7 @@ is worth reading.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -38,6 +38,7 @@ _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped
 _SLIPPED = 10.0  # times what all others leave, and their sigma
 _ALONE = 2  # points; where more are off together, the machine has a shape
+_APART = 3.0  # times as far off as the next: between the points of a bump there is less
 
 
 def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
@@ -115,9 +116,25 @@ def check_slips(estimate: Estimate) -> None:
     slipped = far(rest, spread)
     if len(slipped) > _ALONE:
         slipped = far(rest, spread, alone=False)
+    off = rest / np.hypot(problem.sigma, spread)
+    slipped = _apart({p: float(np.linalg.norm(off[point == p])) for p in worst}, slipped)
     if slipped:
         raise InputError("; ".join(_said(problem, names[p], rest[point == p]) for p in slipped)
                          + ": correct the row or remove it")  # fmt: skip
+
+
+def _apart(off: Mapping[int, float], slipped: Sequence[int]) -> list[int]:
+    """Those of some points that lie well beyond all others; off by less and less, there is a bump
+    of a bed, or a wave of a rail.
+    """
+    order = sorted(off, key=lambda p: -off[p])
+    least = [*(off[p] for p in order[1:]), 0.0]
+    told = [
+        k
+        for k, p in enumerate(order)
+        if off[p] > _APART * least[k] and set(order[: k + 1]) <= set(slipped)
+    ]
+    return sorted(order[: told[-1] + 1]) if told else []
 
 
 def _with_everything(fit: Estimate) -> tuple[Array, Array]:
