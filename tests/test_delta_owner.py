@@ -253,6 +253,14 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     )
     page = (tmp_path / "out" / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
+    assert re.search(r"- The same for [1-9]\d* others that are named above\.", told)
+    assert re.search(r"- [1-9]\d* others of the causes above stand in a report\.", told)
+    rivals = [rival["words"] for effect in result["effects"] for rival in effect["rivals"]]
+    assert len(rivals) > 4
+    assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at
+    assert "Measure more: to tell the causes apart" in told
+    assert "it tells" not in told  # that stands on the page
+    assert "it tells" in text
     assert "Not visible to a probe on a plate even at three times its tolerance" in told
     for unshown in ("that the two bars of each leg differ in length", "that the rails are bent"):
         assert unshown in told

@@ -259,7 +259,7 @@ def test_the_list_counts_the_readings_of_the_sheet() -> None:
     assert len([s for s in result["next_measurements"] if s["readings"]]) == 2
     taken = [row for row in csv.DictReader(io.StringIO(files["next_measurements.csv"]))
              if row["kind"] != "move"]  # fmt: skip
-    assert f"the report proposes {len(taken)} readings" in result["actions"][-1]["words"]
+    assert f"a report proposes {len(taken)} readings" in result["actions"][-1]["words"]
 
 
 def test_what_is_left_and_no_larger_than_the_noise_is_said_so() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -104,5 +105,10 @@ def execute(
     if as_json:
         say(text if isinstance(text, bytes) else text.encode(), needed=out is None)
         return
-    report = "" if out is None else f"\n\nReport: {click.format_filename(out / 'report.html')}"
+    report = ""
+    if out is not None:
+        report = f"\n\nReport: {click.format_filename(out / 'report.html')}"
+        # Commands are typed where this is read, not in the folder.
+        here = click.format_filename(out / "calibrated.toml")
+        told = told.replace("--machine calibrated.toml", f"--machine {shlex.quote(here)}")
     tell(f"{told}{report}", line, quiet, out is not None)

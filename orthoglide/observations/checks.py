@@ -72,9 +72,11 @@ def check_commands(values: Array, travelled: bool, machine: MachineFile, fail: F
     if fits(given * 1e3, travelled):
         fail("the command is in metres: give millimetres", row)
     if geometry.layout.zero(geometry.L) and fits(given, not travelled):
+        meant = controller.from_rho(given, geometry) if travelled else rho_of(given, True)
         fail(
             f"the command's values are {whose}: name the columns {other}_{names[0]}_mm to "
-            f"{other}_{names[2]}_mm",
+            f"{other}_{names[2]}_mm, or give {'travel' if travelled else 'rho'} "
+            f"{', '.join(f'{value * 1e3:.9g}' for value in meant)} mm",
             row,
         )
     axis = int(np.argmin(geometry.in_stroke(rho_of(given, travelled), STROKE_SLACK)))

@@ -73,9 +73,9 @@ def _weight(pair: Pair) -> float:
     return pair[0].probability * pair[1].probability
 
 
-def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, float], ...]:
-    """What would tell rivals of some causes apart, in sentences with the most sigmas between two of
-    them.
+def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, str, float], ...]:
+    """What would tell rivals of some causes apart: in words, with what it tells, and the most
+    sigmas between two of them.
 
     First stands what decides between the likeliest: the sum of the products of the probabilities
     of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
@@ -90,7 +90,11 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
     ]
     several.sort(key=lambda one: -round(one.probability, 1))  # of alike ones what needs least
     return tuple(
-        (_sentence(one, causes, several), max(one.apart.values()))
+        (
+            f"{one.proposal.brief}{one.proposal.how}{one.proposal.sheet}",
+            _sentence(one, causes, several),
+            max(one.apart.values()),
+        )
         for one in several
         if one.probability > 0
     )

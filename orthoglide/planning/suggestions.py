@@ -42,6 +42,7 @@ _HINTS = 1.0  # sigmas: less is not worth taking readings for
 DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
+_APART = "to tell the causes apart measure"
 _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
 
 
@@ -58,6 +59,8 @@ class Suggestion(Framed):
             explains.
         pool: the readings to choose from; ``None`` where another instrument is what helps.
         chosen: those chosen, with repetitions; none where nothing helps.
+        what: what to measure, without what is to be expected of it; empty where that is all of
+            the reason.
     """
 
     reason: str
@@ -65,6 +68,7 @@ class Suggestion(Framed):
     gain: float
     pool: Campaign | None
     chosen: tuple[int, ...] = ()
+    what: str = ""
 
     @property
     def campaign(self) -> Campaign | None:
@@ -111,8 +115,8 @@ def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple
     is set on the legs: first what most probably does.
     """
     return tuple(
-        Suggestion(f"to tell the causes apart measure {reason}", "none", gain, None)
-        for reason, gain in deciding(known, causes)
+        Suggestion(f"{_APART} {reason}", "none", gain, None, what=f"{_APART} {what}")
+        for what, reason, gain in deciding(known, causes)
     )
 
 

@@ -209,12 +209,19 @@ def unseen(result: Result, figures: Figures) -> Data:
         "effects": [(words, listed(members)) for words, members in unshown(result)],
         "unexcited": [f.replace("_", " ") for f in result.unexcited],
         "sides": sentence(one) if (one := unvaried_words(result)) else "",
-        "dialled": result.machine.geometry.dialled,
+        "second_place": _has_one_place(result),
         "owned": ",".join(result.instruments),
         "machine": f"{Path(result.request.machine.spec.file).name or 'FILE'}"
         f"{result.request.effects_option}",
         "figure": whole(figure) if figure else "",
     }
+
+
+def _has_one_place(result: Result) -> bool:
+    """Whether some leg was read by dials at a single place along it."""
+    setups = [setup for campaign in result.after.problem.campaigns for setup in campaign.setups]
+    places = {(setup.leg, setup.gauge) for setup in setups}
+    return 0 < len(places) < 2 * len({setup.leg for setup in setups})
 
 
 _METHODS = {

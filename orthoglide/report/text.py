@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from orthoglide.result.actions import Action
 
 
+_MOST = 3  # of what may be looked at
+
+
 def summary(result: Result, ranked: bool = False) -> str:
     """What a person wants to see at the end of a run, ``ranked`` with all causes tried."""
     from rich.text import Text
@@ -58,16 +61,25 @@ def summary(result: Result, ranked: bool = False) -> str:
 def _unseen(found: Sequence[Unseen]) -> Iterator[str]:
     if found:
         yield f"- {UNSEEN}"
-    yield from (f"   - {sentence(one.brief)}" for one in found)
+    rest = "{} others of the causes above stand in a report."
+    yield from _first([sentence(one.brief) for one in found], rest)
 
 
 def to_do(result: Result) -> Iterator[str]:
     """What to do, a line each, with what to look at below."""
     for k, action in enumerate(result.actions, start=1):
         yield f"{k}. {sentence(action.words)[:-1]}{_gain(action)}."
-        for one in action.options:
-            told = (f"{one.words}: look at {one.look_at}", one.confirm)
-            yield f"   - {' '.join(sentence(text) for text in told if text)}"
+        told = [(f"{one.words}: look at {one.look_at}", one.confirm) for one in action.options]
+        lines = [" ".join(sentence(text) for text in one if text) for one in told]
+        yield from _first(lines, "The same for {} others that are named above.")
+
+
+def _first(lines: Sequence[str], rest: str) -> Iterator[str]:
+    """As many as people read here, and in words how many others there are."""
+    count = len(lines) if len(lines) <= _MOST + 1 else _MOST
+    yield from (f"   - {line}" for line in lines[:count])
+    if lines[count:]:
+        yield f"   - {rest.format(len(lines) - count)}"
 
 
 def _gain(action: Action) -> str:

@@ -247,8 +247,8 @@ def _measure(result: Result) -> tuple[bool, list[Action]]:
     sheet = result.next_sheet
     for one in result.next_measurements:
         if one.aim == "narrow" and sheet is not None:
-            text = f"Measure more only to know more: the report proposes {len(sheet)} readings"
+            text = f"Measure more only to know more: a report proposes {len(sheet)} readings"
             return False, [Action("measure", text)]
         if not one.hopeless:
-            return True, [Action("measure", f"Measure more: {one.reason}")]
+            return True, [Action("measure", f"Measure more: {one.what or one.reason}")]
     return False, []
