@@ -79,6 +79,7 @@ def _told(
         yield Change(
             one.parameter.plain, tuple(sizes), since, (files[first - 1], files[first]),
             one.evidence, problem.machine.catalogue, sigma=one.sigma, sizes=tuple(sizes.values()),
+            size_sigma=one.sigma, among=one.among,
         )  # fmt: skip
 
 

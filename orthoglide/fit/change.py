@@ -37,6 +37,8 @@ class Change:
     sigma: float = float("nan")  # standard deviation of the difference, SI
     sigma_after: float = float("nan")  # standard deviation of the value after the change, SI
     sizes: tuple[float, ...] = ()  # by how much each of `members` would have changed, SI
+    size_sigma: float = float("nan")  # standard deviation of the first of `sizes`, SI
+    among: float = 0.0  # what that has of others that could have changed beside it, SI
     unseen: float = 0.0  # by how much it may have been off before unseen, a standard deviation, SI
 
     def __repr__(self) -> str:
@@ -159,8 +161,9 @@ class Change:
             (before, after), spread = estimate.x[pair], estimate.covariance[np.ix_(pair, pair)]
             first = self.members.index(name)
             size = self.sizes[first]
-            widest = self.sigma * abs(size / self.sizes[0])
-            sigma = np.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1])
+            ratio = abs(size / self.sizes[0])
+            widest, among = self.size_sigma * ratio, self.among * ratio
+            sigma = math.sqrt(spread[0, 0] + spread[1, 1] - 2 * spread[0, 1] + among**2)
             if abs(after - before - size) > SIGNIFICANT * widest:
                 about, sigma = (before + after) / 2, widest
                 before, after = about - size / 2, about + size / 2
@@ -172,8 +175,10 @@ class Change:
                 sizes=tuple(self.sizes[k] for k in order),
                 before=float(before),
                 after=float(after),
-                sigma=float(sigma),
+                sigma=sigma,
                 sigma_after=float(np.sqrt(spread[1, 1])),
+                size_sigma=widest,
+                among=among,
             )
         return self
 

@@ -31,6 +31,7 @@ CLASS_WIDTH = 4.0
 """Rise of chi2 within which two causes cannot be told apart: two sigmas (Wilks)."""
 
 _MOST = 12
+_UNLIKELY = 7.0  # log odds against a set, beyond which it says nothing of sizes
 _FEW = 6  # changes of which three may be exchanged for two others
 
 _LIKELY = -np.log(np.array(WIDTHS) * np.sum(1 / np.array(WIDTHS)))
@@ -44,6 +45,7 @@ class Found:
     evidence: Array  # log Bayes factor of each against the set without it (k,)
     sizes: Array  # of each, in units of its column (k,)
     sigmas: Array  # of these, the others of the set given only as they are known (k,)
+    among: Array  # by how much more each is not known, as other sets could be right too (k,)
     # for each, it and the hypotheses that could stand in its place, with their sizes
     instead: tuple[dict[int, float], ...]
     weight: float  # log odds of the set against no change
@@ -74,6 +76,7 @@ class Hypotheses:
             alone[order],
             sizes,
             sigmas,
+            self._among(state, weight),
             tuple({place: sizes[k]} | self._rivals(state, k) for k, (place, _) in enumerate(state)),
             weight,
         )
@@ -179,6 +182,32 @@ class Hypotheses:
         left = self.chi2 - self._past(state)[0]
         scale = max(self.floor, left / self.dof)
         return np.asarray(spread @ self.met[at]), np.sqrt(scale * np.diag(spread))
+
+    def _among(self, state: State, weight: float) -> Array:
+        """What the sets next to this one add to the sigma of each size ``(k,)``: those with one
+        more, one less, or another in place of one, as likely as they are.
+        """
+        sizes, sigmas = self._sizes(state)
+        more, total = np.zeros(len(state)), np.ones(len(state))
+        for near, other in self._next_to(state, weight):
+            likely, at = np.exp(other - weight), [place for place, _ in near]
+            each = dict(zip(at, zip(*self._sizes(near), strict=True), strict=True))
+            for k, (place, _) in enumerate(state):
+                if place in each:
+                    size, sigma = each[place]
+                    more[k] += likely * (sigma**2 - sigmas[k] ** 2 + (size - sizes[k]) ** 2)
+                    total[k] += likely
+        return np.sqrt(np.maximum(more / total, 0.0))
+
+    def _next_to(self, state: State, weight: float) -> Iterator[tuple[State, float]]:
+        for rest in (state, *(_less(state, k) for k in range(len(state)))):
+            if rest != state:
+                yield rest, self._weight(rest)
+            weights = self._weights(rest)
+            for place, width in np.argwhere(weights > weight - _UNLIKELY):
+                near = (*rest, (int(place), WIDTHS[width]))
+                if sorted(near) != sorted(state):
+                    yield near, float(weights[place, width])
 
     def _rivals(self, state: State, k: int) -> dict[int, float]:
         """What could have changed in place of one, with its size, the likest first."""

@@ -66,6 +66,7 @@ class Moved:
 
     sizes: Mapping[Parameter, float]  # by how much each would have, SI, the change itself first
     sigma: float  # standard deviation of its size, SI
+    among: float  # what this has of other sets that could have changed, SI
     evidence: float  # log Bayes factor in its favour, the others given
 
     @property
@@ -114,10 +115,12 @@ def what_changed(
 
 
 def _moved(found: Found, candidates: Sequence[Candidate]) -> Iterator[Moved]:
-    each = zip(found.places, found.instead, found.sigmas, found.evidence, strict=True)
-    for place, instead, sigma, evidence in each:
+    each = zip(found.places, found.instead, found.sigmas, found.among, found.evidence, strict=True)
+    for place, instead, sigma, among, evidence in each:
         sizes = {candidates[k].parameter: v * candidates[k].tolerance for k, v in instead.items()}
-        yield Moved(sizes, float(sigma) * candidates[place].tolerance, float(evidence))
+        unit = candidates[place].tolerance
+        sigma = float(np.hypot(sigma, among)) * unit
+        yield Moved(sizes, sigma, float(among) * unit, float(evidence))
 
 
 def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate]) -> Array:

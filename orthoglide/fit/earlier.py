@@ -7,6 +7,7 @@ the evidence of the new readings, all at once (`fit.changed`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -128,18 +129,18 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             places = [now.names.index(name) for name in summed]
             before, apart = _before(known, left, now, summed)
             unseen = _alone(known, summed)
-            apart = float(np.hypot(apart, unseen))
+            apart = math.hypot(apart, unseen, one.among)
             sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
             after = float(now.x[places].sum())
         else:
             before = _pattern_before(known, one.parameter, catalogue)
             place = [n.plain for n in now.problem.names].index(one.parameter)
             after = before + float(now.x[place])
-            apart = sigma = float(np.sqrt(now.covariance[place, place]))
-            unseen = 0.0
+            sigma = float(np.sqrt(now.covariance[place, place]))
+            apart, unseen = math.hypot(sigma, one.among), 0.0
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
-            before, after, apart, sigma, tuple(one.sizes.values()), unseen,
+            before, after, apart, sigma, tuple(one.sizes.values()), unseen=unseen,
         )  # fmt: skip
 
 
