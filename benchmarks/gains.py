@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks import attribution_cases as ac, whole_machines
 from benchmarks.attribution_run import campaign, machine
-from orthoglide.accuracy import workspace
+from orthoglide.accuracy import throughout
 from orthoglide.closing import close_loop
 from orthoglide.errors import OrthoglideError
 from orthoglide.posterior import BudgetItem
@@ -62,7 +62,7 @@ class Tool:
     """The tool's error of a rig that the best zeros, lengths and translation leave."""
 
     def __init__(self) -> None:
-        self.commands = workspace(machine().geometry)
+        self.commands = throughout(machine())
 
     def _shape(self, rig: Rig) -> Array:
         p = rig.pose(self.commands).p

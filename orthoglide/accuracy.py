@@ -20,23 +20,44 @@ from orthoglide.prediction import Conditions
 GRID = 5
 """Commands along each axis of the map of the workspace."""
 
+_EVEN = 1 / 1.2207440846 ** np.arange(1, 4)
+"""Steps of a sequence that fills a cube evenly (Roberts 2018, by the root of x^4 = x + 1)."""
+
+NUMBERS = ("zero", "scale", "backlash", "bar_length")
+"""What a controller of three drives takes; where towers stand is a firmware's own."""
+
 _DRAWS = 400
 _PLACE = 0.01  # weight of place against shape: enough to choose between equal shapes
 _STEPS = 2  # of Gauss-Newton, on a problem that is nearly linear
 
 
-def workspace(geometry: Geometry, count: int = GRID) -> Array:
-    """Commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the stroke."""
+def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
+    """Commands ``(n, 3)`` that fill the workspace evenly, metres: on the Orthoglide the stroke.
+
+    Args:
+        geometry: of the machine.
+        count: of commands along each axis.
+        pitch: of its screws, metres: commands along the stroke then stand at all their turns, each
+            a part of one farther inside, where a regular grid can meet a single one.
+    """
     layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
     if (points := layout.points(*sizes, count)) is not None:
         return commands_of(geometry, points)
-    travel = geometry.zero[0] + np.linspace(*geometry.stroke, count)
-    return np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
+    travel, spacing = np.linspace(*geometry.stroke, count, retstep=True)
+    grid = np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
+    turn = min(pitch or 0.0, float(spacing))
+    part = (0.5 + np.arange(len(grid))[:, None] * _EVEN) % 1.0 * turn
+    return np.asarray(geometry.zero[0] + grid + np.where(grid + part > travel[-1], -part, part))
+
+
+def throughout(machine: Machine) -> Array:
+    """Commands over the workspace ``(n, 3)`` that miss nothing of a machine, metres."""
+    return workspace(machine.geometry, pitch=machine.spec.screw_pitch)
 
 
 def tcp_slopes(machine: Machine, names: Sequence[str], at: Conditions | None = None) -> Array:
     """TCP by parameter ``(g, 3, P)``, SI, in the conditions given or over the workspace."""
-    where = Conditions.at(workspace(machine.geometry)) if at is None else at
+    where = Conditions.at(throughout(machine)) if at is None else at
     _, slopes = machine.model.sensitivities(machine.values, where, tuple(names))
     return slopes[:, :3]
 
@@ -153,7 +174,7 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
 
 def wanted_points(machine: Machine) -> Array:
     """Where a machine without errors puts the tool over its workspace ``(g, 3)``, metres."""
-    return machine.with_only({}).forward(workspace(machine.geometry))
+    return machine.with_only({}).forward(throughout(machine))
 
 
 def _weighed(field: Array, place: Array) -> Array:
@@ -183,7 +204,7 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
     settings: dict[str, float] = {**dict.fromkeys(zeros, 0.0), **identified}
     wanted, goal, weight = wanted_points(machine), np.zeros(3), np.full(3, _PLACE)
     if machine.geometry.layout.hanging:
-        above = machine.forward(workspace(machine.geometry)) - wanted
+        above = machine.forward(throughout(machine)) - wanted
         goal[2], weight[2] = above[:, 2].mean(), 1.0
     for _ in range(_STEPS):
         commands = machine.with_only(settings).inverse(wanted)
@@ -199,11 +220,13 @@ def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
 
     Returns:
         ``now``: nothing; ``zeros``: the best zeros alone; ``zeros_and_lengths``: bar lengths
-        besides; ``compensated``: everything. :func:`expected_error` says what each leaves.
+        besides; ``numbers``: all that a controller takes, with the best zeros; ``compensated``:
+        everything. :func:`expected_error` says what each leaves.
     """
     return {
         "now": {},
         "zeros": best_zeros(machine),
         "zeros_and_lengths": best_zeros(machine, ["bar_length"]),
+        "numbers": best_zeros(machine, NUMBERS),
         "compensated": machine.values,
     }

@@ -92,14 +92,14 @@ def test_the_radius_stated_afterwards_is_below_the_error_now(which: str) -> None
 def test_the_result_states_them_by_what_the_controller_is_given() -> None:
     verdict = verdict_of("tilted")
     stated = json.loads(result_text(verdict))["tool"]
-    assert list(stated) == ["now", "zeros", "zeros_and_lengths", "compensated"]
+    assert list(stated) == ["now", "zeros", "zeros_and_lengths", "numbers", "compensated"]
     for entry in stated.values():
         assert list(entry) == ["shape_mm", "shape_sigma_mm", "place_mm", "place_sigma_mm"]
     shapes = [entry["shape_mm"] for entry in stated.values()]
     assert shapes[0] > 5 * shapes[1]
-    assert shapes[1] > 2 * shapes[3]
+    assert shapes[1] > 2 * shapes[4]
     compensated = expected_error(verdict.machine, verdict.machine.values)
-    assert shapes[3] == pytest.approx(compensated.shape * 1e3, rel=1e-5)
+    assert shapes[4] == pytest.approx(compensated.shape * 1e3, rel=1e-5)
 
 
 # -- the covariance beside the machine file ------------------------------------------------------
@@ -173,6 +173,18 @@ def test_what_is_no_posterior_is_refused() -> None:
         Posterior(NAMES, np.zeros(3), np.eye(2))
     with pytest.raises(InputError, match="finite"):
         Posterior(NAMES, np.zeros(3), np.full((3, 3), np.nan))
+
+
+def test_the_workspace_meets_every_turn_of_the_screws() -> None:
+    """Turns of 20 mm, and commands 40 mm apart: a wave of one turn was nowhere to be seen."""
+    spec = replace(og.Machine.nominal().spec, screw_pitch=0.02)
+    waving = og.Machine(spec).with_parameters({"screw_error.x.sin": 8e-5})
+    rng = np.random.default_rng(4)
+    travel = rng.uniform(*spec.geometry.stroke, (2000, 3))
+    where = travel + spec.geometry.zero
+    off = waving.forward(where) - waving.with_only({}).forward(where)
+    true = np.linalg.norm(off - off.mean(axis=0), axis=1).mean()
+    assert expected_error(waving, {}).shape == pytest.approx(true, rel=0.1)
 
 
 def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +47,7 @@ _UNKNOWN = (
     "the machine file says nothing of how well its parameters are known, and so nothing is known "
     "of how near these commands bring the real machine: give the calibrated.toml of a result"
 )
-_ROUNDS = 12
+_MISSED = 1e-6  # metres: more than rounding
 _FAR = 0.02  # metres, more than any effect moves a command
 
 
@@ -119,7 +119,9 @@ class Compensation(Framed):
 
     @property
     def residual(self) -> Array:
-        """Distance of the predicted TCP from the wanted ``(n,)``, metres: rounding alone."""
+        """Distance of the predicted TCP from the wanted ``(n,)``, metres: rounding, and what a
+        drive misses that turns by less than a lost motion below zero.
+        """
         return np.linalg.norm(self.predicted - self.wanted, axis=1)
 
     @property
@@ -165,9 +167,18 @@ class Compensation(Framed):
             f"both after one translation of everything (one standard deviation, {how})",
             f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
             f"the workpiece removes that",
+            *self._missed(),
             *_ALWAYS,
         ]
         return "\n".join(lines)
+
+    def _missed(self) -> Iterator[str]:
+        missed = self.residual > _MISSED
+        if missed.any():
+            yield (
+                f"at {missed.sum()} of them a drive turns by less than its lost motion, which the "
+                f"machine file has below zero: off by up to {self.residual.max() * 1e3:.4f} mm"
+            )
 
 
 _ALWAYS = (
@@ -194,7 +205,7 @@ def compensate(
     """Commands that bring the TCP to the wanted points, given all the machine's effects.
 
     Points are taken in their order: a drive's lost motion depends on the direction of its last
-    move, which depends on the command; both are settled together.
+    move.
 
     Args:
         machine: calibrated, or the path of its file.
@@ -208,25 +219,21 @@ def compensate(
 
     Raises:
         InputError: where that verdict says not to act on the machine's numbers, for points that
-            are not numbers, or an approach that cannot be settled.
+            are not numbers.
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
     machine = not_withheld(machine, force)
-    goal = numbers("a path", points)
-    if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
-        raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")
-    bad = np.flatnonzero(~np.isfinite(goal).all(axis=1))
-    if bad.size:
-        raise InputError(f"row {bad[0] + 1} of the path is not finite: give numbers in metres")
+    goal = _path(points)
     given = Conditions.at(goal, time=time, warming=warming, load=load)
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
     before = _before(machine, start)
-    rho, approach = _settled(machine, goal, before, conditions)
+    rho = _settled(machine, goal, before, conditions, resolution)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
     rho = machine.spec.controller.to_rho(travel, machine.geometry)
     _check_stroke(machine, rho)
+    approach = _approach(rho, before, 4 * resolution)  # no rounding turns a drive
     arriving = {"approach": approach, **conditions}
     return Compensation(
         goal,
@@ -234,12 +241,25 @@ def compensate(
         travel,
         approach,
         machine.forward(rho, **arriving),
-        machine.forward(nominal, **{**arriving, "approach": _approach(nominal, before)}),
+        machine.forward(
+            nominal, **{**arriving, "approach": _approach(nominal, before, resolution)}
+        ),
         *_shape_and_place(machine, Conditions.at(rho, **arriving)),
         machine.spec.posterior is None,
         machine.geometry.layout.names,
         None if (known := machine.spec.kinematics) is None else known.places(rho),
     )
+
+
+def _path(points: ArrayLike) -> Array:
+    """TCP points ``(n, 3)``, metres."""
+    goal = numbers("a path", points)
+    if goal.ndim != 2 or goal.shape[1] != 3 or not len(goal):
+        raise InputError(f"a path has the shape (n, 3), n at least 1, not {goal.shape}")
+    bad = np.flatnonzero(~np.isfinite(goal).all(axis=1))
+    if bad.size:
+        raise InputError(f"row {bad[0] + 1} of the path is not finite: give numbers in metres")
+    return goal
 
 
 def _shape_and_place(machine: Machine, at: Conditions) -> tuple[Array, Array]:
@@ -317,27 +337,31 @@ def _check_stroke(machine: Machine, rho: Array, slack: float = STROKE_SLACK) -> 
     )
 
 
-def _approach(rho: Array, before: Array | None) -> Array:
+def _approach(rho: Array, before: Array | None, moved: float) -> Array:
+    """How drives arrive; a lost motion made up for turns them at the first step back, however
+    short that is.
+    """
     whole = rho if before is None else np.concatenate([before, rho])
-    return derive_approach(whole, np.arange(len(whole)))[len(whole) - len(rho) :]
+    found = derive_approach(whole, np.arange(len(whole)), moved=moved)
+    return found[len(whole) - len(rho) :]
 
 
 def _settled(
-    machine: Machine, goal: Array, before: Array | None, conditions: dict[str, Array]
-) -> tuple[Array, Array]:
-    """Commands and approaches that belong together."""
+    machine: Machine,
+    goal: Array,
+    before: Array | None,
+    conditions: dict[str, Array],
+    resolution: float,
+) -> Array:
+    """Commands, each for the side that its drive comes from as the path turns.
+
+    In the middle of the lost motion drives turn where the path has them turn; what is lost besides
+    takes them farther the same way. One whose lost motion is negative, as a controller leaves it
+    that makes up for too much, may not turn at all: there the prediction has what it does.
+    """
     # Far outside the stroke points are refused before effects are solved for there.
     _check_stroke(machine, _nominal_commands(machine, goal), _FAR)
-    approach = np.zeros_like(goal)
-    rho = _inverse(machine, goal, {**conditions, "approach": approach})
-    for _ in range(_ROUNDS):
-        way = _approach(rho, before)
-        if np.array_equal(way, approach):
-            return rho, approach
-        changed, approach = (way != approach).any(axis=1), way
-        rho = _inverse(machine, goal, {**conditions, "approach": approach})
-    row = int(np.flatnonzero(changed)[0])
-    raise InputError(
-        f"row {row + 1} of the path has no consistent direction of approach: a lost motion in the "
-        f"machine file is negative or longer than any drive's; identify it again"
+    middle = _inverse(machine, goal, {**conditions, "approach": np.zeros_like(goal)})
+    return _inverse(
+        machine, goal, {**conditions, "approach": _approach(middle, before, 2 * resolution)}
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
+from orthoglide.accuracy import NUMBERS, ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import not_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
@@ -26,10 +26,11 @@ _RULE = (
 ).format
 RULE = _RULE(sum="new zero = old zero - sign x joint offset:", words="joint offset")
 """The sign of a zero, wherever one is given."""
-_RULE_ALONE = _RULE(
+_RULE_BEST = _RULE(
     sum="new zero = old zero - sign x offset:",
-    words="offset, here the one that zeros alone make up for best",
+    words="offset, here the one that {best} make up for best",
 )
+_ZEROS = "zeros alone"
 
 
 @dataclass(frozen=True)
@@ -43,11 +44,11 @@ class DriveNumbers:
     leg: str  # its name
     sign: int  # +1 where the controller counts away from the origin, else -1
     zero: float  # what it showed at mechanical zero as the machine file says, metres
-    offset: float  # joint offset, or of zeros alone what they make up for best, metres
+    offset: float  # joint offset, or what the numbers given make up for best, metres
     scale: float  # relative scale error
     backlash: float  # lost motion, metres
     bar_length: float  # mean length of the leg's bars, metres
-    alone: bool = False  # whether the controller takes zeros and nothing else
+    best: str = ""  # what the offset is the best of; empty of the joint offset itself
 
     @property
     def new_zero(self) -> float:
@@ -83,7 +84,7 @@ class DriveNumbers:
         """For JSON; lengths in millimetres."""
         return {
             "sign": self.sign,
-            "offset_mm" if self.alone else "joint_offset_mm": _mm(self.offset),
+            "offset_mm" if self.best else "joint_offset_mm": _mm(self.offset),
             "old_zero_mm": _mm(self.zero),
             "new_zero_mm": _mm(self.new_zero),
             "add_to_command_mm": _mm(self.correction),
@@ -96,9 +97,9 @@ class DriveNumbers:
     def worked(self, names: LegNames) -> str:
         """The sign rule for this drive, number by number, in a layout's words."""
         way, side = names.ways[self.sign > 0][1], names.ways[self.offset >= 0][0]
-        if self.alone:
+        if self.best:
             what = (
-                f"zero correction {self.leg} = {_mm(self.correction):+.4f} mm: with zeros alone "
+                f"zero correction {self.leg} = {_mm(self.correction):+.4f} mm: with {self.best} "
                 f"the tool is off least as if,"
             )
         else:
@@ -151,7 +152,8 @@ class ControllerNumbers(Framed):
     @property
     def rule(self) -> str:
         """The sign of a zero."""
-        return _RULE_ALONE if self.drives[0].alone else RULE
+        best = self.drives[0].best
+        return _RULE_BEST.format(best=best) if best else RULE
 
     @property
     def title(self) -> str:
@@ -196,6 +198,9 @@ class ControllerNumbers(Framed):
         shape = {name: f"{error.shape * 1e3:.4f}" for name, error in self.expected.items()}
         named = zip(self.drives, self.zeros_only, strict=True)
         alone = [f"{d.leg} {_mm(v):.4f}" for d, v in named]
+        whole = (
+            "" if self.drives[0].best == _ZEROS else f"{shape['numbers']} with the whole table, "
+        )
         return _TEXT.format(
             title=self.title,
             rule=_fill(self.rule),
@@ -206,7 +211,9 @@ class ControllerNumbers(Framed):
                 checks="\n".join(_fill(f"- {c}") for c in self.checks)
                 or (_NONE if self.names == ORTHOGLIDE.names else _fill(_UNDIALLED)),
             ),
-            alone=_fill(_ALONE.format(alone=", ".join(alone), **shape)) if self.calibrated else "",
+            alone=_fill(_ALONE.format(alone=", ".join(alone), whole=whole, **shape))
+            if self.calibrated
+            else "",
             rest=_rest(self.beyond) if self.calibrated else _fill(_NOMINAL),
         )
 
@@ -216,11 +223,13 @@ def controller_numbers(
 ) -> ControllerNumbers:
     """The corrections that a controller takes of a calibrated machine.
 
+    Scales, lost motion and lengths are as identified; where the machine has more errors than that,
+    the zeros are those that leave the least shape error over the workspace beside them.
+
     Args:
         machine: calibrated, or the path of its file; its ``[controller]`` says how the
             controller counts.
-        zeros_only: for a controller that takes zeros and nothing else: those that leave the least
-            shape error over the workspace.
+        zeros_only: for a controller that takes zeros and nothing else.
         force: give them whatever the verdict that is kept with the machine says.
 
     Raises:
@@ -229,9 +238,10 @@ def controller_numbers(
     machine = not_withheld(machine, force)
     settings = tool_settings(machine)
     alone = _by_kind(machine, settings["zeros"])["zero"]
-    held = _by_kind(machine, machine.values)
-    if zeros_only:
-        held = {"zero": alone}
+    held = _by_kind(machine, settings["zeros" if zeros_only else "numbers"])
+    of = machine.catalogue.effect_of
+    left_over = [n for n, v in machine.values.items() if v and of(n).controller not in held]
+    best = _ZEROS if zeros_only else "these numbers" if left_over else ""
     controller, length = machine.spec.controller, machine.geometry.L
     none = np.zeros(3)
     drives = [
@@ -243,16 +253,15 @@ def controller_numbers(
             float(held.get("scale", none)[k]),
             float(held.get("backlash", none)[k]),
             length + float(held.get("bar_length", none)[k]),
-            zeros_only,
+            best,
         )
         for k, leg in enumerate(machine.geometry.leg_names)
     ]
-    of = machine.catalogue.effect_of
     return ControllerNumbers(
         machine.spec.name,
         machine.geometry.layout.names,
         (drives[0], drives[1], drives[2]),
-        tuple(n for n, v in machine.values.items() if v and of(n).controller not in held),
+        tuple(left_over),
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
@@ -261,16 +270,12 @@ def controller_numbers(
     )
 
 
-_NUMBERS = ("zero", "scale", "backlash", "bar_length")
-"""What a controller of three drives takes; where towers stand is a firmware's own."""
-
-
 def _by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray]:
     """What a controller takes of these parameters: by kind of number, for x, y, z ``(3,)``, SI."""
     found: dict[str, np.ndarray] = {}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
-        if kind in _NUMBERS:
+        if kind in NUMBERS:
             leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
             found.setdefault(kind, np.zeros(3))[leg] += value
     return found
@@ -318,7 +323,7 @@ are what the controller shows for {legs}.
 _ALONE = (
     "Zeros only. For a controller that takes nothing but zeros these are best: {alone}. Mean error "
     "of the TCP over the workspace to expect, after one translation of everything: {now} now, "
-    "{zeros} with these zeros, {compensated} with commands from `orthoglide compensate`."
+    "{zeros} with these zeros, {whole}{compensated} with commands from `orthoglide compensate`."
 )
 
 _TEXT = """{title}

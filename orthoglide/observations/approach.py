@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -48,15 +49,19 @@ class Moves:
         )
 
 
-def derive_approach(command: ArrayLike, order: ArrayLike, moves: Moves | None = None) -> Array:
+def derive_approach(
+    command: ArrayLike, order: ArrayLike, moves: Moves | None = None, moved: float = MOVED
+) -> Array:
     """Direction of each axis' last move, from the sequence of commands.
 
-    An axis that does not move keeps its direction; the first posture counts as reached in +.
+    An axis that has not moved since its last move keeps its direction; the first posture counts as
+    reached in +.
 
     Args:
         command: commands of the readings ``(n, 3)``, metres.
         order: place in the sequence ``(n,)``; equal places are one visit.
         moves: commands gone through between the readings.
+        moved: beyond what an axis counts as moved, metres.
 
     Returns:
         +1 or -1, shape ``(n, 3)``.
@@ -65,12 +70,20 @@ def derive_approach(command: ArrayLike, order: ArrayLike, moves: Moves | None = 
     moves = moves or Moves()
     rho = np.vstack([moves.command, own])
     sequence = np.argsort(np.concatenate([moves.order, np.asarray(order)]), kind="stable")
-    step = np.diff(rho[sequence], axis=0, prepend=rho[sequence][:1] - 1.0)
-    moved = np.abs(step) > MOVED
-    last = np.maximum.accumulate(np.where(moved, np.arange(len(rho))[:, None], 0), axis=0)
     approach = np.empty_like(rho)
-    approach[sequence] = np.sign(np.take_along_axis(step, last, axis=0))
+    for k, axis in enumerate(rho[sequence].T.tolist()):
+        approach[sequence, k] = _directions(axis, moved)
     return approach[len(moves) :]
+
+
+def _directions(places: Sequence[float], moved: float) -> list[float]:
+    """Of an axis through its places; a creep by less than it counts as moved adds up."""
+    found, way, at = [], 1.0, places[0] if places else 0.0
+    for place in places:
+        if abs(place - at) > moved:
+            way, at = math.copysign(1.0, place - at), place
+        found.append(way)
+    return found
 
 
 def built_up(

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide.accuracy import tcp_slopes, without_place, workspace
+from orthoglide.accuracy import tcp_slopes, throughout, without_place
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -151,7 +151,7 @@ class _Controller:
 
     def left(self, values: Mapping[str, float]) -> Array:
         """What the best settings leave of a machine's error over the workspace ``(3 g,)``."""
-        where, settings = workspace(self.machine.geometry), np.array([*self.held.values()])
+        where, settings = throughout(self.machine), np.array([*self.held.values()])
         goal = self.machine.with_only(values).forward(where)
         for _ in range(_STEPS):
             taken = self.machine.with_only(dict(zip(self.held, settings.tolist(), strict=True)))

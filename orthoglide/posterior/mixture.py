@@ -253,9 +253,11 @@ class Mixture(Search):
             _, state, scale = self._terms[k]
             spread = weights[:, at] @ self._covariance(state, scale, at) @ weights[:, at].T
             sd = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-            unit = spread / sd / sd[:, None] + 1e-9 * np.eye(len(sd))
+            # What is known together much better than alone is a difference of large numbers.
+            share, along = np.linalg.eigh(spread / sd / sd[:, None])
+            root = along * np.sqrt(np.maximum(share, 0.0))
             some = term == k
-            drawn[some] = weights @ self._means[k] + normal[some] @ np.linalg.cholesky(unit).T * sd
+            drawn[some] = weights @ self._means[k] + normal[some] @ root.T * sd
         return drawn
 
     def averaged(self, known: int) -> Averaged:

@@ -110,7 +110,7 @@ class _Reader:
         return tuple(one for explanation in found for one in self._twins(explanation))
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
-        named = [o for o in odds if not self.groups[o[0]].free]
+        named = self._by_cause([o for o in odds if not self.groups[o[0]].free])
         several = [one for k, p in named for one in self._twins(self._explanation(member, k, p))]
         chosen, rest = several[0], [one for one in several[1:] if one.is_there]
         alike = [self._same_tool(chosen, other) for other in rest]
@@ -120,6 +120,23 @@ class _Reader:
             tuple(e for e, same in zip(rest, alike, strict=True) if same),
             self._curves(member, odds),
         )
+
+    def _by_cause(self, odds: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
+        """Likeliest first, each with all that has its parameters or some of them, as the sine of a
+        wave has of the wave: that is the same cause.
+        """
+        parts = [set(one.parameters) for one in self.posterior.about.candidates]
+        found: list[tuple[int, float]] = []
+        for k, p in odds:
+            alike = (
+                i for i, (j, _) in enumerate(found) if parts[k] <= parts[j] or parts[k] > parts[j]
+            )
+            place = next(alike, None)
+            if place is None:
+                found.append((k, p))
+            else:
+                found[place] = (found[place][0], found[place][1] + p)
+        return found
 
     def _twins(self, one: Explanation) -> list[Explanation]:
         """An explanation with those under other names that show the same, readings and tool."""
