@@ -27,6 +27,7 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.parameters import Parameter
+from orthoglide.posterior import Located
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request, State, states_of
 from orthoglide.threads import on_one_thread
@@ -96,6 +97,9 @@ class Check(Framed):
         differences: of the base parameters, of the causes found and of what changed.
         changes: what changed, plates that were probed among it.
         moves: plates that lie elsewhere than before.
+        gone: places that were located in the old state and are not in the new one; where there are
+            any, or new ones, each state speaks for itself, as no parameter is what changed.
+        come: places that are located in the new state alone.
     """
 
     old: tuple[str, ...]
@@ -104,6 +108,8 @@ class Check(Framed):
     differences: tuple[Difference, ...]
     changes: tuple[Change, ...] = ()
     moves: tuple[PlateMove, ...] = ()
+    gone: tuple[Located, ...] = ()
+    come: tuple[Located, ...] = ()
     _index = "parameter"
 
     def __repr__(self) -> str:
@@ -136,6 +142,14 @@ class Check(Framed):
             for move in self.moves
         )
 
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Which places were located in one state alone, a sentence each."""
+        return (
+            *(f"what was located before shows no more: {_words(one)}" for one in self.gone),
+            *(f"located now, and not before: {_words(one)}" for one in self.come),
+        )
+
     @cached_property
     def told(self) -> Verdict:
         """The verdict with what changed since the old readings, to draw and to act upon."""
@@ -147,7 +161,7 @@ class Check(Framed):
         changed = [d for d in self.differences if d.changed]
         changed.sort(key=lambda d: -abs(d.after - d.before) / d.sigma)
         rest = [d for d in self.differences if not d.changed]
-        what = "nothing else" if changed or self.plates or self.moves else "nothing"
+        what = "nothing else" if changed or self.plates or self.moves or self.places else "nothing"
         said = (
             (f"{what} changed beyond its uncertainty", [d.still for d in rest if not d.far]),
             (
@@ -157,7 +171,7 @@ class Check(Framed):
             ),
         )
         told = (f"{words}: {', '.join(those)}" for words, those in said if those)
-        return (*self.plates, *map(str, changed), *self.lying, *told)
+        return (*self.places, *self.plates, *map(str, changed), *self.lying, *told)
 
     @property
     def line(self) -> str:
@@ -165,6 +179,7 @@ class Check(Framed):
         names = [parameter_words(d.parameter) for d in self.differences if d.changed]
         names += ["the plate"] * bool(self.plates)
         names += ["where the plate lies"] * bool(self.moves)
+        names += ["what is located"] * bool(self.places)
         what = f"Changed: {', '.join(names)}" if names else "Nothing changed"
         return f"{what}. Verdict {self.verdict.word}."
 
@@ -217,21 +232,42 @@ def check(
     # A change that is one of several leaves open what there was before: not so the new readings.
     verdict = run(_of_one(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
-    if not past and len(visits(together.before.problem)) > 1:
-        progress(Step("comparing"))
-        differences = tuple(_of_both(together, new_names))
-    else:
+    comparable = not past and len(visits(together.before.problem)) > 1
+    was = None
+    if not comparable or together.changed or together.word in ("located", "unexplained"):
         was = run(_of_one(request, before), progress)
-        progress(Step("comparing"))
-        differences = tuple(_of_each(was, verdict))
+    gone, come = ((), ()) if was is None else (_unlike(was, verdict), _unlike(verdict, was))
+    progress(Step("comparing"))
+    if was is None or (comparable and not gone and not come):
+        differences = tuple(_of_both(together, new_names))
+        changed = together.changed
+    else:
+        differences, changed = tuple(_of_each(was, verdict)), ()
     none = Change(
         differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
         float("nan"), machine.catalogue,
     )  # fmt: skip
-    changes = tuple(_changes(differences, together.changed, none))
+    changes = tuple(_changes(differences, changed, none))
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
-    return Check(old_names, new_names, verdict, differences, changes, moves)
+    return Check(old_names, new_names, verdict, differences, changes, moves, gone, come)
+
+
+def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:
+    """Places located in one state of which none is in the other."""
+    known = {curve.place.name for located in other.located for curve in located.members}
+    return tuple(
+        located
+        for located in one.located
+        if known.isdisjoint(curve.place.name for curve in located.members)
+    )
+
+
+def _words(located: Located) -> str:
+    """Its likeliest place, and how many others it may be."""
+    first, *others = located.members
+    more = f" (or {len(others)} other places)" if others else ""
+    return f"{first.place.words}, by {first.size_words}{more}"
 
 
 def _of_one(request: Request, side: Sequence[Readings]) -> Request:
