@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from orthoglide.effects import Catalogue, Effect
+from orthoglide.fit.problem import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
@@ -29,12 +28,7 @@ class Candidate:
 
     def columns(self, names: Sequence[str]) -> Array:
         """Matrix ``(E, size)`` from the candidate's parameters to elementary unknowns."""
-        place = {name: k for k, name in enumerate(names)}
-        matrix = np.zeros((len(names), self.size))
-        for k, weight in enumerate(self.weights):
-            for name, value in weight.items():
-                matrix[place[name], k] = value
-        return matrix
+        return weight_matrix(names, self.weights)
 
 
 def candidates(

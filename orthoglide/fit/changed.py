@@ -16,7 +16,7 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.fit.change_search import Found, Hypotheses
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
-from orthoglide.fit.problem import Problem
+from orthoglide.fit.problem import Problem, weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
@@ -131,11 +131,7 @@ def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate])
         jacobian: of its readings ``(n, P)``.
         candidates: what may have changed.
     """
-    place = {name: k for k, name in enumerate(problem.names)}
-    weights = np.zeros((len(place), len(candidates)))
-    for k, candidate in enumerate(candidates):
-        for name, weight in candidate.weights.items():
-            weights[place[name], k] = weight
+    weights = weight_matrix(problem.names, [c.weights for c in candidates])
     since = np.array([c.since for c in candidates], dtype=np.intp)
     return np.asarray(jacobian @ weights * (np.arange(len(jacobian))[:, None] >= since))
 

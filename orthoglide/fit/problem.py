@@ -50,6 +50,16 @@ class Unknown:
     width: float = 1.0  # how many tolerances wide its prior is
 
 
+def weight_matrix(names: Sequence[str], several: Sequence[Mapping[Any, float]]) -> Array:
+    """Weights of parameters in each of several that stand for some of them ``(E, P)``."""
+    place = {name: k for k, name in enumerate(names)}
+    matrix = np.zeros((len(names), len(several)))
+    for k, weights in enumerate(several):
+        for name, weight in weights.items():
+            matrix[place[name], k] = weight
+    return matrix
+
+
 def rows_about(
     known: Posterior, unknowns: Sequence[Unknown]
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -266,13 +276,9 @@ class Problem:
 
     def elementary(self, factor: int) -> tuple[tuple[str, ...], Array]:
         """Parameters that the unknowns set for a factor, and the matrix ``(E, P)`` to them."""
-        names = tuple(dict.fromkeys(n for u in self.unknowns for n in u.parts[factor]))
-        matrix = np.zeros((len(names), len(self.unknowns)))
-        place = {name: k for k, name in enumerate(names)}
-        for k, unknown in enumerate(self.unknowns):
-            for name, weight in unknown.parts[factor].items():
-                matrix[place[name], k] = weight
-        return names, matrix
+        parts = [u.parts[factor] for u in self.unknowns]
+        names = tuple(dict.fromkeys(n for weights in parts for n in weights))
+        return names, weight_matrix(names, parts)
 
     def values(self, factor: int, x: Array) -> dict[str, float]:
         """All parameters of a factor's machine and dials at the unknowns ``x`` ``(P,)``, SI."""
