@@ -86,10 +86,6 @@ def execute(
     """Do what was asked, write the folder, where there is one, and say what was found; ``ranked``:
     with all causes that were tried.
     """
-    from orthoglide.report.folder import check_folder
-
-    if out is not None:
-        check_folder(out)
     with progress(quiet or as_json) as step:
         result, files = performed(read, step, draw=out is not None)
         from orthoglide.report import result_text, summary
