@@ -188,7 +188,7 @@ class StationMeans:
         for k, residual in enumerate(residuals.T):
             one = int(single[np.argmax(evidences[single, k])])
             tried: list[tuple[float, tuple[int, ...]]] = [(float(evidences[one, k]) - cost, (one,))]
-            tried += [(pairs[k].evidence - 2 * cost, pairs[k].members)] if pairs else []
+            tried += [(both - 2 * cost, members) for both, members in pairs[k : k + 1]]
             best, places = max([(0.0, ()), *tried])
             chi2 = float(residual @ residual)
             columns = [self.signatures.of(self.signatures.candidates[p]) for p in places]
