@@ -62,8 +62,7 @@ def signatures(estimate: Estimate) -> Signatures:
     problem, nuisance = estimate.problem, estimate.nuisance
     effects = excited_effects(problem)
     wide, own = with_others(problem, [e.name for e in effects]), len(problem.unknowns)
-    x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
-    at = linearise(wide, x)
+    at = linearise(wide, wide.padded(estimate.x))
     fitted = fitted_basis(problem, nuisance, estimate.at)
     columns = whitened(nuisance.weighing, fitted, at.jacobian[:, own:])
     # What the fit leaves of the readings and of what was known before, past what it freed.

@@ -132,6 +132,10 @@ class Problem:
         """Readings of the tool but TCP points."""
         return tuple(p.points for p in self.points if isinstance(p.points, ToolCampaign))
 
+    def padded(self, x: Array) -> Array:
+        """Unknowns ``x`` of a problem that this one extends, its further ones at nothing behind."""
+        return np.pad(x, (0, len(self.unknowns) - len(x)))
+
     @property
     def names(self) -> tuple[Parameter, ...]:
         """Names of the unknowns."""

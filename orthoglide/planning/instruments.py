@@ -170,8 +170,7 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pa
     """Sigmas that new readings set pairs apart by."""
     problem, fixed = known.after.problem, known.mixture.linear.fixed[: known.about.known]
     # About the base: what causes do together is of the second order, and differs by what is there.
-    x = np.zeros(len(problem.names))
-    x[: len(known.before.x)] = known.before.x
+    x = problem.padded(known.before.x)
     at, then = linearise(problem, x), linearise(new, x)
     old = np.vstack([known.after.nuisance.project(at.jacobian), known.about.known_rows[0]])
     more = nuisances(new, then.slopes).project(then.jacobian)

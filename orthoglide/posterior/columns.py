@@ -187,7 +187,7 @@ def _linearised(estimate: Estimate, at: Array | None) -> tuple[Problem, Array, L
     place ``(P,)``, SI, and the readings there.
     """
     wide = with_everything(estimate.problem)
-    start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(estimate.x))])
+    start = wide.padded(estimate.x)
     x = start if at is None else at
     here = linearise(wide, x)
     if (near := about_machine(wide, here)) is not wide:
