@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,7 +19,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
-from orthoglide.observations import Campaign, Setup, ToolCampaign
+from orthoglide.observations import Campaign, Setup, ToolCampaign, ToolSetup
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
@@ -135,6 +135,16 @@ class Problem:
     def padded(self, x: Array) -> Array:
         """Unknowns ``x`` of a problem that this one extends, its further ones at nothing behind."""
         return np.pad(x, (0, len(self.unknowns) - len(x)))
+
+    @property
+    def mounted(self) -> Iterator[tuple[int, ToolReadings, int, ToolSetup]]:
+        """Setups of the tool's instruments: place of the factor, itself, number of the setup in it,
+        and the setup.
+        """
+        for k, factor in enumerate(self.factors):
+            if isinstance(factor, ToolReadings):
+                for number, setup in enumerate(factor.points.setups):
+                    yield k, factor, number, setup
 
     @property
     def names(self) -> tuple[Parameter, ...]:

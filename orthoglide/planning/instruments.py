@@ -107,9 +107,7 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
     """Those that need least first."""
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
-        for k, f in enumerate(problem.factors)
-        if isinstance(f, ToolReadings)
-        for s, setup in enumerate(f.points.setups)
+        for k, f, s, setup in problem.mounted
         if setup.instrument.touches
     ]
     if plates:
