@@ -9,6 +9,7 @@ from orthoglide.planning.detectable import (
     SmallestEffect as SmallestEffect,
     smallest_effects as smallest_effects,
 )
+from orthoglide.planning.instruments import deciding_instruments as deciding_instruments
 from orthoglide.planning.linear import foreseen as foreseen
 from orthoglide.planning.observability import (
     Observability as Observability,
@@ -29,7 +30,6 @@ from orthoglide.planning.repeats import (
 from orthoglide.planning.rivals import pairs_within as pairs_within
 from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,
-    deciding_instruments as deciding_instruments,
     next_measurements as next_measurements,
     next_sheet as next_sheet,
 )
