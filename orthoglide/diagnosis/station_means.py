@@ -100,13 +100,6 @@ class StationMeans:
         padded[: len(self.seen)] = (stations.T * self.seen).T
         return np.asarray(padded - self.left @ (self.right.T @ padded))
 
-    def lone(self) -> tuple[Array, Array]:
-        """Of a unit in each station's mean ``(G,)``: its square, and what of the residual it is."""
-        left, right = self.left[: len(self.seen)], self.right[: len(self.seen)]
-        square = 1 + np.einsum("gq,gq->g", right @ (self.left.T @ self.left) - 2 * left, right)
-        back = self.residual - self.right @ (self.left.T @ self.residual)
-        return self.seen * square, self.seen * back[: len(self.seen)]
-
     def together(self, values: Array, group: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """Of a column for each group of stations, all at once.
 
