@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.fit.problem import weight_matrix
-from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
 
@@ -25,10 +23,6 @@ class Candidate:
     def size(self) -> int:
         """Number of parameters."""
         return len(self.parameters)
-
-    def columns(self, names: Sequence[str]) -> Array:
-        """Matrix ``(E, size)`` from the candidate's parameters to elementary unknowns."""
-        return weight_matrix(names, self.weights)
 
 
 def candidates(
