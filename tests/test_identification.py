@@ -566,6 +566,15 @@ def pss_step(one: Estimate) -> np.ndarray:
     return np.array(columns).T
 
 
+def test_what_is_written_as_zero_is_none_of_the_reductions_business() -> None:
+    """A parameter of 0 in a machine file is no error that the reduction could not represent."""
+    plain = identify(published())
+    written = identify(published(), Machine.nominal().with_parameters({"rail_bow.x.z": 0.0}))
+    assert plain.check is not None
+    assert written.check is not None
+    assert written.values == pytest.approx(plain.values)
+
+
 # -- the papers' ordinary least squares ----------------------------------------------------------
 
 

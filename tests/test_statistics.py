@@ -225,7 +225,8 @@ def test_station_means_against_all_written_out() -> None:
     assert float(means.residual @ means.shown(extra)) == pytest.approx(float(expected @ shown))
     one = np.zeros(len(station))
     one[station == 7] = found.problem.weighing.mean_sigma[7]
-    square, along = means.lone()
+    alone = np.arange(len(means.seen))
+    square, along, _ = means.together(np.ones(len(alone)), alone)
     assert square[7] == pytest.approx(float(np.sum(means.shown(one) ** 2)))
     assert along[7] == pytest.approx(float(means.residual @ means.shown(one)))
 

@@ -41,10 +41,6 @@ def check(
     OLD and NEW are campaigns, or results (their folder or result.json), of which the readings are
     taken.
     """
-    from orthoglide.report.folder import check_folder
-
-    if out is not None:
-        check_folder(out)
     with progress(quiet) as step:
         step(Step("reading"))
         from orthoglide.checking import check as compare

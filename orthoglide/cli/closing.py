@@ -38,25 +38,9 @@ judge_options = opt.together(
 @opt.fit_options
 @click.option("--reduced", is_flag=True, help="Identify with the analytic reduction.")
 @opt.run_options
-def identify(
-    campaigns: tuple[Path, ...],
-    out: Path,
-    free: tuple[str, ...],
-    no_priors: bool,
-    reduced: bool,
-    quiet: bool,
-    as_json: bool,
-    **options: Any,
-) -> None:
+def identify(**options: Any) -> None:
     """Identify joint offsets and leg lengths (or more) from campaigns of dial readings."""
-
-    def read() -> Request:
-        from dataclasses import replace
-
-        asked = read_request("identify", campaigns, **options)
-        return replace(asked, free=free or asked.free, priors=not no_priors, reduced=reduced)
-
-    execute(read, out, quiet=quiet, as_json=as_json)
+    execute("identify", **options)
 
 
 @click.command("close-loop")
@@ -65,13 +49,9 @@ def identify(
 @judge_options
 @opt.fit_options
 @opt.run_options
-def close_loop(
-    campaigns: tuple[Path, ...], out: Path, quiet: bool, as_json: bool, **options: Any
-) -> None:
+def close_loop(**options: Any) -> None:
     """Calibrate, trace what is left beyond the noise to a cause, and write the report."""
-    execute(
-        lambda: read_request("close-loop", campaigns, **options), out, quiet=quiet, as_json=as_json
-    )
+    execute("close-loop", **options)
 
 
 @click.command()
@@ -80,14 +60,9 @@ def close_loop(
 @judge_options
 @opt.fit_options
 @opt.run_options
-def diagnose(
-    campaigns: tuple[Path, ...], out: Path | None, quiet: bool, as_json: bool, **options: Any
-) -> None:
+def diagnose(**options: Any) -> None:
     """Print the verdict of close-loop and the ranked causes; write nothing without --out."""
-    execute(
-        lambda: read_request("diagnose", campaigns, **options),
-        out, quiet=quiet, as_json=as_json, ranked=True,
-    )  # fmt: skip
+    execute("diagnose", **options)
 
 
 @click.command()

@@ -44,9 +44,7 @@ def compare(
     at the TCP over the workspace and, on an Orthoglide, in the readings of a sweep.
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
-    from orthoglide.report.folder import check_folder
 
-    check_folder(out)
     machine = opt.load_machine(machine_path, effects_file)
     with progress(quiet) as step:
         step(Step("computing", "comparing effects"))

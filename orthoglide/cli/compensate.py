@@ -71,9 +71,7 @@ def export(
     calibrated URDF with its loop closures.
     """
     from orthoglide.control import export_files
-    from orthoglide.report.folder import check_folder
 
-    check_folder(out)
     machine = opt.load_machine(machine_path, effects_file)
     if zeros_only and machine.spec.printer is not None:
         raise InputError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -13,20 +12,6 @@ from orthoglide.errors import FileError, InputError
 
 _PROGRAM, _VARIABLE = "orthoglide", "_ORTHOGLIDE_COMPLETE"
 SHELLS = ("bash", "zsh", "fish")
-
-
-def completion_option(command: Any) -> Any:
-    """``--install-completion [SHELL]``."""
-    return click.option(
-        "--install-completion",
-        is_flag=False,
-        flag_value="",
-        metavar="[SHELL]",
-        expose_value=False,
-        is_eager=True,
-        callback=_install,
-        help="Have bash, zsh or fish complete commands, options and files, and exit.",
-    )(command)
 
 
 def _install(context: click.Context, _: click.Parameter, shell: str | None) -> None:
@@ -42,6 +27,13 @@ def _install(context: click.Context, _: click.Parameter, shell: str | None) -> N
     hint = " after `fpath+=~/.zfunc; autoload -Uz compinit; compinit` in ~/.zshrc"
     say(f"{click.format_filename(path)}: completes in a new {shell}{hint * (shell == 'zsh')}")
     context.exit()
+
+
+completion_option = click.option(
+    "--install-completion", is_flag=False, flag_value="", metavar="[SHELL]", expose_value=False,
+    is_eager=True, callback=_install,
+    help="Have bash, zsh or fish complete commands, options and files, and exit.",
+)  # fmt: skip
 
 
 def install(command: click.Command, shell: str) -> Path:

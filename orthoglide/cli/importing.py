@@ -40,9 +40,7 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
     from orthoglide.klipper import import_printer
     from orthoglide.machine_file import machine_files
     from orthoglide.observations import campaign_text
-    from orthoglide.report.folder import check_folder
 
-    check_folder(out)
     found = import_printer(config, _degrees(turned))
     files: dict[str, str | bytes] = dict(machine_files(found.machine, "machine.toml"))
     for campaign in found.campaigns:

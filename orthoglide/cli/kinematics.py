@@ -56,7 +56,7 @@ def forward(**given: Any) -> None:
     Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0. Machines
     of another layout are commanded by travel from mechanical zero, there 0 0 0.
     """
-    _run(_forward, **given)
+    _run(True, **given)
 
 
 @click.command(context_settings=_NUMBERS)
@@ -66,34 +66,27 @@ def inverse(**given: Any) -> None:
 
     With a calibrated machine file these are the commands that bring the real TCP to the point.
     """
-    _run(_inverse, **given)
+    _run(False, **given)
 
 
 Fail = Callable[[str, int | None], NoReturn]
 
 
-def _forward(
-    machine: Machine, given: Array, travelled: bool, fail: Fail, seen: dict[str, Array]
+def _solved(
+    to_tcp: bool, machine: Machine, given: Array, fail: Fail, travelled: bool = False, **seen: Array
 ) -> Array:
+    """TCP of commands ``(n, 3)`` in metres, ``travelled`` where they are the controller's values;
+    or the reverse. How each drive arrives is ``seen`` where it is known.
+    """
     from orthoglide.observations.checks import check_commands
 
-    return machine.forward(check_commands(given, travelled, machine.spec, fail), **seen)
-
-
-def _inverse(
-    machine: Machine, given: Array, travelled: bool, fail: Fail, seen: dict[str, Array]
-) -> Array:
+    if to_tcp:
+        return machine.forward(check_commands(given, travelled, machine.spec, fail), **seen)
     return _within(machine, machine.inverse(given, **seen), fail)
 
 
-Solve = Callable[["Machine", "Array", bool, Fail, dict[str, "Array"]], "Array"]
-"""Takes the machine, rows ``(n, 3)`` in metres, whether they are the controller's values, and how
-each drive arrives where that is known.
-"""
-
-
 def _run(
-    solve: Solve,
+    to_tcp: bool,
     *,
     numbers: tuple[float, ...],
     machine_path: Path | None,
@@ -108,7 +101,7 @@ def _run(
         raise InputError("give either three numbers in mm, or --csv and --out")
     if table is None or out is None:
         machine = opt.load_machine(machine_path, effects_file)
-        found = solve(machine, _vector(numbers), False, _refuse, {})
+        found = _solved(to_tcp, machine, _vector(numbers), _refuse)
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
     from orthoglide.observations.columns import (
@@ -125,7 +118,7 @@ def _run(
 
     rows = read_table(table)
     machine = opt.load_machine(machine_path, effects_file)
-    if solve is _forward:
+    if to_tcp:
         names, new = command_names(rows, machine.spec), POINT
     else:
         names, new = POINT, of_commands(machine.geometry.layout.names)
@@ -135,7 +128,7 @@ def _run(
     arrives = by_leg(APPROACHED, machine.geometry.leg_names)
     known = set(arrives) <= set(rows.names)
     seen = {"approach": columns(rows, arrives, DIRECTION_OF_MOVE)} if known else {}
-    found = solve(machine, given, travelled, rows.fail, seen)
+    found = _solved(to_tcp, machine, given, rows.fail, travelled, **seen)
     if new[0].startswith("travel"):
         found = machine.spec.controller.from_rho(found, machine.geometry)
     if set(new) & set(rows.names):  # what was wanted stays beside what is found

@@ -82,10 +82,20 @@ quiet = click.option(
 )
 
 
+def _free(context: click.Context, _: Any, folder: Path | None) -> Path | None:
+    from orthoglide.report.folder import check_folder
+
+    if folder is not None and not context.resilient_parsing:
+        check_folder(folder)
+    return folder
+
+
 def out(required: bool = True, help: str = "") -> Decorator:
-    """``--out DIR`` of the commands that write a folder."""
+    """``--out DIR`` of the commands that write a new folder: refused before any work is done."""
     usual = "Folder for the results; must be new or empty."
-    return click.option("--out", type=PATH, metavar="DIR", required=required, help=help or usual)
+    return click.option(
+        "--out", type=PATH, metavar="DIR", required=required, help=help or usual, callback=_free
+    )
 
 
 out_or_nothing = out(False, "Folder for the results; nothing is written where absent.")

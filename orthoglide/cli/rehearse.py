@@ -30,8 +30,9 @@ from orthoglide.errors import InputError
               help="Processes side by side.  [default: one for every processor]")  # fmt: skip
 @click.option("--dask", metavar="ADDRESS",
               help="Scheduler of a Dask cluster that does the work instead.")  # fmt: skip
-@opt.out(required=False, help="Folder for finished campaigns and the table; a run that was "
-                                 "stopped goes on from there.")  # fmt: skip
+@click.option("--out", type=opt.PATH, metavar="DIR",
+              help="Folder for finished campaigns and the table; a run that was stopped goes on "
+                   "from there.")  # fmt: skip
 @opt.quiet
 def rehearse(
     machine_path: Path | None,

@@ -45,10 +45,6 @@ def rerun(
     Tells which of the files that were read have changed since. Exit code 0 where the numbers are
     the same, 3 where they are not.
     """
-    from orthoglide.report.folder import check_folder
-
-    if out is not None:
-        check_folder(out)
     from orthoglide.request import read_result, request_of
 
     old = read_result(result)

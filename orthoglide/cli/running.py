@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -38,6 +39,9 @@ def read_request(
     fit_tcp: Sequence[Path] = (),
     frame: Frame = "rigid",
     effects_file: Path | None = None,
+    free: tuple[str, ...] = (),
+    no_priors: bool = False,
+    reduced: bool = False,
 ) -> Request:
     """Read what the options of a command name.
 
@@ -57,8 +61,8 @@ def read_request(
     held = () if holdout is None else readings_of([holdout], machine)
     points = None if tcp is None else read_tcp(tcp, machine.spec)
     return Request(
-        command, several, machine, own, noise, seed, held, points, points=tool, frame=frame,
-        effects_file=shown(effects_file.name) if effects_file else "",
+        command, several, machine, own, noise, seed, held, points, free or Request.free,
+        not no_priors, reduced, tool, frame, shown(effects_file.name) if effects_file else "",
     )  # fmt: skip
 
 
@@ -76,26 +80,18 @@ def performed(
 
 
 def execute(
-    read: Callable[[], Request],
-    out: Path | None,
-    *,
-    quiet: bool = False,
-    as_json: bool = False,
-    ranked: bool = False,
+    command: Command, *, out: Path | None, quiet: bool, as_json: bool, **asked: Any
 ) -> None:
-    """Do what was asked, write the folder, where there is one, and say what was found; ``ranked``:
-    with all causes that were tried.
+    """Do what a command's options ask, write the folder, where there is one, and say what was
+    found, by ``diagnose`` with all causes that were tried.
     """
-    from orthoglide.report.folder import check_folder
-
-    if out is not None:
-        check_folder(out)
     with progress(quiet or as_json) as step:
+        read = partial(read_request, command, **asked)
         result, files = performed(read, step, draw=out is not None)
         from orthoglide.report import result_text, summary
         from orthoglide.report.wording import MEANINGS
 
-        told = "" if quiet or as_json else summary(result, ranked)
+        told = "" if quiet or as_json else summary(result, command == "diagnose")
         line = f"Verdict {result.word}: {MEANINGS[result.word]}."
         if as_json and out is None:
             step(Step("suggesting"))

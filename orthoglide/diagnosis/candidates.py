@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from orthoglide.effects import Catalogue, Effect
-from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
 
@@ -26,15 +23,6 @@ class Candidate:
     def size(self) -> int:
         """Number of parameters."""
         return len(self.parameters)
-
-    def columns(self, names: Sequence[str]) -> Array:
-        """Matrix ``(E, size)`` from the candidate's parameters to elementary unknowns."""
-        place = {name: k for k, name in enumerate(names)}
-        matrix = np.zeros((len(names), self.size))
-        for k, weight in enumerate(self.weights):
-            for name, value in weight.items():
-                matrix[place[name], k] = value
-        return matrix
 
 
 def candidates(

@@ -13,8 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-import numpy as np
-
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import NumericsError
 from orthoglide.fit import Change, Problem, with_free, with_others
@@ -57,9 +55,8 @@ def likeliest_changes(means: StationMeans) -> Changes | None:
         return None
     wide = _everything(problem)
     candidates = list(_candidates(wide, several))
-    start = np.zeros(len(wide.unknowns))
-    start[: len(problem.unknowns)] = means.signatures.estimate.x
     try:
+        start = wide.padded(means.signatures.estimate.x)
         found = what_changed(wide, start, candidates, means.floor)
     except NumericsError:
         return None

@@ -63,15 +63,7 @@ def _decomposed(signature: Array) -> tuple[Array, Array, float]:
     return left[:, kept], square / (square + 1), float(np.sum(np.log1p(square)))
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Two causes that act together."""
-
-    members: tuple[int, int]  # places of the candidates
-    evidence: float  # log Bayes factor of both against none, linearised
-
-
-def best_pairs(scoring: Scoring, residuals: Array) -> tuple[Pair, ...]:
+def best_pairs(scoring: Scoring, residuals: Array) -> list[tuple[float, tuple[int, int]]]:
     """The two candidates of one parameter each that explain each residual best together.
 
     Args:
@@ -79,11 +71,12 @@ def best_pairs(scoring: Scoring, residuals: Array) -> tuple[Pair, ...]:
         residuals: ``(m, h)``.
 
     Returns:
-        A pair for each residual; none where there are fewer than two such candidates.
+        For each residual the log Bayes factor of both against none, linearised, and their places
+        among the candidates; nothing where there are fewer than two such candidates.
     """
     single = [k for k, c in enumerate(scoring.candidates) if c.size == 1 and scoring.shrink[k].size]
     if len(single) < 2:
-        return ()
+        return []
     size = np.sqrt(np.expm1(scoring.occam[single]))
     columns = np.hstack([scoring.basis[k] for k in single]) * size
     gram = columns.T @ columns
@@ -97,6 +90,5 @@ def best_pairs(scoring: Scoring, residuals: Array) -> tuple[Pair, ...]:
         )
         evidence = (gain - np.log(determinant)) / 2
         best = int(np.argmax(evidence))
-        members = (single[first[best]], single[second[best]])
-        found.append(Pair(members, float(evidence[best])))
-    return tuple(found)
+        found.append((float(evidence[best]), (single[first[best]], single[second[best]])))
+    return found

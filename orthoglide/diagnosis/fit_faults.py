@@ -191,7 +191,9 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
         return []
     stations = problem.station[rows]
     sigma = problem.weighing.mean_sigma[stations]
-    square, along = (values[stations] for values in means.lone())
+    alone = np.arange(len(means.seen))
+    each = means.together(np.ones(len(alone)), alone)
+    square, along, _ = (values[stations] for values in each)
     # What the fit can imitate almost wholly is no fault that it could show.
     visible = square > _VISIBLE
     square, along = square / sigma**2, along / sigma

@@ -12,7 +12,7 @@ from orthoglide.diagnosis.commands import all_put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, campaign_of, in_order
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
-from orthoglide.fit.noise import OFF_GRID, off_grid
+from orthoglide.fit.noise import OFF_GRID, on_grid
 from orthoglide.geometry import Array
 from orthoglide.observations import Setup
 from orthoglide.units import MISTAKEN
@@ -163,15 +163,11 @@ def digits(problem: Problem, fault: Fault) -> float:
     step, rows, factor = problem.machine.spec.dial.resolution, fault.rows, fault.size
     if step <= 0 or fault.kind != "unit":
         return 0.0
-
-    def on_grid(readings: Array) -> bool:
-        return bool((off_grid(readings, step) < OFF_GRID).all())
-
     readings = problem.measured[rows]
-    if not on_grid(np.delete(problem.of_dials("reading"), rows)):
+    if not on_grid(np.delete(problem.of_dials("reading"), rows), step):
         return 0.0
     decimal = abs(np.log10(factor) - round(float(np.log10(factor)))) < 1e-9
-    if not on_grid(readings * factor) or (on_grid(readings) and factor > 1):
+    if not on_grid(readings * factor, step) or (on_grid(readings, step) and factor > 1):
         # A point put elsewhere moves the grid along; a conversion may have been rounded again.
         return -_DIGITS if decimal else 0.0
     values = len(np.unique(readings)) - 1

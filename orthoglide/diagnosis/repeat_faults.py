@@ -248,18 +248,16 @@ class Slips:
     def confirmed(self) -> list[Fault]:
         """Faults that stand beside all others found, and no smooth trend in their place."""
         scatter, found = self.scatter, self.found
-        columns = [self.columns(item) for item in found]
         last = self._past(found)
         noisy = last.chi2 > _NOISY * self.scale * max(last.dof, 1) or 2 * last.dof < scatter.dof
         outliers = sum(kind == "outlier" for kind, _ in found)
         if noisy or outliers > max(2, len(scatter.rows) // 6):
             return []  # a setup that scatters as a whole is no handful of slips
-        faults = [self._set_anew(columns[1:])] if self.zeroed else []
+        faults = [self._set_anew()] if self.zeroed else []
         for k, (kind, place) in enumerate(found):
             if kind == "trend" or kind == "anew":
                 continue
-            others = columns[:k] + columns[k + 1 :]
-            rest = scatter.without(np.hstack(others)) if others else scatter
+            rest = self._past(found[:k] + found[k + 1 :])
             gain, size = (values[place] for values in rest.gains(kind))
             step = kind == "knocked_stand"
             smooth = step and self._smooth(rest, float(gain))
@@ -269,10 +267,9 @@ class Slips:
                 faults.append(Fault(kind, rows, (scatter.setup,), float(size), evidence))
         return faults
 
-    def _set_anew(self, others: Sequence[Array]) -> Fault:
+    def _set_anew(self) -> Fault:
         """The dial set to zero anew at each repeat, beside others that were found."""
-        scatter = self.scatter
-        rest = scatter.without(np.hstack(others)) if others else scatter
+        scatter, rest = self.scatter, self._past(self.found[1:])
         sizes = tuple(np.cumsum(rest.datums).tolist())
         rows = scatter.rows[scatter.starts[0] :]
         return Fault("zeroed", rows, (scatter.setup,), evidence=self._anew_evidence, sizes=sizes)

@@ -10,6 +10,7 @@ from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.fit import Estimate, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, past, whitened
+from orthoglide.fit.problem import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
@@ -50,7 +51,7 @@ class Signatures:
 
     def scaled(self, candidate: Candidate) -> Array:
         """Elementary unknowns at tolerance for each of a candidate's parameters ``(E, size)``."""
-        matrix = candidate.columns(self.names)
+        matrix = weight_matrix(self.names, candidate.weights)
         size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
         return np.asarray(matrix * size)
 
@@ -62,8 +63,7 @@ def signatures(estimate: Estimate) -> Signatures:
     problem, nuisance = estimate.problem, estimate.nuisance
     effects = excited_effects(problem)
     wide, own = with_others(problem, [e.name for e in effects]), len(problem.unknowns)
-    x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - own)])
-    at = linearise(wide, x)
+    at = linearise(wide, wide.padded(estimate.x))
     fitted = fitted_basis(problem, nuisance, estimate.at)
     columns = whitened(nuisance.weighing, fitted, at.jacobian[:, own:])
     # What the fit leaves of the readings and of what was known before, past what it freed.

@@ -10,7 +10,7 @@ import numpy as np
 from orthoglide.diagnosis.signatures import Signatures
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import past
-from orthoglide.fit.noise import finest_of, off_grid, repeat_variance, total_variance
+from orthoglide.fit.noise import finest_of, on_grid, repeat_variance, total_variance
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
@@ -87,15 +87,11 @@ def _noise(problem: Problem, signatures: Signatures, rng: np.random.Generator, d
         places /= np.sqrt(nuisance.precision[placed])[:, None]
         noise += nuisance.columns[:, placed] @ places
     step = resolution[:dials, None]
-    if dials and (step > 0).all() and _on_grid(problem.measured[:dials], resolution[:dials]):
+    rounded = dials and (step > 0).all()
+    if rounded and on_grid(problem.measured[:dials], resolution[:dials], _BINARY):
         value, setup = signatures.estimate.at.value[:dials, None], problem.setup_of_row[:dials]
         datum = rng.uniform(0, 1, (len(problem.setups), draws))[setup] * step
         shown = np.round((value + datum + noise[:dials]) / step) * step
         noise[:dials] = shown - value - datum
         return np.asarray(noise)
     return np.asarray(noise + rng.uniform(-0.5, 0.5, (n, draws)) * resolution[:, None])
-
-
-def _on_grid(readings: Array, step: Array) -> bool:
-    """Whether readings ``(n,)`` are multiples of the steps of their dials ``(n,)``."""
-    return bool((off_grid(readings, step) < _BINARY).all())

@@ -100,13 +100,6 @@ class StationMeans:
         padded[: len(self.seen)] = (stations.T * self.seen).T
         return np.asarray(padded - self.left @ (self.right.T @ padded))
 
-    def lone(self) -> tuple[Array, Array]:
-        """Of a unit in each station's mean ``(G,)``: its square, and what of the residual it is."""
-        left, right = self.left[: len(self.seen)], self.right[: len(self.seen)]
-        square = 1 + np.einsum("gq,gq->g", right @ (self.left.T @ self.left) - 2 * left, right)
-        back = self.residual - self.right @ (self.left.T @ self.residual)
-        return self.seen * square, self.seen * back[: len(self.seen)]
-
     def together(self, values: Array, group: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """Of a column for each group of stations, all at once.
 
@@ -188,7 +181,7 @@ class StationMeans:
         for k, residual in enumerate(residuals.T):
             one = int(single[np.argmax(evidences[single, k])])
             tried: list[tuple[float, tuple[int, ...]]] = [(float(evidences[one, k]) - cost, (one,))]
-            tried += [(pairs[k].evidence - 2 * cost, pairs[k].members)] if pairs else []
+            tried += [(both - 2 * cost, members) for both, members in pairs[k : k + 1]]
             best, places = max([(0.0, ()), *tried])
             chi2 = float(residual @ residual)
             columns = [self.signatures.of(self.signatures.candidates[p]) for p in places]

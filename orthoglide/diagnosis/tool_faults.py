@@ -44,13 +44,10 @@ def check_repeats(estimate: Estimate) -> None:
     """
     problem, own = estimate.problem, estimate.problem.machine.spec.instruments
     found: list[str] = []
-    for k, factor in enumerate(problem.factors):
-        if isinstance(factor, ToolReadings):
-            left = estimate.residuals[problem.factor_rows[k]]
-            for setup, mounted in enumerate(factor.points.setups):
-                instrument = own.get(mounted.kind, Instrument())
-                check = _Setup(factor, setup, estimate.at.slopes[k], left, instrument)
-                found += check.fault()
+    for k, factor, setup, mounted in problem.mounted:
+        left, instrument = estimate.residuals[problem.factor_rows[k]], own.get(mounted.kind)
+        check = _Setup(factor, setup, estimate.at.slopes[k], left, instrument or Instrument())
+        found += check.fault()
     if found:
         raise InputError("; ".join(found))
 

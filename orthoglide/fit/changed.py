@@ -13,10 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
 from orthoglide.fit.change_search import Found, Hypotheses
 from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
-from orthoglide.fit.problem import Problem
+from orthoglide.fit.problem import Problem, weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 
@@ -131,11 +130,7 @@ def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate])
         jacobian: of its readings ``(n, P)``.
         candidates: what may have changed.
     """
-    place = {name: k for k, name in enumerate(problem.names)}
-    weights = np.zeros((len(place), len(candidates)))
-    for k, candidate in enumerate(candidates):
-        for name, weight in candidate.weights.items():
-            weights[place[name], k] = weight
+    weights = weight_matrix(problem.names, [c.weights for c in candidates])
     since = np.array([c.since for c in candidates], dtype=np.intp)
     return np.asarray(jacobian @ weights * (np.arange(len(jacobian))[:, None] >= since))
 
@@ -182,11 +177,14 @@ class Linear:
         across = self._whitened(np.column_stack([self.columns, self.residual]))
         inner = self.columns.T @ self.columns - across[:, :-1].T @ across[:, :-1]
         met = self.columns.T @ self.residual - across[:, :-1].T @ across[:, -1]
-        catalogue, names = self.problem.machine.catalogue, [c.parameter for c in self.candidates]
+        of = self.problem.machine.catalogue.effect_of
+        # A zero is entered in a minute, and nothing else of the machine changes as often.
+        zero = [of(c.parameter).controller == "zero" for c in self.candidates]
+        cost = _ODDS + np.where(zero, 0.0, np.log(max(len(zero), 1)))
         taken = len(self._inner) - float(np.sum(np.linalg.inv(self._inner) ** 2))
         dof = max(float(len(self.problem.measured) - self.nuisance.free) - taken, 1.0)
         chi2 = self._chi2(self.residual)
-        return Hypotheses(inner, met, _costs(names, catalogue), chi2, dof, self.floor)
+        return Hypotheses(inner, met, cost, chi2, dof, self.floor)
 
     def evidence(self, change: Array) -> float:
         """Log likelihood of readings that are wrong by some ``(n,)``, metres, where nothing
@@ -212,13 +210,6 @@ class Linear:
     def _inner(self) -> Array:
         inside = np.eye(self.open_to.shape[1]) + self.open_to.T @ self.open_to
         return np.asarray(np.linalg.cholesky(inside))
-
-
-def _costs(names: Sequence[Parameter], catalogue: Catalogue) -> Array:
-    """Log odds against a change of each of some parameters ``(c,)``, before the readings."""
-    # A zero is entered in a minute, and nothing else of the machine changes as often.
-    zero = [catalogue.effect_of(name).controller == "zero" for name in names]
-    return _ODDS + np.where(zero, 0.0, np.log(max(len(names), 1)))
 
 
 def _with_changes(problem: Problem, candidates: Sequence[Candidate], sizes: Array) -> Problem:

@@ -12,7 +12,7 @@ from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import CrossCheckError
 from orthoglide.fit.least_squares import Linearised, Nuisances
-from orthoglide.fit.problem import Problem
+from orthoglide.fit.problem import Problem, weight_matrix
 from orthoglide.geometry import Array
 
 AGREEMENT = 1e-9
@@ -66,11 +66,7 @@ def reduction_fit(
     command, leg, axis, gauge, sign = (column[chosen] for column in _dials(problem))
     maps = np.zeros((len(campaigns), 6, len(problem.unknowns) + 1))
     for k in range(len(campaigns)):
-        names, matrix = problem.elementary(k)
-        for name, weights in zip(names, matrix, strict=True):
-            maps[k, _SIX.index(name), :-1] += weights
-        for name, value in problem.held[k].items():
-            maps[k, _SIX.index(name), -1] += value
+        maps[k, :, :-1], maps[k, :, -1] = _six(problem, k)
     free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
     # The last parameter is held at one: it carries what the machine file already says.
     return reduction.fit_readings(
@@ -91,6 +87,12 @@ def reduction_fit(
         geometry=problem.machine.geometry,
         linear=linear,
     )
+
+
+def _six(problem: Problem, campaign: int) -> tuple[Array, Array]:
+    """The reduction's six for a campaign: by the unknowns ``(6, P)``, and as held ``(6,)``."""
+    held = np.array([problem.held[campaign].get(name, 0.0) for name in _SIX])
+    return weight_matrix(_SIX, [u.parts[campaign] for u in problem.unknowns]), held
 
 
 def _dials(problem: Problem) -> list[Any]:
@@ -149,11 +151,8 @@ def _second_order_bound(problem: Problem, nuisance: Nuisances, at: Linearised) -
     by_x = np.zeros((len(sign), len(x)))
     constant = np.zeros(len(sign))
     for k, part in enumerate(problem.rows):
-        names, matrix = problem.elementary(k)
-        columns = [_SIX.index(name) for name in names]
-        by_x[part] = by_six[part][:, columns] @ matrix
-        held = [problem.held[k].get(name, 0.0) for name in _SIX]
-        constant[part] = by_six[part] @ np.array(held)
+        by_unknowns, held = _six(problem, k)
+        by_x[part], constant[part] = by_six[part] @ by_unknowns, by_six[part] @ held
     prior = np.diag(1 / problem.prior_sd)
     jacobian = np.vstack([nuisance.project(by_x), prior])[:, ~problem.on_bound(x)]
     remainder = nuisance.project(value - by_x @ x - constant)

@@ -23,7 +23,7 @@ from orthoglide.fit.least_squares import (
     normal,
     nuisances,
 )
-from orthoglide.fit.noise import OFF_GRID, off_grid
+from orthoglide.fit.noise import OFF_GRID, off_grid, on_grid
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import solve
 from orthoglide.fit.unknowns import with_free
@@ -55,7 +55,7 @@ def check_units(campaigns: Sequence[Campaign], dial: Dial) -> None:
             continue
         for factor, meant, taken in ((1 / INCH, "millimetres", "inches"),
                                      (INCH, "inches", "millimetres")):  # fmt: skip
-            if (off_grid(shown * factor, step) < OFF_GRID).all():
+            if on_grid(shown * factor, step):
                 raise InputError(
                     f"{source(campaign)}: the readings are multiples of the dial's step of "
                     f"{dial.resolution * 1e3:g} mm only once they are multiplied by {factor:.4g}: "

@@ -23,7 +23,6 @@ from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.unknowns import one_plate, with_free
-from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.parameters import Parameter
@@ -54,7 +53,7 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
     method = "nested" if method == "auto" else method
     left = known.without(gone)
     free = _let_go(first, left, gone)
-    now = solve(free, method=method, start=_padded(estimate.x, free))
+    now = solve(free, method=method, start=free.padded(estimate.x))
     return replace(now, changes=tuple(_changes(known, left, now, found)))
 
 
@@ -75,12 +74,7 @@ def _changed(estimate: Estimate, known: Posterior, bent: float) -> Changed | Non
     candidates = list(_candidates(wide, first, known))
     if not candidates:
         return None
-    return what_changed(wide, _padded(estimate.x, wide), candidates)
-
-
-def _padded(x: Array, problem: Problem) -> Array:
-    """Unknowns with those of a wider problem behind them, at nothing."""
-    return np.pad(x, (0, len(problem.unknowns) - len(x)))
+    return what_changed(wide, wide.padded(estimate.x), candidates)
 
 
 def _beside_plates(problem: Problem, bent: float) -> Problem:

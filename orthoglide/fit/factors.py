@@ -235,11 +235,8 @@ class TcpReadings:
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
         """Coordinates; the slopes are the point itself ``(n, 3)``."""
-        machine = [n for n in names if not model.catalogue.effect_of(n).of_dial]
-        out, by_name = model.sensitivities(values, self.conditions(), machine)
-        jacobian = np.zeros((len(self.measured), len(names)))
-        columns = [k for k, n in enumerate(names) if n in set(machine)]
-        jacobian[:, columns] = by_name[:, :3][self.known]
+        out, by_name = model.sensitivities(values, self.conditions(), names)
+        jacobian = np.asarray(by_name[:, :3][self.known])
         return LinearRows(np.asarray(out.p[self.known]), jacobian, out.p[self.point])
 
     def by_joints(self, model: Model, values: Mapping[str, float]) -> ByJoints:

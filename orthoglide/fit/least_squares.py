@@ -182,14 +182,10 @@ def normal(problem: Problem, at: Linearised, nuisance: Nuisances) -> Normal:
 
 def known_rows(problem: Problem, nuisance: Nuisances) -> Array:
     """Rows of what is known before, of unknowns and nuisances ``(q + k, P + k)``."""
+    from scipy.linalg import block_diag
+
     matrix, _ = problem.prior_rows
-    own = nuisance.augmented[len(problem.measured) :]
-    return np.vstack(
-        [
-            np.hstack([matrix, np.zeros((len(matrix), nuisance.count))]),
-            np.hstack([np.zeros((nuisance.count, matrix.shape[1])), own]),
-        ]
-    )
+    return np.asarray(block_diag(matrix, nuisance.augmented[len(problem.measured) :]))
 
 
 def fitted_basis(problem: Problem, nuisance: Nuisances, at: Linearised) -> Array:

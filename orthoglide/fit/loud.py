@@ -109,10 +109,7 @@ def _is_loud(several: Sequence[_Repeats], chance: float = _CHANCE, times: float 
 
 def _size(several: Sequence[_Repeats]) -> str:
     """Standard deviation of one reading but for its rounding, millimetres."""
-    squares = [
-        len(one.apart) * float(total_variance(np.mean(one.apart**2) / 2, one.step))
-        - len(one.apart) * one.step**2 / 12
-        for one in several
-    ]
-    mean = sum(squares) / sum(len(one.apart) for one in several)
+    count, step = [len(one.apart) for one in several], np.array([one.step for one in several])
+    total = [total_variance(np.mean(one.apart**2) / 2, one.step) for one in several]
+    mean = float(np.average(total - step**2 / 12, weights=count))
     return compact(np.sqrt(max(mean, 0.0)) * 1e3, 2)

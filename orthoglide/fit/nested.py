@@ -6,6 +6,8 @@ so that time and memory grow linearly with the number of postures.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -98,13 +100,9 @@ def _search(problem: Problem, nuisance: Nuisances, here: Normal, step: Array) ->
     factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
     for _ in range(30):
         x = np.clip(here.x + factor * step, -problem.bound, problem.bound)
-        try:
+        with suppress(ClosureError):
             residual = nuisance.project(problem.measured - predict(problem, x))
-        except ClosureError:
-            factor /= 2
-            continue
-        cost = float(residual @ residual) + here.prior_chi2(x)
-        if cost <= here.cost * (1 + 1e-12):
-            return x
+            if float(residual @ residual) + here.prior_chi2(x) <= here.cost * (1 + 1e-12):
+                return x
         factor /= 2
     return np.asarray(np.clip(here.x + factor * step, -problem.bound, problem.bound))

@@ -215,11 +215,7 @@ def _coarser(apart: Array, step: float) -> float:
     """
     for larger in sorted((*_GRIDS, *_INCHES)):
         few = larger <= step or (step / larger) ** len(apart) >= _CHANCE
-        if (
-            not few
-            and np.abs(apart).min() > larger / 2
-            and (off_grid(apart, larger) < _EXACT).all()
-        ):
+        if not few and np.abs(apart).min() > larger / 2 and on_grid(apart, larger, _EXACT):
             step = larger
     return step
 
@@ -245,12 +241,17 @@ def off_grid(readings: Array, step: float | Array) -> Array:
     return np.abs(readings / step - np.round(readings / step))
 
 
+def on_grid(readings: Array, step: float | Array, miss: float = OFF_GRID) -> bool:
+    """Whether readings ``(n,)`` are multiples of their dials' steps, but for less than ``miss``."""
+    return bool((off_grid(readings, step) < miss).all())
+
+
 def shown_step(readings: Array) -> float:
     """The step that readings ``(n,)`` are multiples of, metres or radians; 0 where there is none,
     or they are too few to tell.
     """
     for step in _GRIDS if len(readings) >= _FEWEST_ON_GRID else ():
-        if (off_grid(readings, step) < _EXACT).all() and np.ptp(readings) > step / 2:
+        if on_grid(readings, step, _EXACT) and np.ptp(readings) > step / 2:
             return step
     return 0.0
 

@@ -159,74 +159,63 @@ def off_step(problem: Problem) -> Iterator[Note]:
 
 def louder(estimate: Estimate) -> Iterator[Note]:
     """Instruments whose repeats, or whose plate, have them count as far noisier than their kind."""
-    for factor in estimate.problem.points:
-        if not isinstance(factor, ToolReadings):
-            continue
-        for k, setup in enumerate(factor.points.setups):
-            size, kind = factor.loudness(k)
-            if size > _ABOUT * LOUD * kind:
-                plate = ", or the plate's roughness," if setup.instrument.touches else ""
-                turned = _TURNED if setup.instrument.touches else ""
+    for _, factor, k, setup in estimate.problem.mounted:
+        size, kind = factor.loudness(k)
+        if size > _ABOUT * LOUD * kind:
+            plate = ", or the plate's roughness," if setup.instrument.touches else ""
+            turned = _TURNED if setup.instrument.touches else ""
+            yield Note(
+                f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
+                f"count as good to {compact(size * 1e3, 2)} {setup.instrument.unit}, "
+                f"{compact(size / kind, 2)} "
+                f"times worse than is usual: smaller errors are not seen; something that moved "
+                f"half way looks like this too, so read some places again at the end{turned}",
+                "loud",
+            )
+            if not factor.sided(k):
                 yield Note(
-                    f"{source(factor.points)}, setup {setup.name!r}: repeats{plate} have a reading "
-                    f"count as good to {compact(size * 1e3, 2)} {setup.instrument.unit}, "
-                    f"{compact(size / kind, 2)} "
-                    f"times worse than is usual: smaller errors are not seen; something that moved "
-                    f"half way looks like this too, so read some places again at the end{turned}",
-                    "loud",
+                    f"{source(factor.points)}, setup {setup.name!r}: {SIDES_UNTOLD}, so lost "
+                    f"motion passes for the noise of its repeats: {TELL_SIDES}",
+                    "side",
                 )
-                if not factor.sided(k):
-                    yield Note(
-                        f"{source(factor.points)}, setup {setup.name!r}: {SIDES_UNTOLD}, so lost "
-                        f"motion passes for the noise of its repeats: {TELL_SIDES}",
-                        "side",
-                    )
 
 
 def askew(problem: Problem) -> Iterator[Note]:
     """Dials at the tool that point beside their direction, by more than one is held askew."""
-    for factor in problem.points:
-        if not isinstance(factor, ToolReadings):
+    for _, factor, k, setup in problem.mounted:
+        axis = factor.points.axis[factor.setup == k]
+        sd = setup.instrument.turn_sd(axis)
+        if not 0 < sd < np.inf:
             continue
-        for k, setup in enumerate(factor.points.setups):
-            axis = factor.points.axis[factor.setup == k]
-            sd = setup.instrument.turn_sd(axis)
-            if not 0 < sd < np.inf:
-                continue
-            along = factor.turn[k][axis[0]]
-            angle = float(np.arccos(np.clip(along[axis[0]], -1.0, 1.0)))
-            if angle > _ASKEW * sd:
-                yield Note(
-                    f"{source(factor.points)}, setup {setup.name!r}: by its readings it points "
-                    f"{np.rad2deg(angle):.1f} degrees beside {LEGS[axis[0]]} (along "
-                    f"{', '.join(f'{v:.3f}' for v in along)}), and is taken so: look how it is "
-                    f"held, and whether the direction in the file is right",
-                    "askew",
-                )
+        along = factor.turn[k][axis[0]]
+        angle = float(np.arccos(np.clip(along[axis[0]], -1.0, 1.0)))
+        if angle > _ASKEW * sd:
+            yield Note(
+                f"{source(factor.points)}, setup {setup.name!r}: by its readings it points "
+                f"{np.rad2deg(angle):.1f} degrees beside {LEGS[axis[0]]} (along "
+                f"{', '.join(f'{v:.3f}' for v in along)}), and is taken so: look how it is "
+                f"held, and whether the direction in the file is right",
+                "askew",
+            )
 
 
 def mirrored(estimate: Estimate) -> Iterator[Note]:
     """Balls beside the one plane of all places about them, which could be on its other side."""
-    problem = estimate.problem
-    for k, factor in enumerate(problem.points, len(problem.campaigns)):
-        if not isinstance(factor, ToolReadings):
+    for k, factor, j, setup in estimate.problem.mounted:
+        p, rows = estimate.at.slopes[k][:, :3], factor.setup == j
+        if not setup.instrument.about_ball or (across := plane_of(p[rows])) is None:
             continue
-        p = estimate.at.slopes[k][:, :3]
         ball = factor.mounting_at(p).ball
-        for j, setup in enumerate(factor.points.setups):
-            rows = factor.setup == j
-            if not setup.instrument.about_ball or (across := plane_of(p[rows])) is None:
-                continue
-            size = float(np.sqrt(np.mean((p[rows] - p[rows].mean(axis=0)) ** 2)))
-            beside = float(abs((ball[rows] - p[rows]).mean(axis=0) @ across))
-            if beside > _BESIDE * size:
-                yield Note(
-                    f"{source(factor.points)}, setup {setup.name!r}: its places lie in one plane, "
-                    f"and the ball {compact(beside * 1e3, 2)} mm beside it; on which side no "
-                    f"reading says, below was taken: on the other one, what is told of the "
-                    f"machine across that plane has the other sign; read places out of it as well",
-                    "mirrored",
-                )
+        size = float(np.sqrt(np.mean((p[rows] - p[rows].mean(axis=0)) ** 2)))
+        beside = float(abs((ball[rows] - p[rows]).mean(axis=0) @ across))
+        if beside > _BESIDE * size:
+            yield Note(
+                f"{source(factor.points)}, setup {setup.name!r}: its places lie in one plane, "
+                f"and the ball {compact(beside * 1e3, 2)} mm beside it; on which side no "
+                f"reading says, below was taken: on the other one, what is told of the "
+                f"machine across that plane has the other sign; read places out of it as well",
+                "mirrored",
+            )
 
 
 def slips(estimate: Estimate) -> Iterator[Note]:

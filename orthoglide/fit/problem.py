@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -19,7 +19,7 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
 from orthoglide.numerals import ByUnit
-from orthoglide.observations import Campaign, Setup, ToolCampaign
+from orthoglide.observations import Campaign, Setup, ToolCampaign, ToolSetup
 from orthoglide.observations.arrays import numbered
 from orthoglide.parameters import Parameter
 
@@ -48,6 +48,16 @@ class Unknown:
     start: float  # SI
     bound: float  # the value stays within plus and minus this, SI
     width: float = 1.0  # how many tolerances wide its prior is
+
+
+def weight_matrix(names: Sequence[str], several: Sequence[Mapping[Any, float]]) -> Array:
+    """Weights of parameters in each of several that stand for some of them ``(E, P)``."""
+    place = {name: k for k, name in enumerate(names)}
+    matrix = np.zeros((len(names), len(several)))
+    for k, weights in enumerate(several):
+        for name, weight in weights.items():
+            matrix[place[name], k] = weight
+    return matrix
 
 
 def rows_about(
@@ -121,6 +131,20 @@ class Problem:
     def tool_campaigns(self) -> tuple[ToolCampaign, ...]:
         """Readings of the tool but TCP points."""
         return tuple(p.points for p in self.points if isinstance(p.points, ToolCampaign))
+
+    def padded(self, x: Array) -> Array:
+        """Unknowns ``x`` of a problem that this one extends, its further ones at nothing behind."""
+        return np.pad(x, (0, len(self.unknowns) - len(x)))
+
+    @property
+    def mounted(self) -> Iterator[tuple[int, ToolReadings, int, ToolSetup]]:
+        """Setups of the tool's instruments: place of the factor, itself, number of the setup in it,
+        and the setup.
+        """
+        for k, factor in enumerate(self.factors):
+            if isinstance(factor, ToolReadings):
+                for number, setup in enumerate(factor.points.setups):
+                    yield k, factor, number, setup
 
     @property
     def names(self) -> tuple[Parameter, ...]:
@@ -266,13 +290,9 @@ class Problem:
 
     def elementary(self, factor: int) -> tuple[tuple[str, ...], Array]:
         """Parameters that the unknowns set for a factor, and the matrix ``(E, P)`` to them."""
-        names = tuple(dict.fromkeys(n for u in self.unknowns for n in u.parts[factor]))
-        matrix = np.zeros((len(names), len(self.unknowns)))
-        place = {name: k for k, name in enumerate(names)}
-        for k, unknown in enumerate(self.unknowns):
-            for name, weight in unknown.parts[factor].items():
-                matrix[place[name], k] = weight
-        return names, matrix
+        parts = [u.parts[factor] for u in self.unknowns]
+        names = tuple(dict.fromkeys(n for weights in parts for n in weights))
+        return names, weight_matrix(names, parts)
 
     def values(self, factor: int, x: Array) -> dict[str, float]:
         """All parameters of a factor's machine and dials at the unknowns ``x`` ``(P,)``, SI."""

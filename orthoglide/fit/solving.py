@@ -12,6 +12,7 @@ from orthoglide.fit.crosscheck import CrossCheck, cross_check, reduction_fit
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.least_squares import (
     Linearised,
+    Normal,
     Nuisances,
     covariance,
     linearise,
@@ -119,13 +120,15 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     first = linearise(problem, begin)
     # Slopes at a first Gauss-Newton step: nearer to the fitted machine than the nominal one.
     nuisance = nuisances(problem, first.slopes)
-    _determined(problem, first, nuisance)
-    near = linearise(problem, _one_step(problem, first, nuisance))
-    if start is not None and _cost(problem, near, nuisance) > _cost(problem, first, nuisance):
+    began = normal(problem, first, nuisance)
+    _determined(problem, began)
+    near = linearise(problem, _one_step(problem, began))
+    if start is not None and normal(problem, near, nuisance).cost > began.cost:
         near = first  # from a fit nearby the step went too far
     nuisance = nuisances(problem, near.slopes)
-    at, iterations, used = _solved(problem, nuisance, first, near, method)
-    optimality = _verified(problem, nuisance, at, first)
+    began = normal(problem, first, nuisance)
+    at, iterations, used = _solved(problem, nuisance, began, near, method)
+    optimality = _verified(problem, nuisance, at, began)
     check = cross_check(problem, nuisance, at)
     return assessed(problem, nuisance, at, used, iterations, optimality, check)
 
@@ -148,21 +151,15 @@ def _begin(problem: Problem, method: Method) -> Array:
         return problem.start
 
 
-def _one_step(problem: Problem, first: Linearised, nuisance: Nuisances) -> Array:
-    here = normal(problem, first, nuisance)
+def _one_step(problem: Problem, here: Normal) -> Array:
     known = np.vstack([here.prior, np.diag(1 / problem.tolerance)])
     spread, _ = covariance(here.jacobian, known)
     step = spread @ -here.gradient
-    return np.asarray(np.clip(first.x + step, -problem.bound, problem.bound))
+    return np.asarray(np.clip(here.x + step, -problem.bound, problem.bound))
 
 
-def _cost(problem: Problem, at: Linearised, nuisance: Nuisances) -> float:
-    return normal(problem, at, nuisance).cost
-
-
-def _determined(problem: Problem, first: Linearised, nuisance: Nuisances) -> None:
+def _determined(problem: Problem, here: Normal) -> None:
     """Refuse what these readings cannot determine."""
-    here = normal(problem, first, nuisance)
     _, unseen = covariance(here.jacobian, here.prior)
     if len(unseen):
         found = _undetermined(problem.names, here.jacobian, unseen)
@@ -190,9 +187,9 @@ def _undetermined(
 
 
 def _solved(
-    problem: Problem, nuisance: Nuisances, first: Linearised, near: Linearised, method: Method
+    problem: Problem, nuisance: Nuisances, began: Normal, near: Linearised, method: Method
 ) -> tuple[Linearised, int, str]:
-    """Where a method ends, linearised by ourselves; ``near`` is one step on from ``first``."""
+    """Where a method ends, linearised by ourselves; ``near`` is one step on from ``began``."""
     if method == "reduction":
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
@@ -209,10 +206,9 @@ def _solved(
         return at, steps + 1, "nested"
     from orthoglide.fit.nlp import Nlp
 
-    here = normal(problem, first, nuisance)
-    programme = Nlp(problem, nuisance, 1 / np.sqrt(np.diag(here.information)))
-    joints = programme.start_joints(problem, first.x)
-    result = programme.solve(problem.measured, first.x, joints)
+    programme = Nlp(problem, nuisance, 1 / np.sqrt(np.diag(began.information)))
+    joints = programme.start_joints(problem, began.x)
+    result = programme.solve(problem.measured, began.x, joints)
     return linearise(problem, result.x), result.iterations, "nlp"
 
 
@@ -229,14 +225,13 @@ def _reduced(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
         x, held = np.clip(x, -problem.bound, problem.bound), held | beyond
 
 
-def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, first: Linearised) -> float:
+def _verified(problem: Problem, nuisance: Nuisances, at: Linearised, began: Normal) -> float:
     """Our own word on the solver's success: loops closed, no better than where it began, settled.
 
     The linearisation has closed every posture by itself, or raised. What is left of a Gauss-Newton
     step is measured in sigmas; unknowns on a bound cannot move further.
     """
     here = normal(problem, at, nuisance)
-    began = normal(problem, first, nuisance)
     if not here.cost <= began.cost * (1 + 1e-9) + 1e-9:
         raise SolverError(
             "the solver ended with a worse fit than it started from",

@@ -190,16 +190,12 @@ class ToolReadings(OfFile):
     ) -> LinearRows:
         """Readings; the slopes are the place that is read and the reading itself ``(n, 4)``."""
         catalogue = model.catalogue
-        machine = [n for n in names if not catalogue.effect_of(n).of_dial]
-        out, by_name = model.sensitivities(values, self.conditions(), machine)
-        n = len(self.points)
-        jacobian = np.zeros((n, len(names)))
-        of_machine = [k for k, name in enumerate(names) if name in set(machine)]
+        out, by_name = model.sensitivities(values, self.conditions(), names)
         pose = self._pose(out.p, out.R)
         mounting = self.mounting_at(pose.p)
-        jacobian[:, of_machine] = self._derivative(pose, mounting, by_name[:, :12])
+        jacobian = self._derivative(pose, mounting, by_name[:, :12])
         for k, name in enumerate(names):
-            if k not in of_machine:
+            if catalogue.effect_of(name).of_dial:
                 jacobian[:, k] = self._shape(catalogue, {name: 1.0})
         value = self._value(pose, mounting, self._shape(catalogue, values))
         return LinearRows(value, jacobian, np.column_stack([pose.p, value]))

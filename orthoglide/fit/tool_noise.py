@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -30,11 +30,8 @@ def shown_sigma(
     """Noise of each reading ``(n,)``: declared, or as repeats and rough plates show it; and by how
     much touches stray that no repeat speaks of.
     """
-    found, stray = np.empty(len(campaign)), np.zeros(len(campaign))
-    for kind in dict.fromkeys(campaign.kind):
-        rows = campaign.of_kind(kind)
-        part, own = campaign.subset(rows), instruments.get(kind, Instrument())
-        found[rows] = _level(kind, own, step_of(part, own), _of_repeats(part))
+    found = _by_kind(campaign, instruments, step_of, _of_repeats)
+    stray = np.zeros(len(campaign))
     for k, setup in enumerate(campaign.setups):
         if setup.instrument.touches:
             rows = campaign.setup == k
@@ -50,30 +47,30 @@ def usual_sigma(
     campaign: ToolCampaign, instruments: Mapping[str, Instrument], noise: float | None
 ) -> Array:
     """What such instruments scatter by ``(n,)``, with the rounding that readings show."""
-    if noise:
-        return np.full(len(campaign), noise)
-    found = np.empty(len(campaign))
-    for kind in dict.fromkeys(campaign.kind):
-        rows, own = campaign.of_kind(kind), instruments.get(kind, Instrument())
-        found[rows] = _level(kind, own, step_of(campaign.subset(rows), own))
-    return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
+    return np.full(len(campaign), noise) if noise else _by_kind(campaign, instruments, step_of)
 
 
 def expected_sigma(campaign: ToolCampaign, instruments: Mapping[str, Instrument]) -> Array:
     """Noise to reckon with before anything is read ``(n,)``: declared, or of the instruments."""
+    return _by_kind(campaign, instruments, lambda _, own: own.resolution or 0.0)
+
+
+def _by_kind(
+    campaign: ToolCampaign,
+    instruments: Mapping[str, Instrument],
+    step: Callable[[ToolCampaign, Instrument], float],
+    repeats: Callable[[ToolCampaign], float] = lambda _: 0.0,
+) -> Array:
+    """Noise of each reading ``(n,)``: declared, or of its kind: of its instrument, else of repeats
+    where there are enough, else usual; and its rounding.
+    """
     found = np.empty(len(campaign))
     for kind in dict.fromkeys(campaign.kind):
-        own = instruments.get(kind, Instrument())
-        found[campaign.of_kind(kind)] = _level(kind, own, own.resolution or 0.0)
+        rows, own = campaign.of_kind(kind), instruments.get(kind, Instrument())
+        part = campaign.subset(rows)
+        level = own.repeatability or repeats(part) or INSTRUMENTS[kind].repeatability
+        found[rows] = np.hypot(level, step(part, own) / np.sqrt(12))
     return np.where(np.isfinite(campaign.sigma), campaign.sigma, found)
-
-
-def _level(kind: str, own: Instrument, step: float, repeats: float = 0.0) -> float:
-    """Noise of a kind: of its instrument, else of repeats where there are enough, else usual; and
-    its rounding.
-    """
-    level = own.repeatability or repeats or INSTRUMENTS[kind].repeatability
-    return float(np.hypot(level, step / np.sqrt(12)))
 
 
 def step_of(part: ToolCampaign, own: Instrument) -> float:

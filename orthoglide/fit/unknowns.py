@@ -125,10 +125,7 @@ def build_problem(
     _check_own(machine.catalogue, own, nothing.factors)
     unknowns = build_unknowns(machine, nothing.factors, free, own)
     if bounds:
-        keys = [k for u in unknowns for k in _bound_keys(u)]
-        for key in bounds:
-            check_word("free parameter", key, dict.fromkeys(keys))
-        unknowns = tuple(replace(u, bound=_bound(u, bounds)) for u in unknowns)
+        unknowns = _bounded(unknowns, bounds)
     every = tuple(machine.values for _ in nothing.factors)
     return replace(nothing, unknowns=unknowns, held=_without(every, unknowns))
 
@@ -207,15 +204,13 @@ def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Facto
         _expanded(catalogue, [plain], sources)
 
 
-def _bound_keys(unknown: Unknown) -> tuple[str, ...]:
-    """What a bound may call it, the nearest first."""
-    return unknown.name, unknown.name.plain, unknown.name.effect
-
-
-def _bound(unknown: Unknown, bounds: Mapping[str, float]) -> float:
-    for key in _bound_keys(unknown):
-        if key in bounds:
-            if not bounds[key] > 0:
-                raise InputError(f"the bound of {key} must be a positive number")
-            return float(bounds[key])
-    return unknown.bound
+def _bounded(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:
+    """Unknowns with bounds of their own, each by the nearest of its names that has one."""
+    names = [(u.name, u.name.plain, u.name.effect) for u in unknowns]
+    for key, bound in bounds.items():
+        check_word("free parameter", key, dict.fromkeys(n for own in names for n in own))
+        if not bound > 0:
+            raise InputError(f"the bound of {key} must be a positive number")
+    nearest = [[float(bounds[n]) for n in own if n in bounds] for own in names]
+    each = zip(unknowns, nearest, strict=True)
+    return tuple(replace(u, bound=own[0]) if own else u for u, own in each)

@@ -62,9 +62,7 @@ def weak_directions(
     # Rows of zeros let fewer readings than unknowns span all directions.
     padded = np.vstack([jacobian / seen, np.zeros((len(names), len(names)))])
     _, singular, right = np.linalg.svd(padded, full_matrices=False)
-    values = np.zeros(len(names))
-    values[: len(singular)] = singular
-    weak = values < _WEAK
+    weak = singular < _WEAK
     if not weak.any():
         return ()
     # Back in SI, then the sparsest basis of the weak space, so that legs stand apart.
@@ -102,10 +100,9 @@ def _named(problem: Problem, direction: Array, sigma: float, with_priors: float)
         for k, name in enumerate(names)
         if abs(direction[k]) >= _SHARE * abs(direction[largest])
     }
-    ordered = dict(sorted(shares.items(), key=lambda item: names.index(item[0])))
-    sign = np.sign(next(iter(ordered.values())))
+    sign = np.sign(next(iter(shares.values())))
     return WeakDirection(
-        {n: float(sign * v) for n, v in ordered.items()},
+        {n: float(sign * v) for n, v in shares.items()},
         sigma / unit.si,
         with_priors / unit.si,
         unit.name,

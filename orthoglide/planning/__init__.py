@@ -5,15 +5,12 @@ from orthoglide.planning.designs import (
     design as design,
 )
 from orthoglide.planning.detectable import (
-    Detectability as Detectability,
     SmallestEffect as SmallestEffect,
     smallest_effects as smallest_effects,
 )
+from orthoglide.planning.instruments import deciding_instruments as deciding_instruments
 from orthoglide.planning.linear import foreseen as foreseen
-from orthoglide.planning.observability import (
-    Observability as Observability,
-    observability as observability,
-)
+from orthoglide.planning.observability import observability as observability
 from orthoglide.planning.owning import (
     TAKEN_BY as TAKEN_BY,
     Owned as Owned,
@@ -29,12 +26,8 @@ from orthoglide.planning.repeats import (
 from orthoglide.planning.rivals import pairs_within as pairs_within
 from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,
-    deciding_instruments as deciding_instruments,
     next_measurements as next_measurements,
     next_sheet as next_sheet,
 )
-from orthoglide.planning.tolerances import (
-    NeededTolerances as NeededTolerances,
-    needed_tolerances as needed_tolerances,
-)
+from orthoglide.planning.tolerances import needed_tolerances as needed_tolerances
 from orthoglide.planning.tracing import repeating as repeating, tracing as tracing

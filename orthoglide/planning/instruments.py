@@ -26,6 +26,7 @@ from orthoglide.numerals import compact
 from orthoglide.parameters import plain_and_campaign
 from orthoglide.planning.criteria import EffectSeparation
 from orthoglide.planning.owning import tool_sheet
+from orthoglide.planning.suggestions import Suggestion
 from orthoglide.posterior import Cause, Explanation, FullPosterior
 
 _TELLS = 3.0
@@ -73,9 +74,9 @@ def _weight(pair: Pair) -> float:
     return pair[0].probability * pair[1].probability
 
 
-def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, str, float], ...]:
-    """What would tell rivals of some causes apart: in words, with what it tells, and the most
-    sigmas between two of them.
+def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
+    """Instruments at the tool that would decide between rivals of the causes found, where no dial
+    is set on the legs, with the most sigmas between two of them.
 
     First stands what decides between the likeliest: the sum of the products of the probabilities
     of any two that it tells apart is the largest. They are known to a tenth or so: of those alike
@@ -89,15 +90,7 @@ def deciding(known: FullPosterior, causes: Sequence[Cause]) -> tuple[tuple[str, 
         Decision(i, _apart(known, i.problem, pairs)) for i in _instruments(known.after.problem)
     ]
     several.sort(key=lambda one: -round(one.probability, 1))  # of alike ones what needs least
-    return tuple(
-        (
-            f"{one.proposal.brief}{one.proposal.how}{one.proposal.sheet}",
-            _sentence(one, causes, several),
-            max(one.apart.values()),
-        )
-        for one in several
-        if one.probability > 0
-    )
+    return tuple(_suggested(one, causes, several) for one in several if one.probability > 0)
 
 
 # -- what could be read ----------------------------------------------------------------------------
@@ -107,9 +100,7 @@ def _instruments(problem: Problem) -> Iterator[Proposal]:
     """Those that need least first."""
     plates = [
         (int(np.sum(f.setup == s)), k, s, f)
-        for k, f in enumerate(problem.factors)
-        if isinstance(f, ToolReadings)
-        for s, setup in enumerate(f.points.setups)
+        for k, f, s, setup in problem.mounted
         if setup.instrument.touches
     ]
     if plates:
@@ -170,8 +161,7 @@ def _apart(known: FullPosterior, new: Problem, pairs: Sequence[Pair]) -> dict[Pa
     """Sigmas that new readings set pairs apart by."""
     problem, fixed = known.after.problem, known.mixture.linear.fixed[: known.about.known]
     # About the base: what causes do together is of the second order, and differs by what is there.
-    x = np.zeros(len(problem.names))
-    x[: len(known.before.x)] = known.before.x
+    x = problem.padded(known.before.x)
     at, then = linearise(problem, x), linearise(new, x)
     old = np.vstack([known.after.nuisance.project(at.jacobian), known.about.known_rows[0]])
     more = nuisances(new, then.slopes).project(then.jacobian)
@@ -203,10 +193,12 @@ def _of(one: Explanation, problem: Problem) -> Array:
     return found
 
 
-def _sentence(one: Decision, causes: Sequence[Cause], several: Sequence[Decision]) -> str:
+def _suggested(one: Decision, causes: Sequence[Cause], several: Sequence[Decision]) -> Suggestion:
     said = [text for cause in causes for text in _of_cause(one, cause, several)]
-    i = one.proposal
-    return f"{i.brief}{i.how}: {'; '.join(said)}{i.sheet}"
+    i, most = one.proposal, max(one.apart.values())
+    what = f"to tell the causes apart measure {i.brief}{i.how}"
+    reason = f"{what}: {'; '.join(said)}{i.sheet}"
+    return Suggestion(reason, "none", most, None, what=f"{what}{i.sheet}")
 
 
 def _of_cause(one: Decision, cause: Cause, several: Sequence[Decision]) -> Iterator[str]:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.fit import Noise, Problem, assemble, build_problem, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
+from orthoglide.fit.problem import weight_matrix
 from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -206,11 +207,8 @@ def in_tolerances(
     """
     stands_for = [machine.catalogue.elementary(name, setups) for name in names]
     parts = tuple(dict.fromkeys(p for weights in stands_for for p in weights))
-    matrix = np.zeros((len(parts), len(names)))
-    for k, (name, weights) in enumerate(zip(names, stands_for, strict=True)):
-        for part, weight in weights.items():
-            matrix[parts.index(part), k] = weight * machine.tolerance(name)
-    return parts, matrix
+    tolerance = np.array([machine.tolerance(name) for name in names])
+    return parts, weight_matrix(parts, stands_for) * tolerance
 
 
 def expected_noise(machine: Machine, campaign: Campaign, declared: float | None = None) -> Noise:

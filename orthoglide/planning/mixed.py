@@ -63,10 +63,9 @@ def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, i
     estimate = as_expected(machine, sheets, None)
     problem = estimate.problem
     wide = with_others(problem, [effect.name for effect in excited_effects(problem)])
-    x = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(problem.unknowns))])
     nuisance = estimate.nuisance
     weight = nuisance.weighing.weight[:, None]
-    columns = linearise(wide, x).jacobian * wide.tolerance * weight
+    columns = linearise(wide, wide.padded(estimate.x)).jacobian * wide.tolerance * weight
     datums = nuisance.columns * weight
     size = np.linalg.norm(datums, axis=0)
     size[size == 0] = 1.0

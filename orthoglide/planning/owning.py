@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -225,12 +226,9 @@ def _widest(machine: Machine, points: Callable[[float], Array]) -> float:
     """Nine tenths of the largest size at which all points lie within the stroke, metres."""
     low, high = 0.0, machine.geometry.L
     for _ in range(_HALVINGS):
-        size = (low + high) / 2
-        try:
+        size, fits = (low + high) / 2, False
+        with suppress(UnreachableError):
             commands = machine.with_only({}).inverse(points(size))
-        except UnreachableError:
-            fits = False
-        else:
             fits = bool(machine.geometry.in_stroke(commands).all())
         low, high = (size, high) if fits else (low, size)
     return 0.9 * low

@@ -22,15 +22,13 @@ from orthoglide.planning.suggestions import DECIDES, Pairs, Suggestion, to_separ
 from orthoglide.posterior import FullPosterior, Located
 from orthoglide.posterior.members import Members
 
-_MOST = 6  # places that are parted, the likeliest
+_MOST, _COUNT = 6, 12  # places that are parted, the likeliest; readings that may part them
 _AT_TOOL = tuple(kind for kind, one in INSTRUMENTS.items() if not one.touches)
 """A plate may have any shape, which a free function of any part draws as well."""
 
 
-def parting(
-    posterior: FullPosterior, located: Located, *, count: int = 12
-) -> tuple[Suggestion, ...]:
-    """Readings, ``count`` at most, that would part the likeliest of a class, and which of them none
+def parting(posterior: FullPosterior, located: Located) -> tuple[Suggestion, ...]:
+    """Readings, a dozen at most, that would part the likeliest of a class, and which of them none
     parts.
 
     Each is a rival with its own free function, which new readings narrow as they do all else.
@@ -40,14 +38,14 @@ def parting(
         return ()
     if not posterior.machine.geometry.dialled:
         return tuple(_at_tool(members))
-    found = _by_dials(members, count)
+    found = _by_dials(members)
     if not any(place.of_dial for place in members.places):
         return found
     other = "; take another dial for them than before"
     return tuple(replace(s, reason=s.reason + other) if s.chosen else s for s in found)
 
 
-def _by_dials(members: Members, count: int) -> tuple[Suggestion, ...]:
+def _by_dials(members: Members) -> tuple[Suggestion, ...]:
     posterior = members.posterior
     fit, machine = posterior.after, posterior.machine
     pool = reading_pool(machine.geometry, load=usual_load(fit))
@@ -63,7 +61,7 @@ def _by_dials(members: Members, count: int) -> tuple[Suggestion, ...]:
     ]
     pairs = [*combinations(range(len(rivals)), 2)]
     apart = [p for p in pairs if any(members.each[k].lasts for k in p)]
-    found = to_separate(machine, readings, names, rivals, apart, count) if apart else []
+    found = to_separate(machine, readings, names, rivals, apart, _COUNT) if apart else []
     gone = [rival.name for rival, one in zip(rivals, members.each, strict=True) if not one.lasts]
     if len(gone) > 1:
         reason = (

@@ -17,7 +17,6 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
 from orthoglide.planning.choosing import choose
 from orthoglide.planning.criteria import LeastVariance, RivalSeparation
-from orthoglide.planning.instruments import deciding
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool, sheet
 from orthoglide.planning.rivals import (
@@ -27,7 +26,6 @@ from orthoglide.planning.rivals import (
     inseparable_words,
     rival_of,
 )
-from orthoglide.posterior import Cause, FullPosterior
 
 Rivals = Sequence[tuple[str, "Values | Estimate"]]
 Aim = Literal["separate", "narrow", "trace", "none"]
@@ -42,7 +40,6 @@ _HINTS = 1.0  # sigmas: less is not worth taking readings for
 DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
-_APART = "to tell the causes apart measure"
 _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
 
 
@@ -108,16 +105,6 @@ def next_sheet(suggestions: Sequence[Suggestion]) -> Campaign | None:
         visits |= Counter(suggestion.chosen)
     pool = next((s.pool for s in suggestions if s.pool is not None), None)
     return sheet(pool, tuple(visits.elements())) if visits and pool is not None else None
-
-
-def deciding_instruments(known: FullPosterior, causes: Sequence[Cause]) -> tuple[Suggestion, ...]:
-    """Instruments at the tool that would decide between rivals of the causes found, where no dial
-    is set on the legs: first what most probably does.
-    """
-    return tuple(
-        Suggestion(f"{_APART} {reason}", "none", gain, None, what=f"{_APART} {what}")
-        for what, reason, gain in deciding(known, causes)
-    )
 
 
 def next_measurements(

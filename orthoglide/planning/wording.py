@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -69,7 +69,7 @@ def detectable_rows(found: Detectability, width: int) -> list[str]:
         width: in characters; what is nearest stands below its row where that is too narrow.
     """
     head = f"{'effect':<20}{'tolerance':>11}{'found from':>12}{'named from':>12}  unit"
-    rows = [_effect_row(*row) for row in zip(*found.columns.values(), strict=True)]
+    rows = list(_effect_rows(found))
     if max((len(size) + len(near) + 2 for size, near in rows), default=0) <= width:
         lines = [f"{head}  nearest", *(f"{size}  {near}" for size, near in rows)]
     else:
@@ -90,18 +90,11 @@ def _by_effect(names: Sequence[Parameter]) -> list[str]:
     return [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
 
 
-def _effect_row(
-    effect: str,
-    unit: str,
-    tolerance: float,
-    found: float,
-    named: float,
-    hardest: Parameter,
-    nearest: str,
-    parameters: str,
-) -> tuple[str, str]:
-    """Its sizes, and what its hardest parameter is taken for; which it has, where not all."""
-    size = f"{named:.2g}" if np.isfinite(named) else "never"
-    sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
-    of = f" (of {parameters})" if parameters and parameters != hardest.behind else ""
-    return f"{sizes}  {unit:<4}", f"{nearest} for {hardest}{of}"
+def _effect_rows(told: Detectability) -> Iterator[tuple[str, str]]:
+    """Sizes of each row, and what its hardest is taken for; which parameters, where not all."""
+    for row in zip(*told.columns.values(), strict=True):
+        effect, unit, tolerance, found, named, hardest, nearest, parameters = row
+        size = f"{named:.2g}" if np.isfinite(named) else "never"
+        sizes = f"{effect:<20}{tolerance:>11.2g}{found:>12.2g}{size:>12}"
+        of = f" (of {parameters})" if parameters and parameters != hardest.behind else ""
+        yield f"{sizes}  {unit:<4}", f"{nearest} for {hardest}{of}"

@@ -16,7 +16,7 @@ from orthoglide.effects.places import Place
 from orthoglide.fit import Estimate, Problem, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, nuisances, predict
-from orthoglide.fit.problem import rows_about
+from orthoglide.fit.problem import rows_about, weight_matrix
 from orthoglide.fit.solving import about_machine
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array
@@ -187,7 +187,7 @@ def _linearised(estimate: Estimate, at: Array | None) -> tuple[Problem, Array, L
     place ``(P,)``, SI, and the readings there.
     """
     wide = with_everything(estimate.problem)
-    start = np.concatenate([estimate.x, np.zeros(len(wide.unknowns) - len(estimate.x))])
+    start = wide.padded(estimate.x)
     x = start if at is None else at
     here = linearise(wide, x)
     if (near := about_machine(wide, here)) is not wide:
@@ -269,7 +269,7 @@ def _groups(
     named = np.array([n not in stands for n in visible], dtype=bool)
     causes, groups = [], []
     for cause in candidates(visible, effects, catalogue):
-        matrix = cause.columns(visible)
+        matrix = weight_matrix(visible, cause.weights)
         if not matrix[named].any():
             continue
         rows = np.zeros((len(names), cause.size))

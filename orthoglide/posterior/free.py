@@ -14,7 +14,6 @@ from orthoglide.fit import Problem
 from orthoglide.fit.excited import both_sides
 from orthoglide.fit.factors import DialReadings
 from orthoglide.fit.problem import Factor
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import Instrument
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
@@ -105,17 +104,14 @@ def by_places(
 def plates(problem: Problem) -> tuple[Array, Array]:
     """Rows ``(n, F)`` by the own shapes of every probed plate, and their standard deviations."""
     columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
-    for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
-        if not isinstance(factor, ToolReadings):
-            continue
-        for k, setup in enumerate(factor.points.setups):
-            if setup.instrument.touches:
-                at = np.flatnonzero(factor.setup == k)
-                for shape, size in own_shapes(factor.place[at]):
-                    column = np.zeros((len(problem.measured), 1))
-                    column[rows.start + at, 0] = shape * size
-                    columns.append(column)
-                    sd.append(size)
+    for k, factor, number, setup in problem.mounted:
+        if setup.instrument.touches:
+            at = np.flatnonzero(factor.setup == number)
+            for shape, size in own_shapes(factor.place[at]):
+                column = np.zeros((len(problem.measured), 1))
+                column[problem.factor_rows[k].start + at, 0] = shape * size
+                columns.append(column)
+                sd.append(size)
     return np.hstack(columns), np.array(sd)
 
 

@@ -64,9 +64,9 @@ def check_levels(known: FullPosterior) -> None:
     problem = known.before.problem
     levels = [
         f"{source(f.points)}, setup {s.name!r}"
-        for f in problem.points if isinstance(f, ToolReadings)
-        for s in f.points.setups if s.instrument.angular
-    ]  # fmt: skip
+        for _, f, _, s in problem.mounted
+        if s.instrument.angular
+    ]
     if not levels:
         return
     least = known.evidence + EVIDENCE + np.log(len(_SENSES))

@@ -213,16 +213,20 @@ class Model:
     def sensitivities(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Outputs, Array]:
-        """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed."""
+        """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed; zero by
+        those of dials.
+        """
         batch, given = self.closing(values, conditions)
         x, n, theta = batch.close(given), len(conditions), self.vector(values)
-        places = [self._place[name] for name in names]
-        outputs, by_name = np.empty((n, OUTPUTS)), np.empty((n, OUTPUTS, len(names)))
+        machine = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
+        places = [self._place[names[k]] for k in machine]
+        outputs, by_name = np.empty((n, OUTPUTS)), np.zeros((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
             shown, by_given = batch.tangent(x[part], given[part])
             _, by_theta = self._displacement_tangent(theta, self.seen(conditions.part(part)))
             by_virtual = by_given[:, :, 3 : 3 + by_theta.shape[1]]
-            outputs[part], by_name[part] = shown.values, by_virtual @ by_theta[:, :, places]
+            outputs[part] = shown.values
+            by_name[part][:, :, machine] = by_virtual @ by_theta[:, :, places]
         return Outputs(outputs), by_name
 
     def merged(

@@ -10,7 +10,6 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Array, plane_columns
 from orthoglide.klipper import Corrections
 from orthoglide.klipper.firmware import refitted
@@ -194,22 +193,17 @@ class _Plate:
 def _plate(fit: Estimate) -> _Plate | None:
     """The plate that was touched out to its rim by most touches; ``None`` where none was."""
     found, problem = list[_Plate](), fit.problem
-    for k, factor in enumerate(problem.points):
-        if not isinstance(factor, ToolReadings):
+    for k, factor, number, setup in problem.mounted:
+        own = np.flatnonzero(factor.setup == number)
+        if not setup.instrument.touches or len(own) < 3:
             continue
-        rows = problem.factor_rows[len(problem.campaigns) + k]
-        slopes = fit.at.slopes[len(problem.campaigns) + k]
-        rest = problem.measured[rows] - fit.at.value[rows]
-        for place, setup in enumerate(factor.points.setups):
-            own = np.flatnonzero(factor.setup == place)
-            if not setup.instrument.touches or len(own) < 3:
-                continue
-            places = slopes[own, :2]
-            plane = np.asarray(-np.linalg.lstsq(plane_columns(places), rest[own], rcond=None)[0])
-            found.append(_Plate(
-                float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
-                float(np.median(problem.sigma[rows][own])), np.array(setup.beside),
-            ))  # fmt: skip
+        rows, places = problem.factor_rows[k], fit.at.slopes[k][own, :2]
+        rest = (problem.measured - fit.at.value)[rows][own]
+        plane = np.asarray(-np.linalg.lstsq(plane_columns(places), rest, rcond=None)[0])
+        found.append(_Plate(
+            float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
+            float(np.median(problem.sigma[rows][own])), np.array(setup.beside),
+        ))  # fmt: skip
     widest = max((one.radius for one in found), default=0.0)
     wide = (one for one in found if one.radius >= _WIDE * widest)
     return max(wide, key=lambda one: len(one.places), default=None)
