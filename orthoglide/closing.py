@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from orthoglide.fit import (
 )
 from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
+from orthoglide.fit.earlier import vague
 from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.meant import check_meant
 from orthoglide.frames import html_table
@@ -211,10 +212,22 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     )  # fmt: skip
     since = [c.now(verdict.after) for c in read.changes]
     changed = (*(c for c in since if c.is_told), *(c.measured(verdict.after) for c in changes))
-    notes = (Note(told, "earlier") for c in since if (told := c.found_only_now))
-    after = replace(verdict.after, warnings=(*verdict.after.warnings, *notes))
+    notes = (Note(found_now, "earlier") for c in since if (found_now := c.found_only_now))
+    told = (*verdict.after.warnings, *notes, *_vague(read))
+    after = replace(verdict.after, warnings=told)
     progress(Step("judging"))
     return judge(replace(verdict, changed=changed, after=after))
+
+
+def _vague(read: Estimate) -> Iterator[Note]:
+    """What an earlier calibration leaves open of what was before, where it does."""
+    held = vague(read.problem.machine.spec)
+    if held and read.problem.earlier is not None:
+        yield Note(
+            f"the calibration before {held}: what changed since is told best by orthoglide check, "
+            f"from the readings of both visits",
+            "earlier",
+        )
 
 
 def _set_right(

@@ -90,7 +90,7 @@ def test_the_covariance_has_what_explanations_differ_by() -> None:
     vars(one)["weights"] = {s: np.array([w]) for s, w in zip(states, weights, strict=True)}
 
     one._mean = lambda state, scale: means[states.index(state)]
-    one._covariance = lambda state, scale, at: covariances[states.index(state)][np.ix_(at, at)]
+    one._covariances = lambda at: lambda state, _: covariances[states.index(state)][np.ix_(at, at)]
     found = one.averaged(2)
     middle = weights @ means
     apart = means - middle

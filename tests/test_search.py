@@ -213,3 +213,25 @@ def test_where_lapack_does_not_converge_the_search_goes_on(monkeypatch: pytest.M
     assert again == pytest.approx(shown, abs=1e-9)
     wide = left_singular(columns.transpose(0, 2, 1))[1]
     assert wide == pytest.approx(singular, abs=1e-6)
+
+
+@pytest.mark.parametrize("exact", [1.0, 1e4])
+def test_a_covariance_is_one_however_exact_the_readings(exact: float) -> None:
+    """By adding precisions, against prior less gain, which rounding spoils where they are large."""
+    mixture = Mixture(made_up(exact * drawn(6), np.zeros(17), 7))
+    at, state = np.array([0, 1, 3, 8, 12]), ((1, 1.0), (6, 3.0))
+    for scale in mixture.scales:
+        found = mixture._covariances(at)(state, scale)
+        assert np.linalg.eigvalsh(found).min() > 0
+        usual = mixture._covariance(state, scale, at)
+        assert found == pytest.approx(usual, rel=1e-7, abs=1e-8 if exact == 1 else 1e-3)
+        # A precision of all is the one that is written out.
+        every = np.arange(17)
+        spread = mixture._spread(state)
+        prior = np.diag(scale.spike) + spread @ spread.T
+        rows = mixture.linear.columns / np.sqrt(1 + scale.rough**2)
+        whole = np.linalg.inv(np.linalg.inv(prior) + rows.T @ rows)
+        if exact == 1:
+            assert mixture._covariances(every)(state, scale) == pytest.approx(
+                whole, rel=1e-5, abs=1e-9
+            )

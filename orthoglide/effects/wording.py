@@ -104,6 +104,8 @@ def parameter_words(parameter: Parameter) -> str:
         return f"{words} of setup {parameter.setup}{part}{where}"
     if parameter.member:
         return f"{words}, {parameter.member.replace('.', ' ')}{where}"
+    if parameter.direction.isdigit():  # of a place's free function
+        return f"curve {words}, number {parameter.direction}{where}"
     effect = CATALOGUE.by_name.get(parameter.effect)
     if _sided(effect, parameter.direction):
         points = "toward" if effect is None else effect.points

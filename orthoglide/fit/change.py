@@ -12,7 +12,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
-from orthoglide.numerals import compact, decimals_for, plain
+from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
 
@@ -39,6 +39,8 @@ class Change:
     sizes: tuple[float, ...] = ()  # by how much each of `members` would have changed, SI
     size_sigma: float = float("nan")  # standard deviation of the first of `sizes`, SI
     among: float = 0.0  # what that has of others that could have changed beside it, SI
+    # whether the value before is an average over causes that could not be told apart
+    vague: bool = False
     unseen: float = 0.0  # by how much it may have been off before unseen, a standard deviation, SI
 
     def __repr__(self) -> str:
@@ -80,11 +82,22 @@ class Change:
     @property
     def words(self) -> tuple[str, ...]:
         """Each member by itself: the first as in the message, the others by their own sizes."""
-        return (f"{self.when} {self._told('')}", *self._rivals)
+        return (f"{self.when} {self.what_alone}", *self._rivals)
+
+    @property
+    def what_alone(self) -> str:
+        """What changed, without what else it may be."""
+        return self._told("")
 
     def _told(self, others: str) -> str:
         unit = self.unit.spoken
         decimals = decimals_for(self.sigma / unit.si, most=9)
+        if self.vague:
+            by = signed((self.after - self.before) / unit.si, decimals)
+            return (
+                f"the {parameter_words(self.parameter)}{others} changed by {by} {unit.name} "
+                f"(± {compact(self.sigma / unit.si, 2)})"
+            )
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
         return (
             f"the {parameter_words(self.parameter)}{others} changed from {before} to {after} "

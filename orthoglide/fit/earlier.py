@@ -8,7 +8,7 @@ the evidence of the new readings, all at once (`fit.changed`).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.unknowns import one_plate, with_free
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Posterior
+from orthoglide.machine_file import MachineFile, Posterior
 from orthoglide.parameters import Parameter
 
 _AS_BEFORE, _LITTLE = 0.02, 0.1
@@ -32,10 +32,25 @@ _AS_BEFORE, _LITTLE = 0.02, 0.1
 showed of it then stands in the machine's own numbers; and by which none is an ideal bowl."""
 
 
+_VAGUE = {
+    "averaged_over": "could not tell causes apart ({} among them) and has their average",
+    "located": "has a curve for what it had no name for ({})",
+}
+
+
 def earlier_of(machine: Machine) -> Posterior | None:
     """What an earlier calibration says of a machine; ``None`` where its file gives no sigmas."""
     known = machine.posterior
     return known if np.diag(known.covariance).any() else None
+
+
+def vague(spec: MachineFile) -> str:
+    """What an earlier calibration holds in place of causes, as a clause; empty where nothing."""
+    for kept, words in _VAGUE.items():
+        several = spec.provenance.get(kept, ())
+        if isinstance(several, Sequence) and several:
+            return words.format(", ".join(map(str, several)))
+    return ""
 
 
 def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate:
@@ -116,7 +131,8 @@ def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> 
 def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -> Iterator[Change]:
     """What was found, with the values of both visits."""
     last, catalogue = now.problem.factors[now.problem.last], now.problem.machine.catalogue
-    old = Path(now.problem.machine.spec.file).name or "earlier calibration"
+    spec = now.problem.machine.spec
+    old, unclear = Path(spec.file).name or "earlier calibration", bool(vague(spec))
     for one in found.moved:
         if one.parameter in known.names:
             summed = summed_of(tuple(one.sizes), catalogue)
@@ -135,6 +151,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
             before, after, apart, sigma, tuple(one.sizes.values()), unseen=unseen,
+            vague=unclear,
         )  # fmt: skip
 
 

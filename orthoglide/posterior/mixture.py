@@ -7,7 +7,7 @@ regression*, whose credible sets these are).
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.posterior.linear import SOUND, Scale
+from orthoglide.posterior.marginal import Marginal
 from orthoglide.posterior.search import Search, State, whitened
 
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
@@ -215,6 +216,11 @@ class Mixture(Search):
         prior = np.diag(scale.spike[at]) + spread[at] @ spread[at].T
         return np.asarray(prior - seen[:, at].T @ seen[:, at])
 
+    def _covariances(self, at: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
+        """The same, of readings however exact, by state and scale."""
+        marginal = Marginal(self.linear, at)
+        return lambda state, scale: marginal.covariance(scale, self._spread(state))
+
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
         """States and scales that means are averaged over, with their weights."""
@@ -248,12 +254,11 @@ class Mixture(Search):
         at = np.flatnonzero(weights.any(axis=0))
         upto = np.cumsum([weight for weight, _, _ in self._terms])
         term = np.searchsorted(upto[:-1], (np.arange(len(normal)) + 0.5) / len(normal))
-        drawn = np.empty(normal.shape)
+        drawn, covariance = np.empty(normal.shape), self._covariances(at)
         for k in np.unique(term):
             _, state, scale = self._terms[k]
-            spread = weights[:, at] @ self._covariance(state, scale, at) @ weights[:, at].T
+            spread = weights[:, at] @ covariance(state, scale) @ weights[:, at].T
             sd = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-            # What is known together much better than alone is a difference of large numbers.
             share, along = np.linalg.eigh(spread / sd / sd[:, None])
             root = along * np.sqrt(np.maximum(share, 0.0))
             some = term == k
@@ -273,9 +278,9 @@ class Mixture(Search):
         at = np.unique(np.concatenate([np.arange(known), *likely]).astype(int))
         size = len(self.linear.fixed)
         second, prior = np.zeros((size, size)), np.zeros((size, size))
-        block = np.ix_(at, at)
+        block, covariance = np.ix_(at, at), self._covariances(at)
         for (weight, state, scale), m in zip(self._terms, self._means, strict=True):
-            cov = self._covariance(state, scale, at)
+            cov = covariance(state, scale)
             second[block] += weight * (cov + np.outer(m[at], m[at]))
             spread = self._spread(state)[at]
             prior[block] += weight * (np.diag(scale.spike[at]) + spread @ spread.T)

@@ -41,11 +41,6 @@ def calibrated_machine(result: Result) -> MachineFile:
         **spec.provenance,
         "sigma": "noise alone" if result.posterior is None else "everything else allowed",
     }
-    if result.effects:
-        provenance["effects"] = [e.name for e in result.effects]
-    rivals = {r.name for e in result.effects for r in e.rivals}
-    if rivals:
-        provenance["averaged_over"] = sorted(rivals)
     nominal = spec.name == nominal_machine_file().name
     name = "Orthoglide, calibrated" if nominal else spec.name
     return replace(spec, name=name, provenance=provenance)

@@ -136,8 +136,8 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
             yield Action(kind, f"{what[kind]}{lost}", options=options)
     for change in result.moved:
         again = _AGAIN.format(change.files[1])
-        if kind == "confirm":
-            yield Action(kind, what[kind], options=suspects(change))
+        if kind == "confirm" or change.vague:
+            yield Action("confirm", what["confirm"], options=suspects(change))
         elif abs(change.after) < abs(change.before):
             yield Action(
                 "confirm", f"Confirm what was put right; {again}", options=suspects(change)
@@ -178,7 +178,9 @@ def _changed(change: Change, k: int) -> Suspect:
     """What the k-th of the parameters that may have changed is now, or was and is no more."""
     name = change.members[k]
     effect = change.catalogue.effect_of(name)
-    if name not in change.summed:
+    if change.vague and not k:
+        return Suspect(change.what_alone, effect.look_at, "")
+    if change.vague or name not in change.summed:
         return Suspect(f"or instead {change.words[k]}", effect.look_at, "")
     now = change.is_cause or abs(change.after) > abs(change.before)
     value = change.after if now else change.before

@@ -155,9 +155,15 @@ class Result(Framed):
         """The calibrated machine with its covariance: the posterior's mean, or the base model
         where something significant is left.
 
-        The verdict and its cautions are kept with it.
+        The verdict, its causes and its cautions are kept with it.
         """
         kept: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
+        if self.effects:
+            kept["effects"] = [cause.name for cause in self.effects]
+        if rivals := {rival.name for cause in self.effects for rival in cause.rivals}:
+            kept["averaged_over"] = sorted(rivals)
+        if self.located:
+            kept["located"] = [found.name for found in self.located]
         if self.cautions:
             kept["cautions"] = list(self.cautions)
         stored = self.request.machine.spec.provenance.get("klipper")
