@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -363,20 +364,10 @@ def test_the_sign_rule_is_worked_out_in_words() -> None:
     assert "axis_tilt.y.z" in more.text()
 
 
-@pytest.mark.parametrize("sign", [(1, 1, 1), (-1, 1, -1), (-1, -1, -1)])
-def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]) -> None:
-    """What each check says is read on the independent machine, zeros entered right and wrong."""
-    offsets = np.array([1.2e-3, -0.6e-3, 0.9e-3])
-    errors = {**dict(zip((f"joint_offset.{k}" for k in LEGS), offsets, strict=True)),
-              "axis_tilt.y.z": 1e-3}  # fmt: skip
-    old = np.array([0.5, -0.02, 0.1])
-    counting = Controller(zero=tuple(old), sign=sign)  # type: ignore[arg-type]
-    numbers = controller_numbers(machine(errors, controller=counting))
-    exported, rig = numbers.as_dict(), Rig(errors=errors)
+def proved(exported: dict[str, Any], counting: Controller, rig: Rig) -> None:
+    """What each check says is what the independent machine reads."""
+    old, sign = np.array(counting.zero), np.array(counting.sign)
     new = np.array([exported["drives"][k]["new_zero_mm"] for k in LEGS]) * 1e-3
-    fitted = np.array([drive.offset for drive in numbers.drives])
-    assert fitted == pytest.approx(offsets, abs=1e-5)  # the tilt takes a little of them
-    assert new == pytest.approx(old - np.array(sign) * fitted, abs=1e-9)
     for drive, check in exported["checks"].items():
         entered = {"expected_mm": new, "expected_if_wrong_mm": new.copy()}
         k = LEGS.index(drive)
@@ -384,7 +375,7 @@ def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]
         travel = {"zero": 0.0, "max": 0.06, "min": -0.1}[check["posture"]]
         wanted = [Geometry().zero, Geometry().command_on_axis(LEGS.index(check["leg"]), travel)]
         for key, zero in entered.items():
-            shown = zero + np.array(sign) * (np.array(wanted) - L)
+            shown = zero + sign * (np.array(wanted) - L)
             if key == "expected_mm":  # the right zeros are those that the check speaks of
                 assert shown[0] * 1e3 == pytest.approx(check["shown_at_zero_mm"], abs=1e-6)
                 assert shown[1] * 1e3 == pytest.approx(check["shown_at_posture_mm"], abs=1e-6)
@@ -395,9 +386,32 @@ def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]
             )
             assert (then - first) * 1e3 == pytest.approx(check[key], abs=1e-5)
         assert abs(check["expected_mm"] - check["expected_if_wrong_mm"]) > 0.2
+
+
+@pytest.mark.parametrize("sign", [(1, 1, 1), (-1, 1, -1), (-1, -1, -1)])
+def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]) -> None:
+    """What each check says is read on the independent machine, zeros entered right and wrong."""
+    offsets = np.array([1.2e-3, -0.6e-3, 0.9e-3])
+    errors = {**dict(zip((f"joint_offset.{k}" for k in LEGS), offsets, strict=True)),
+              "axis_tilt.y.z": 1e-3}  # fmt: skip
+    old = np.array([0.5, -0.02, 0.1])
+    counting = Controller(zero=tuple(old), sign=sign)  # type: ignore[arg-type]
+    numbers = controller_numbers(machine(errors, controller=counting))
+    exported = numbers.as_dict()
+    new = np.array([exported["drives"][k]["new_zero_mm"] for k in LEGS]) * 1e-3
+    fitted = np.array([drive.offset for drive in numbers.drives])
+    assert fitted == pytest.approx(offsets, abs=1e-5)  # the tilt takes a little of them
+    assert new == pytest.approx(old - np.array(sign) * fitted, abs=1e-9)
+    proved(exported, counting, Rig(errors=errors))
     assert list(exported["checks"]) == ["x", "y", "z"]
     assert "moved the wrong way it would read" in " ".join(numbers.text().split())
     assert exported["rule"].startswith("new zero = old zero - sign x offset: what the controller")
+    assert "come to both" not in numbers.text()
+    lost = controller_numbers(machine({**errors, "backlash.z": 1e-4}, controller=counting))
+    assert "come to both with all drives moving away from the origin, it must" in " ".join(
+        lost.text().split()
+    )
+    proved(lost.as_dict(), counting, Rig(errors={**errors, "backlash.z": 1e-4}))
     offsets_alone = {name: value for name, value in errors.items() if name != "axis_tilt.y.z"}
     plain = controller_numbers(machine(offsets_alone, controller=counting))
     assert plain.rule == RULE

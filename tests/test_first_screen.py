@@ -394,7 +394,7 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
 def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
     text = screen(lost(which))
     assert "Lost motion is left out: the numbers are for the middle" in text
-    assert "again (lost motion, which the errors of the tool above leave out)" in text
+    assert "again (lost motion, which the errors of the tool above leave out; a" in text
     assert "gains 0 mm" not in text
     page = words(report_files(lost(which))["report.html"])
     assert "in calibrated.toml , but not that" in page.replace("  ", " ")

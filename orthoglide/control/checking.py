@@ -30,6 +30,7 @@ class ZeroCheck:
     at_posture: Shown  # the same at the other posture
     right: float  # reading there less reading at Zero, with all zeros as they should be, metres
     wrong: float  # the same with this drive's zero moved the wrong way
+    way: str = ""  # how drives arrive at both, where lost motion makes a difference
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, millimetres."""
@@ -46,10 +47,11 @@ class ZeroCheck:
         }
 
     def __str__(self) -> str:
+        arriving = f", come to both with all drives moving {self.way}," if self.way else ""
         return (
             f"drive {self.drive}: dial on leg {self.touched} toward {self.direction}, "
             f"{self.gauge * 1e3:.1f} mm along it. From Zero ({_triple(self.at_zero)}) to "
-            f"{self.posture.capitalize()} ({_triple(self.at_posture)}) it must read "
+            f"{self.posture.capitalize()} ({_triple(self.at_posture)}){arriving} it must read "
             f"{_more(self.right)}; with the zero of {self.drive} moved the wrong way it would read "
             f"{_more(self.wrong)}."
         )
@@ -80,6 +82,9 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
         return ()
     sheet = protocol("standard", machine.geometry)
     pairs = [pair for setup in range(len(sheet.setups)) for pair in _pairs(sheet, setup)]
+    of = machine.catalogue.effect_of
+    slack = (abs(v) for n, v in machine.values.items() if of(n).controller == "backlash")
+    lost = max(slack, default=0.0) > machine.spec.dial.resolution / 2
     right = _readings(machine, sheet, -offsets)
     found = []
     for drive in np.flatnonzero(offsets):
@@ -101,6 +106,7 @@ def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
                 _shown(machine, sheet.command[row], offsets),
                 float(right[row] - right[first]),
                 float(wrong[row] - wrong[first]),
+                machine.geometry.layout.names.ways[1][1] if lost else "",
             )
         )
     return tuple(found)
@@ -115,7 +121,9 @@ def _pairs(sheet: Campaign, setup: int) -> list[tuple[int, int]]:
 
 
 def _readings(machine: Machine, sheet: Campaign, by: Array) -> Array:
-    return machine.readings(replace(sheet, command=sheet.command + by))
+    """All come to with every drive moving away from the origin."""
+    command = sheet.command + by
+    return machine.readings(replace(sheet, command=command, approach=np.ones_like(command)))
 
 
 def _shown(machine: Machine, rho: Array, offsets: Array) -> Shown:

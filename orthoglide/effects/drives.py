@@ -104,7 +104,11 @@ BACKLASH = Effect(
     words=Words(
         lambda p, v: (
             f"drive {p.leg} has {mm(v)} of lost motion"
-            + ("" if v >= 0 else " with the wrong sign: look at the order of the readings")
+            + (
+                ""
+                if v >= 0
+                else " with the wrong sign, as where a controller makes up for too much"
+            )
         ),
         lambda p: f"drive {p.leg} has lost motion",
         "the drives have lost motion",

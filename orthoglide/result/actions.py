@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
-_LOST = "lost motion, which the errors of the tool above leave out"
+_LOST = (
+    "lost motion, which the errors of the tool above leave out; a controller's own setting for it, "
+    "or orthoglide compensate, makes up for it"
+)
 _DIAL_TURNS = (
     "come to one gauge block from a shorter and from a longer one: expect {} between the two "
     "readings"
@@ -112,7 +115,8 @@ def _zeros(result: Result) -> Iterator[Action]:
     of = result.catalogue.effect_of
     known = any(of(name).controller == "zero" for name in result.machine.spec.parameters)
     gain = expected["now"].shape - expected["zeros"].shape
-    if known and gain > _WORTH * expected["now"].shape:
+    now = expected["now"]
+    if known and gain > max(_WORTH * now.shape, now.shape_sigma):
         named = zip(numbers.drives, numbers.zeros_only, strict=True)
         values = ", ".join(f"{d.leg} {plain(zero * 1e3, 3)}" for d, zero in named)
         yield Action("zeros", f"Enter new zeros in the controller: {values} mm", gain)
