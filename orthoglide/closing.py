@@ -28,6 +28,7 @@ from orthoglide.fit import (
 from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
 from orthoglide.fit.earlier import vague
+from orthoglide.fit.exchanged import check_columns
 from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.meant import check_meant
 from orthoglide.frames import html_table
@@ -185,6 +186,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         own=request.own, noise=request.noise, frame=request.frame,
     )  # fmt: skip
     read = account_for_changes(solve(problem, method="nested"))
+    check_columns(read)
     check_repeats(read)
     check_slips(read)
     progress(Step("faults"))

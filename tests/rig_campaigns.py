@@ -442,3 +442,20 @@ def stuck_dial(rows: Sequence[Row], setup: str, after: float = 0.5) -> Fault:
     touched = _of(rows, setup, after=after)
     value = rows[touched[0]]["reading_mm"]
     return _changed(rows, touched, lambda r: {"reading_mm": value})
+
+
+def shifted_rows(rows: Sequence[Row], setup: str, by: int) -> Fault:
+    """Readings of a setup a row too late, the first written twice; or too early, the last twice."""
+    touched = _of(rows, setup)
+    read = [rows[k]["reading_mm"] for k in touched]
+    written = [read[0], *read[:-1]] if by > 0 else [*read[1:], read[-1]]
+    found = [dict(row) for row in rows]
+    for k, reading in zip(touched, written, strict=True):
+        found[k]["reading_mm"] = reading
+    return Fault(found, touched)
+
+
+def swapped_commands(rows: Sequence[Row], one: int, other: int) -> Fault:
+    """The commands of two drives stand in each other's columns."""
+    a, b = RHO[one], RHO[other]
+    return _changed(rows, list(range(len(rows))), lambda r: {a: r[b], b: r[a]})

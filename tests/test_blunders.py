@@ -253,6 +253,20 @@ def test_exchanged_dials_of_one_direction(one, seed, machine):
     assert set(blunder.setups) <= {one, other}
 
 
+@pytest.mark.parametrize("by", [1, -1], ids=["late", "early"])
+@pytest.mark.parametrize("protocol", ["sweep", "two-gauges"])
+@pytest.mark.parametrize("errors", [{}, {"rail_bow.x.z": 1.2e-4}], ids=["sound", "bow"])
+def test_readings_a_row_off(protocol, by, errors, machine):
+    """They were told of the side that places are come to from, as a place in the machine."""
+    rows = rows_of(protocol, seed=4, **errors)
+    setup = "yz-0.5" if protocol == "sweep" else "yz-0.35"
+    verdict = close_loop([campaign_of(rc.shifted_rows(rows, setup, by).rows, machine)], machine)
+    (blunder,) = verdict.blunders
+    assert (blunder.kind, blunder.setups) == ("shifted", (setup,))
+    assert f"move them {'up' if by > 0 else 'down'} by one" in blunder.message
+    assert not verdict.located
+
+
 @pytest.mark.parametrize(
     ("column", "protocol"), [("leg", "standard"), ("direction", "standard"), ("direction", "sweep")]
 )

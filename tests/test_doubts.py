@@ -55,6 +55,23 @@ def test_one_shuffled_setup_is_set_aside() -> None:
     assert (blunder.kind, blunder.setups) == ("scatter", (whole.setups[3].name,))
 
 
+@pytest.mark.parametrize("drives", [(0, 1), (1, 2), (0, 2)])
+@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+def test_commands_in_each_others_columns_are_refused(
+    drives: tuple[int, int], protocol: str
+) -> None:
+    """They bent the machine, by tilts of milliradians and zeros that made it worse."""
+    rng = np.random.default_rng(5)
+    rows = rc.simulate(Rig(errors=base_errors(rng)), rc.protocol_rows(protocol), rng)
+    one, other = ("xyz"[k] for k in drives)
+    told = f"commands of drive {one} under {other} and of drive {other} under {one}"
+    with pytest.raises(InputError, match=told):
+        og.close_loop(campaign_of(rc.swapped_commands(rows, *drives).rows), MACHINE)
+    # A machine that is far off is none of it.
+    far = Rig(errors={**base_errors(rng), "axis_tilt.y.z": 2e-2, "axis_offset.x.y": 3e-3})
+    og.close_loop(campaign_of(rc.simulate(far, rc.protocol_rows(protocol), rng)), MACHINE)
+
+
 @pytest.mark.parametrize("factor", [25.4, 1 / 25.4])
 @pytest.mark.parametrize("ask", [og.close_loop, og.identify])
 def test_inches_throughout_are_refused(ask, factor: float) -> None:

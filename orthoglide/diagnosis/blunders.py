@@ -28,7 +28,7 @@ from orthoglide.diagnosis.faults import (
 )
 from orthoglide.diagnosis.fit_faults import fit_fault, unit_faults
 from orthoglide.diagnosis.joint_faults import joint_fault
-from orthoglide.diagnosis.misreadings import restored
+from orthoglide.diagnosis.misreadings import restored, silenced
 from orthoglide.diagnosis.repeat_faults import repeat_faults, scatter_faults, searches
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.signatures import Signatures, signatures
@@ -36,7 +36,6 @@ from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.diagnosis.stuck_faults import stuck_faults
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Estimate, Noise, Problem, noise_of, solve
-from orthoglide.fit.factors import SILENT
 from orthoglide.fit.least_squares import known_rows
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.geometry import Array
@@ -51,7 +50,7 @@ _REFITS = 3
 _CHANGED = 2
 """Rounds more where something may have changed: before a fault of the data and beside it."""
 
-MEANINGS = ("sign", "unit", "label", "exchanged_labels")
+MEANINGS = ("sign", "unit", "label", "exchanged_labels", "shifted")
 """Faults by which readings mean something else than they seem to."""
 
 _FEW = 6
@@ -66,7 +65,8 @@ _DOUBTED = ("command", *MEANINGS)
 class Blunder:
     """A fault of the data."""
 
-    # outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, unit, stuck or scatter
+    # outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, shifted, unit, stuck
+    # or scatter
     kind: Kind
     # campaign and row within it; of a knocked stand the rows after the knock, of dials set to zero
     # anew at each repeat those after the first
@@ -158,6 +158,8 @@ def examine(estimate: Estimate) -> Findings:
         if isinstance(item, Changes):
             changes += item.changes
         else:
+            if item.kind == "shifted":  # slips at its ends were this
+                found = [f for f in found if f.kind != "outlier" or f.setups != item.setups]
             found.append(item)
             changes = []  # found anew: what a fault does was not theirs to explain
         stale = True
@@ -192,9 +194,7 @@ def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:
         readings -= steps(problem, fault) @ np.array(fault.offsets)
         silent[fault.rows] |= fault.sets_aside
     problem = all_put_right(problem, faults)  # the side that its neighbours were reached from, too
-    sigma = np.where(silent, SILENT * problem.sigma, problem.sigma)
-    noise = replace(problem.noise, sigma=tuple(sigma[rows] for rows in problem.rows))
-    return replace(problem.with_readings(readings), noise=noise)
+    return silenced(problem.with_readings(readings), silent)
 
 
 def _reported(base: Signatures, faults: Sequence[Fault]) -> tuple[Blunder, ...]:

@@ -17,8 +17,8 @@ from orthoglide.observations.arrays import numbered
 from orthoglide.units import MISTAKEN
 
 Kind = Literal[
-    "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "unit",
-    "stuck", "scatter",
+    "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "shifted",
+    "unit", "stuck", "scatter",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
 Same = Callable[["Fault", "Fault"], bool]
@@ -42,7 +42,8 @@ class Fault:
     # after the knock, of dials set to zero anew those after the first repeat
     rows: Rows
     setups: tuple[int, ...]  # numbered over all campaigns
-    size: float = 0.0  # of an outlier or a knock, metres; a unit's factor
+    # of an outlier or a knock, metres; a unit's factor; rows by which readings stand too late
+    size: float = 0.0
     evidence: float = 0.0  # log Bayes factor in its favour, the number of its like discounted
     label: tuple[int, int] = (0, 0)  # of a wrong label the leg and axis that fit
     # of a wrong command the drives that it may be of, the likeliest first, and how much more each
@@ -178,6 +179,12 @@ def _clause(problem: Problem, fault: Fault) -> str:
             return _commanded(problem, fault)
         case "sign" | "label" | "exchanged_labels":
             return _mislabelled(problem, fault)
+        case "shifted":
+            late, up = ("late", "up") if fault.size > 0 else ("early", "down")
+            return (
+                f"the readings fit a row farther {up}, so they were written a row too {late}: move "
+                f"them {up} by one, and measure the one that is lost again"
+            )
         case "unit":
             factor = min(MISTAKEN, key=lambda f: abs(np.log(f / fault.size)))
             return (

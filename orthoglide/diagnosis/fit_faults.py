@@ -14,7 +14,14 @@ import numpy as np
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
 from orthoglide.diagnosis.command_faults import change_of, command_faults
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, likeliest, untouched
-from orthoglide.diagnosis.misreadings import LABELS, Misreading, digits, factor_fits, misreadings
+from orthoglide.diagnosis.misreadings import (
+    FACTORS,
+    LABELS,
+    Misreading,
+    digits,
+    factor_fits,
+    misreadings,
+)
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
@@ -53,7 +60,9 @@ def fit_fault(
     if not means.problem.campaigns:
         return changes
     free = untouched(means.problem, known)
-    hypotheses = misreadings(means, free)
+    other = [f for f in known if f.kind != "outlier"]
+    slipped = [s for s in untouched(means.problem, other) if s not in free]
+    hypotheses = misreadings(means, free, slipped)
     commands = command_faults(means, known)  # beside effects they are left to `joint_fault`
     for _ in range(_EFFECTS + 1):
         misread = _misread(means, hypotheses, setups, known)
@@ -81,7 +90,8 @@ def _are_changes(
     if fault.commands:
         readings = change_of(means, fault)
     for one in hypotheses:
-        if one.fault.rows is fault.rows and one.fault.kind == fault.kind:
+        same = (one.fault.kind, one.fault.size) == (fault.kind, fault.size)
+        if one.fault.rows is fault.rows and same:
             readings = one.change
     tried = np.log(max(len(hypotheses), 1))
     return found.weight > found.about.evidence(readings) - tried
@@ -123,7 +133,7 @@ def _anew(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]) -
     where the readings themselves do not say that this is the fault.
     """
     fault = hypothesis.fault
-    if fault.kind not in LABELS and not factor_fits(means, fault.rows, fault.size):
+    if fault.kind in FACTORS and not factor_fits(means, fault.rows, fault.size):
         return means.chi2
     after = StationMeans.anew(hypothesis.corrected(means.problem), known)
     if after is None or (fault.kind in LABELS and not hypothesis.leaves_none(means.problem, after)):

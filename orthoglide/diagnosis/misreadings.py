@@ -1,4 +1,6 @@
-"""Readings that mean something else: a sign, a unit, a label, two labels or columns exchanged."""
+"""Readings that mean something else: a sign, a unit, a label, two labels or columns exchanged, a
+row too early or too late.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,13 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.diagnosis.commands import all_put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, campaign_of, in_order
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
+from orthoglide.fit.factors import SILENT
 from orthoglide.fit.noise import OFF_GRID, on_grid
 from orthoglide.geometry import Array
 from orthoglide.observations import Setup
@@ -19,6 +23,9 @@ from orthoglide.units import MISTAKEN
 
 LABELS = ("label", "exchanged_labels")
 """Faults of what the setups are called."""
+
+FACTORS = ("sign", "unit")
+"""Faults that multiply what was read."""
 
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
 _FACTOR = 0.15  # relative error of a fault's factor that the readings themselves may give
@@ -53,8 +60,17 @@ class Misreading:
         return abs(_share(after, change)[0]) <= _FACTOR
 
 
-def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
-    """Every sign, unit and label, and exchange of two setups of one campaign."""
+def misreadings(
+    means: StationMeans, setups: Sequence[int], slipped: Sequence[int] = ()
+) -> list[Misreading]:
+    """Every sign, unit and label, and exchange of two setups of one campaign; and readings a row
+    off, which may look like a slip at either end of a setup.
+
+    Args:
+        means: of a fit.
+        setups: in which no fault is known.
+        slipped: in which slips are, and nothing else.
+    """
     problem = means.problem
     if not setups:
         return []
@@ -66,6 +82,13 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         change = np.zeros(len(measured))
         change[rows] = corrected - measured[rows]
         found.append(Misreading(Fault(kind, rows, of, size), change))
+
+    for s in (*setups, *slipped):
+        rows = in_order(problem, s)
+        fitted = value[rows] + np.mean(measured[rows] - value[rows])  # with its datum
+        for by in (1, -1):
+            moved, lost = _shifted(rows, by)
+            add("shifted", rows, (s,), float(by), np.where(lost, fitted, measured[moved]))
 
     def relabel(fault: Fault) -> None:
         change, labels = np.zeros(len(measured)), _labels(problem, fault)
@@ -96,6 +119,16 @@ def misreadings(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
             relabel(Fault("exchanged_labels", rows, (one, other), 1.0))
     return found
+
+
+def _shifted(rows: Rows, by: int) -> tuple[Rows, NDArray[np.bool_]]:
+    """Rows in which the readings stand that belong in these, one too late or too early, and of
+    which rows that is none.
+    """
+    moved = np.roll(rows, -by)
+    lost = np.zeros(len(rows), dtype=bool)
+    lost[-1 if by > 0 else 0] = True
+    return moved, lost
 
 
 def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
@@ -138,12 +171,24 @@ def restored(problem: Problem, fault: Fault) -> Problem:
     if labels := _labels(problem, fault):
         return _labelled(problem, labels)
     measured = problem.measured.copy()
+    if fault.kind == "shifted":
+        moved, lost = _shifted(fault.rows, int(fault.size))
+        measured[fault.rows] = problem.measured[moved]
+        return silenced(problem.with_readings(measured), fault.rows[lost])
     if fault.kind == "exchanged_labels":
         a, b = (in_order(problem, s) for s in fault.setups)
         measured[a], measured[b] = problem.measured[b], problem.measured[a]
     else:
         measured[fault.rows] *= fault.size
     return problem.with_readings(measured)
+
+
+def silenced(problem: Problem, rows: Rows | NDArray[np.bool_]) -> Problem:
+    """The problem with some readings without any weight."""
+    sigma = problem.sigma.copy()
+    sigma[rows] *= SILENT
+    noise = replace(problem.noise, sigma=tuple(sigma[part] for part in problem.rows))
+    return replace(problem, noise=noise)
 
 
 def _labels(problem: Problem, fault: Fault) -> dict[int, Setup]:

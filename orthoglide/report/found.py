@@ -42,6 +42,7 @@ _FAULTS = {
     "sign": "a dial that counted the other way",
     "label": "a setup of another leg or direction",
     "exchanged_labels": "two setups exchanged",
+    "shifted": "readings a row too late or too early",
     "unit": "a wrong unit",
     "stuck": "a dial that stuck",
     "scatter": "visits that do not repeat",
