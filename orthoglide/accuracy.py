@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orthoglide.effects import OF_DRIVES
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism.seed import commands as commands_of
@@ -22,9 +23,6 @@ GRID = 5
 
 _EVEN = 1 / 1.2207440846 ** np.arange(1, 4)
 """Steps of a sequence that fills a cube evenly (Roberts 2018, by the root of x^4 = x + 1)."""
-
-NUMBERS = ("zero", "scale", "backlash", "bar_length")
-"""What a controller of three drives takes; where towers stand is a firmware's own."""
 
 _DRAWS = 400
 _PLACE = 0.01  # weight of place against shape: enough to choose between equal shapes
@@ -37,17 +35,18 @@ def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None)
     Args:
         geometry: of the machine.
         count: of commands along each axis.
-        pitch: of its screws, metres: commands along the stroke then stand at all their turns, each
-            a part of one farther inside, where a regular grid can meet a single one.
+        pitch: of its screws, metres: commands along the stroke then stand at three phases of
+            their turns, evenly, where a regular grid can meet a single one.
     """
     layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
     if (points := layout.points(*sizes, count)) is not None:
         return commands_of(geometry, points)
     travel, spacing = np.linspace(*geometry.stroke, count, retstep=True)
     grid = np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
-    turn = min(pitch or 0.0, float(spacing))
-    part = (0.5 + np.arange(len(grid))[:, None] * _EVEN) % 1.0 * turn
-    return np.asarray(geometry.zero[0] + grid + np.where(grid + part > travel[-1], -part, part))
+    third = min(pitch or 0.0, float(spacing)) / 3
+    phase = np.floor(3 * ((0.5 + np.arange(len(grid))[:, None] * _EVEN) % 1.0))
+    low, high = (np.abs(grid - end) < third for end in (travel[0], travel[-1]))
+    return np.asarray(geometry.zero[0] + grid + third * (phase - 1 + low - high))
 
 
 def throughout(machine: Machine) -> Array:
@@ -227,6 +226,6 @@ def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
         "now": {},
         "zeros": best_zeros(machine),
         "zeros_and_lengths": best_zeros(machine, ["bar_length"]),
-        "numbers": best_zeros(machine, NUMBERS),
+        "numbers": best_zeros(machine, OF_DRIVES),
         "compensated": machine.values,
     }

@@ -122,8 +122,8 @@ def test_a_printer_has_needed_tolerances_too() -> None:
 
 
 def test_the_result_is_said(bare: NeededTolerances, calibrated: NeededTolerances) -> None:
-    assert str(bare).startswith("Not calibrated: 1.01 mm at the tolerances of the machine file; ")
-    assert "needs all of them times 0.0493" in str(bare)
+    assert str(bare).startswith("Not calibrated: 0.952 mm at the tolerances of the machine file; ")
+    assert "needs all of them times 0.0525" in str(bare)
     assert "the readings" in str(calibrated)
     assert "the readings" not in str(bare)
     assert bare.to_frame().loc["leg_length", "tolerance"] == pytest.approx(0.1)

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.accuracy import NUMBERS, ExpectedError, expected_error, tool_settings
+from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import not_withheld
 from orthoglide.control.checking import ZeroCheck, check_zeros
 from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
+from orthoglide.effects import OF_DRIVES
 from orthoglide.effects.wording import by_effect
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
@@ -275,7 +276,7 @@ def _by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.ndarray
     found: dict[str, np.ndarray] = {}
     for name, value in values.items():
         kind = machine.catalogue.effect_of(name).controller
-        if kind in NUMBERS:
+        if kind in OF_DRIVES:
             leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
             found.setdefault(kind, np.zeros(3))[leg] += value
     return found

@@ -35,6 +35,8 @@ Shape = Callable[[Any, Any], Any]
 """Height of a plate at (x, y), both over the largest measured radius, for one unit."""
 
 Held = Literal["zero", "scale", "backlash", "bar_length", "place"]
+OF_DRIVES: tuple[Held, ...] = ("zero", "scale", "backlash", "bar_length")
+"""What a controller of three drives takes; where towers stand is a firmware's own."""
 
 
 @dataclass(frozen=True, repr=False)

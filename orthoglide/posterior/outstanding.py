@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes
+from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
@@ -122,21 +123,19 @@ class _Reader:
         )
 
     def _by_cause(self, odds: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
-        """Likeliest first, each with all that has its parameters or some of them, as the sine of a
-        wave has of the wave: that is the same cause.
-        """
-        parts = [set(one.parameters) for one in self.posterior.about.candidates]
-        found: list[tuple[int, float]] = []
+        """Likeliest first; what is one cause of a leg, as a wave at any phase, stands once."""
+        found: dict[tuple[str, ...], tuple[int, float]] = {}
         for k, p in odds:
-            alike = (
-                i for i, (j, _) in enumerate(found) if parts[k] <= parts[j] or parts[k] > parts[j]
-            )
-            place = next(alike, None)
-            if place is None:
-                found.append((k, p))
-            else:
-                found[place] = (found[place][0], found[place][1] + p)
-        return found
+            one = self._one_cause(self.posterior.about.candidates[k])
+            first, chance = found.get(one, (k, 0.0))
+            found[one] = first, chance + p
+        return list(found.values())
+
+    def _one_cause(self, candidate: Candidate) -> tuple[str, ...]:
+        effect = self.posterior.machine.catalogue.effect_of(candidate.name)
+        of = {(p.leg, p.campaign) for p in candidate.parameters}
+        leg = of.pop() if effect.paired and len(of) == 1 else ("", "")
+        return (effect.name, *leg) if leg[0] else (candidate.name,)
 
     def _twins(self, one: Explanation) -> list[Explanation]:
         """An explanation with those under other names that show the same, readings and tool."""
