@@ -11,6 +11,7 @@ import numpy as np
 
 from orthoglide.closing import Verdict, run
 from orthoglide.diagnosis.changes import visits
+from orthoglide.difference import COLUMNS, Difference
 from orthoglide.effects.wording import parameter_words
 from orthoglide.fit import (
     Change,
@@ -24,66 +25,11 @@ from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.numerals import decimals_for, plain, signed
 from orthoglide.observations import Campaign, Readings, ToolCampaign
-from orthoglide.parameters import Parameter
 from orthoglide.posterior import Located
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.request import Request, State, states_of
 from orthoglide.threads import on_one_thread
-from orthoglide.units import Unit
-
-CHANGED = 3.0
-"""Sigmas of a difference that count as a change where changes cannot be searched for; among some
-ten parameters, one false in forty."""
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One parameter in both states, each from its own readings, SI."""
-
-    parameter: Parameter  # its name
-    before: float  # value in the old state
-    after: float  # value in the new one
-    sigma: float  # standard deviation of the difference
-    unit: Unit  # of files
-    changed: bool  # whether the difference is beyond what the readings leave open
-    others: str = ""  # what else may have changed instead, in brackets, or empty
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """Old, new, difference and its sigma in the unit of files, and whether it changed."""
-        return (*self._figures(self.unit), self.unit.name, "yes" if self.changed else "no")
-
-    def _figures(self, unit: Unit) -> tuple[str, str, str, str]:
-        """Old, new, difference and its sigma."""
-        si, places = unit.si, decimals_for(self.sigma / unit.si, most=9)
-        before, after = (plain(v / si, places) for v in (self.before, self.after))
-        apart = signed((self.after - self.before) / si, places)
-        return before, after, apart, f"{self.sigma / si:.{places}f}"
-
-    def __str__(self) -> str:
-        unit, words = self.unit.spoken, parameter_words(self.parameter)
-        before, after, apart, sigma = self._figures(unit)
-        if self.changed:
-            size = f"from {before} to {after} {unit.name}: by {apart} ± {sigma}"
-            return f"{words}{self.others} changed {size}"
-        return f"{words} did not change by more than its uncertainty: {apart} ± {sigma} {unit.name}"
-
-    @property
-    def far(self) -> bool:
-        """Whether both values differ by more than their sigma leaves open."""
-        return abs(self.after - self.before) > CHANGED * self.sigma
-
-    @property
-    def still(self) -> str:
-        """By how much it did not change, in a list."""
-        _, _, apart, sigma = self._figures(self.unit.spoken)
-        return f"{parameter_words(self.parameter)} {apart} ± {sigma} {self.unit.spoken.name}"
-
-
-COLUMNS = ("old", "new", "difference", "sigma", "unit", "changed")
-"""What `Difference.cells` holds."""
 
 
 @dataclass(frozen=True)
@@ -222,27 +168,21 @@ def check(
     old, new = (s.request if isinstance(s, Verdict) else s for s in (old, new))
     machine, *sides = states_of(old, new, None if machine is None else Machine.of(machine))
     before, after = _told_apart(*sides)
-    dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
-    tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
-    # A fit has the dials first and takes the tool's readings for those of the last state.
-    past = [r for r in before if r in tool and any(d in after for d in dials)]
-    points = tuple(r for r in tool if r not in past)
-    request = Request("close-loop", dials, machine, (), noise, seed, points=points)
+    request, past = _of_all(machine, before, after, noise, seed)
     together = run(request, progress)
     # A change that is one of several leaves open what there was before: not so the new readings.
     verdict = run(_of_one(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
-    comparable = not past and len(visits(together.before.problem)) > 1
-    was = None
-    if not comparable or together.changed or together.word in ("located", "unexplained"):
+    jointly = not past and len(visits(together.before.problem)) > 1
+    gone: tuple[Located, ...] = ()
+    come: tuple[Located, ...] = ()
+    if not jointly or together.changed or together.word in ("located", "unexplained"):
         was = run(_of_one(request, before), progress)
-    gone, come = ((), ()) if was is None else (_unlike(was, verdict), _unlike(verdict, was))
+        gone, come = _unlike(was, verdict), _unlike(verdict, was)
+        jointly = jointly and not gone and not come
     progress(Step("comparing"))
-    if was is None or (comparable and not gone and not come):
-        differences = tuple(_of_both(together, new_names))
-        changed = together.changed
-    else:
-        differences, changed = tuple(_of_each(was, verdict)), ()
+    differences = tuple(_of_both(together, new_names) if jointly else _of_each(was, verdict))
+    changed = together.changed if jointly else ()
     none = Change(
         differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
         float("nan"), machine.catalogue,
@@ -268,6 +208,24 @@ def _words(located: Located) -> str:
     first, *others = located.members
     more = f" (or {len(others)} other places)" if others else ""
     return f"{first.place.words}, by {first.size_words}{more}"
+
+
+def _of_all(
+    machine: Machine,
+    before: Sequence[Readings],
+    after: Sequence[Readings],
+    noise: float | None,
+    seed: int,
+) -> tuple[Request, bool]:
+    """The request of both states, and whether it lacks readings of the old one: a fit has the dials
+    first and takes the tool's readings for those of the last state.
+    """
+    dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
+    tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
+    past = [r for r in before if r in tool and any(d in after for d in dials)]
+    points = tuple(r for r in tool if r not in past)
+    request = Request("close-loop", dials, machine, (), noise, seed, points=points)
+    return request, bool(past)
 
 
 def _of_one(request: Request, side: Sequence[Readings]) -> Request:

@@ -21,7 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"layout"}),
     frozenset({"geometry", "files", "frames", "units", "numerals"}),
     frozenset({"reduction", "urdf", "effects", "instruments", "scene"}),
-    frozenset({"mechanism", "machine_file"}),
+    frozenset({"mechanism", "machine_file", "difference"}),
     frozenset({"observations"}),
     frozenset({"prediction", "figures"}),
     frozenset({"machine"}),

@@ -125,10 +125,10 @@ def _shifted(rows: Rows, by: int) -> tuple[Rows, NDArray[np.bool_]]:
     """Rows in which the readings stand that belong in these, one too late or too early, and of
     which rows that is none.
     """
-    moved = np.roll(rows, -by)
-    lost = np.zeros(len(rows), dtype=bool)
-    lost[-1 if by > 0 else 0] = True
-    return moved, lost
+    late, lost = by > 0, np.zeros(len(rows), dtype=bool)
+    lost[-1 if late else 0] = True
+    moved = [rows[1:], rows[:1]] if late else [rows[-1:], rows[:-1]]
+    return np.concatenate(moved), lost
 
 
 def _readings_as(problem: Problem, x: Array, rows: Rows, setup: Setup) -> Array:
