@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,16 +108,18 @@ def quantities(option: str, items: tuple[str, ...], catalogue: Catalogue) -> dic
     Raises:
         InputError: where one is not of this form, or names nothing.
     """
-    found = {}
+    found: dict[str, float] = {}
     for item in items:
         name, _, number = item.partition("=")
         try:
             value = float(number)
         except ValueError:
+            value = math.nan
+        if not name or not math.isfinite(value):
             example = f"{catalogue.base[0]}.x=0.5"
-            raise InputError(
-                f"{option} takes NAME=NUMBER such as {example}, not {item!r}"
-            ) from None
+            raise InputError(f"{option} takes NAME=NUMBER such as {example}, not {item!r}")
+        if name in found:
+            raise InputError(f"{option} has {name} twice: give it once")
         found[name] = value * (1e-3 if name == "TCP" else catalogue.effect_of(name).unit.si)
     return found
 

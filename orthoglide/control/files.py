@@ -7,15 +7,20 @@ import math
 import os
 from dataclasses import dataclass
 
+import numpy as np
+
 from orthoglide.control.compensation import Compensation
 from orthoglide.control.numbers import controller_numbers
 from orthoglide.control.urdf import calibrated_urdf
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.notes import Note
 from orthoglide.observations.columns import MM, POINT, columns
 from orthoglide.observations.table import Column, number, read_table
 from orthoglide.text import csv_text
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, closures_text, parallel_robot_files
+
+_SMALL = 1e-3  # metres: a path within it is hardly one
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +30,7 @@ class PathPoints:
     p: Array  # TCP points (n, 3), metres, in the order of the rows
     line: tuple[int, ...]  # line of each in the file (n,), header line 1
     file: str  # its name as the caller gave it
-    warnings: tuple[str, ...]  # what was noticed and is no error
+    warnings: tuple[Note, ...]  # what was noticed and is no error
 
 
 def read_path(path: str | os.PathLike[str]) -> PathPoints:
@@ -40,6 +45,9 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
     table = read_table(path)
     warnings = table.check_names(POINT, POINT)
     p = columns(table, POINT, Column(number(MM)))
+    if len(p) > 1 and 0 < np.abs(p).max() < _SMALL:
+        told = f"all points lie within {_SMALL * 1e3:g} mm of the middle: are they metres?"
+        warnings = (*warnings, Note(told, "units"))
     return PathPoints(p, table.lines, table.file, warnings)
 
 

@@ -26,6 +26,7 @@ ALPHA = 0.005
 """Probability of saying something of a structureless residual, for each contrast."""
 
 _FEWEST_STATIONS = 5  # of a setup, for one of them to stand out
+_AT_ONCE = 500  # stations: a column of all readings each
 _MOSTLY = 0.5
 _FEWEST_TRAVELS = 8  # places along an axis below which no period is looked for
 _FEWEST_TURNS = 1.5  # of a period that must lie within the travel
@@ -177,14 +178,18 @@ def _where(rest: _Rest) -> str:
 
 def _single_station(rest: _Rest) -> str:
     """A single station that stands out: a slip at one posture, or an end of the travel."""
-    station = rest.station
-    columns = np.eye(int(station.max()) + 1)[station]
-    past, scale = rest.past(columns)
-    size = np.linalg.norm(past, axis=0)
-    visible = size > 1e-3 * scale
-    gains = np.where(visible, (rest.residual @ past / np.where(visible, size, 1.0)) ** 2, 0.0)
+    station, found = rest.station, list[Array]()
+    every = np.arange(int(station.max()) + 1)
+    for some in np.split(every, range(_AT_ONCE, len(every), _AT_ONCE)):
+        past, scale = rest.past((station[:, None] == some).astype(float))
+        size = np.linalg.norm(past, axis=0)
+        visible = size > 1e-3 * scale
+        found.append(
+            np.where(visible, (rest.residual @ past / np.where(visible, size, 1.0)) ** 2, 0.0)
+        )
+    gains = np.concatenate(found)
     best = int(np.argmax(gains))
-    p, share = rest.p_value(columns[:, [best]])
+    p, share = rest.p_value((station[:, None] == best).astype(float))
     row = int(np.flatnonzero(station == best)[0])
     # Where a setup has few stations, whatever is left of it looks like one of them.
     few = len(np.unique(station[rest.setup == rest.setup[row]])) < _FEWEST_STATIONS

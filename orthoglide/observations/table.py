@@ -73,7 +73,8 @@ class Table:
         """Refuses missing and misspelt columns; returns warnings of those that are ignored."""
         known = tuple(known)
         if not set(known) & set(self.names):
-            self.fail(f"is no such sheet: the first line must name {', '.join(needed)}")
+            small = " in small letters" * any(name != name.lower() for name in self.names)
+            self.fail(f"is no such sheet: the first line must name {', '.join(needed)}{small}")
         unknown = [name for name in self.names if name not in known]
         for name in unknown:
             close = get_close_matches(name, known, n=1, cutoff=0.75)
