@@ -188,10 +188,13 @@ def _before(
     across = (unit[np.ix_(rest, at)] * sd[at]).sum(axis=1)
     among = np.linalg.pinv(unit[np.ix_(rest, rest)], rcond=1e-9, hermitian=True)
     unknown = known.covariance[np.ix_(at, at)].sum() - across @ among @ across
-    weights = np.zeros(len(now.names))
-    weights[[now.names.index(n) for n in kept]] = -(among @ across) / sd[rest]
-    weights[[now.names.index(n) for n in members]] = 1.0
+    slope, places = (among @ across) / sd[rest], [now.names.index(n) for n in kept]
+    alone = np.isin(now.names, members).astype(float)
+    weights = alone.copy()
+    weights[places] = -slope
     given = weights @ now.covariance @ weights + max(unknown, 0.0)
-    alone = np.where(weights == 1.0, 1.0, 0.0)
     apart = alone @ now.covariance @ alone + known.covariance[np.ix_(at, at)].sum()
-    return float(known.mean[at].sum()), float(np.sqrt(min(given, apart)))
+    before = float(known.mean[at].sum())
+    if given < apart:  # what did not change tells more of what there was than the calibration did
+        before += float(slope @ (now.x[places] - known.mean[rest]))
+    return before, float(np.sqrt(min(given, apart)))

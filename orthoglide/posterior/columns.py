@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.accuracy import workspace
 from orthoglide.diagnosis.candidates import Candidate, candidates
 from orthoglide.effects import Effect
 from orthoglide.effects.places import Place
@@ -149,8 +150,7 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     fixed, known = _fixed(problem, len(scale))
     unnamed = np.arange(len(scale)) >= len(scale) - len(sizes)
     fixed[unnamed] = 1.0
-    slopes = tool_slopes(wide, x) * sd
-    same = twins(wide, free, columns[:, : len(sd)], slopes)
+    same = twins(wide, free, columns[:, : len(sd)], tool_slopes(wide, x) * sd)
     gone = {other.plain for others in same.values() for other, _ in others}
     stood_for = np.flatnonzero([n.plain in gone for n in wide.names])
     rows[:, stood_for] = columns[:, stood_for] = 0.0
@@ -173,6 +173,8 @@ def everything(estimate: Estimate, at: Array | None = None) -> Everything:
     is_free = np.arange(len(scale)) >= len(sd)
     linear = Linear(columns, residual, fixed, is_free, unnamed, groups, stations, beyond=beyond)
     linear = _with_plates(linear, problem)
+    # On even commands, where the place of the whole is what all of them share.
+    slopes = tool_slopes(wide, x, workspace(wide.machine.geometry)) * sd
     padded = np.pad(known[0], [(0, 0), (0, len(sd) - known[0].shape[1])])
     reduced = _reduced(linear)
     outside = float(linear.residual @ linear.residual - reduced.residual @ reduced.residual)

@@ -8,6 +8,7 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
+from orthoglide.prediction import Conditions
 
 _FEW = 3.0
 """Tolerances of a parameter that another may replace if no reading and no tool shows it."""
@@ -15,13 +16,16 @@ _FEW = 3.0
 _SHAPELESS = 1e-6  # metres: what changes the shape by less moves the machine as a whole
 
 
-def tool_slopes(problem: Problem, x: Array) -> Array:
-    """TCP of the last campaign's machine over the workspace by unknown ``(g, 3, P)``, SI."""
+def tool_slopes(problem: Problem, x: Array, commands: Array | None = None) -> Array:
+    """TCP of the last campaign's machine by unknown ``(g, 3, P)``, SI: at some commands ``(g, 3)``,
+    metres, or throughout the workspace.
+    """
     machine, last = problem.machine, problem.last
     names, matrix = problem.elementary(last)
     kept = [k for k, name in enumerate(names) if name in machine.catalogue.motions]
     values = {n: v for n, v in problem.values(last, x).items() if n in machine.catalogue.motions}
-    return tcp_slopes(machine.with_only(values), [names[k] for k in kept]) @ matrix[kept]
+    at = None if commands is None else Conditions.at(commands)
+    return tcp_slopes(machine.with_only(values), [names[k] for k in kept], at) @ matrix[kept]
 
 
 def translations(slopes: Array) -> Array:
