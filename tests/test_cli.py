@@ -132,6 +132,7 @@ CAMPAIGNS: dict[str, tuple[str | bytes, int | None, str]] = {
     "UTF-16": (EXPERIMENT_2.encode("utf-16"), None, "save it as UTF-8"),
     "Latin-1": (name("zero", "null ä").encode("latin-1"), 2, "save it as UTF-8"),
     "another table": ("a,b\n1,2\n", 1, "the first line must name setup"),
+    "capitals": (EXPERIMENT_2.upper(), 1, "in small letters"),
     "misspelt column": (name("gauge_mm", "guage_mm"), 1, "did you mean 'gauge_mm'"),
     "column missing": (name("reading_mm", "note"), 1, "add what is missing"),
     "column twice": (name("repeat", "leg"), 1, "remove one"),
@@ -323,6 +324,22 @@ def test_options_without_effect_are_refused(
     assert words in result.stderr
     assert result.stderr.count("\n") == 1
     assert os.listdir(here) == ["experiment2.csv"]
+
+
+@pytest.mark.parametrize(
+    ("errors", "words"),
+    [
+        ("joint_offset.x=1,joint_offset.x=2", "--error has joint_offset.x twice: give it once"),
+        ("=3", "--error takes NAME=NUMBER such as joint_offset.x=0.5, not '=3'"),
+        ("joint_offset.x=inf", "--error takes NAME=NUMBER such as"),
+    ],
+)
+def test_errors_to_simulate_are_numbers_by_name(errors: str, words: str, here: Path) -> None:
+    og.Machine.nominal().save("m.toml")
+    result = run("simulate", "--machine", "m.toml", "--error", errors, "--out", "x.csv")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in result.stderr
+    assert not (here / "x.csv").exists()
 
 
 def test_what_has_an_effect_is_taken(here: Path) -> None:

@@ -707,6 +707,13 @@ def test_a_point_out_of_reach_names_file_and_line(tmp_path: Path) -> None:
     assert not out.exists()
 
 
+def test_a_path_in_metres_is_doubted(tmp_path: Path) -> None:
+    circle_mm = circle(8) * 1e3
+    for scale, told in ((1.0, 0), (1e-3, 1)):
+        path = write_path(tmp_path / f"path{told}.csv", circle_mm * scale * 1e-3)
+        assert sum("are they metres?" in str(note) for note in read_path(path).warnings) == told
+
+
 def test_a_path_without_its_columns_is_refused(tmp_path: Path) -> None:
     (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm\n1,2\n")
     with pytest.raises(FileError, match="p_z_mm"):

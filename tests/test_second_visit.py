@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks import second_visit
 from orthoglide.checking import check
 from tests.rig import Rig
 from tests.rig_campaigns import drive_step, protocol_rows, s_curve, simulate
@@ -271,6 +272,14 @@ def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path
     told = " ".join(str(action.words) for action in again.actions)
     assert "put back" not in told
     assert not any("expect" in one.confirm for a in again.actions for one in a.options)
+
+
+def test_what_did_not_change_says_what_there_was_before() -> None:
+    """Where both visits leave the zeros of all legs open together: one was 4.5 sigmas off."""
+    record = second_visit.run((1, "two-gauges", 29), 4040)
+    (told,) = record["file"]
+    assert abs(told["apart"]) < 3
+    assert told["by"] == pytest.approx(record["changed"]["joint_offset.z"], abs=6e-5)
 
 
 def test_a_dial_of_a_micrometre_is_drawn_up_after_a_second_visit() -> None:
