@@ -194,19 +194,38 @@ def check(
 
 
 def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:
-    """Places located in one state of which none is in the other."""
+    """Places located in one state of which none is in the other, that was read at the same places,
+    nor any cause of their legs.
+    """
+    if not _read(one) or _read(one) != _read(other):
+        return ()
     known = {curve.place.name for located in other.located for curve in located.members}
+    named = {other.catalogue.parameter(n).leg for cause in other.effects for n in cause.every}
     return tuple(
         located
         for located in one.located
         if known.isdisjoint(curve.place.name for curve in located.members)
+        and named.isdisjoint(c.place.names.legs[c.place.leg] for c in located.members)
     )
+
+
+def _read(verdict: Verdict) -> set[tuple[float, ...]]:
+    """Where dials read what, to a tenth of a millimetre."""
+    return {
+        (s.leg, s.axis, s.bar, round(s.gauge, 3), *command)
+        for campaign in verdict.request.campaigns
+        for s, command in zip(
+            (campaign.setups[k] for k in campaign.setup),
+            np.round(campaign.command, 4).tolist(),
+            strict=True,
+        )
+    }
 
 
 def _words(located: Located) -> str:
     """Its likeliest place, and how many others it may be."""
     first, *others = located.members
-    more = f" (or {len(others)} other places)" if others else ""
+    more = f" (or {len(others)} other place{'s' * (len(others) > 1)})" if others else ""
     return f"{first.place.words}, by {first.size_words}{more}"
 
 

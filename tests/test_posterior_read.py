@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orthoglide.diagnosis.candidates import Candidate
+from orthoglide.effects import CATALOGUE
 from orthoglide.posterior.linear import Group
 from orthoglide.posterior.mixture import Mixture
 from orthoglide.posterior.outstanding import _Reader
@@ -73,6 +75,23 @@ def test_a_name_is_given_where_a_place_is_unlikely(
     odds: list[float], free: list[bool], kind: str
 ) -> None:
     assert claimed(odds, free)[0] == kind
+
+
+def test_waves_of_a_leg_are_one_cause_and_the_likeliest_comes_first() -> None:
+    names = ("axis_tilt.y.z", "screw_error.x.sin", "screw_error.x.cos", "screw_error.x")
+    parts = ([0], [1], [2], [1, 2])
+    single = [CATALOGUE.parameter(name) for name in names[:3]]
+    several = [
+        Candidate(name, name.partition(".")[0], tuple(single[k] for k in own), ())
+        for name, own in zip(names, parts, strict=True)
+    ]
+    machine = SimpleNamespace(catalogue=CATALOGUE)
+    posterior = SimpleNamespace(about=SimpleNamespace(candidates=several), machine=machine)
+    reader = _Reader.__new__(_Reader)
+    vars(reader)["posterior"] = posterior
+    found = reader._by_cause([(0, 0.4), (1, 0.3), (2, 0.2), (3, 0.1)])
+    assert [k for k, _ in found] == [1, 0]
+    assert [p for _, p in found] == pytest.approx([0.6, 0.4])
 
 
 def test_the_covariance_has_what_explanations_differ_by() -> None:

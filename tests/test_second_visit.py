@@ -254,6 +254,17 @@ def test_a_located_curve_that_was_mended_is_what_changed(curve: Any) -> None:
     assert not any("from" in change.what.partition("changed")[2] for change in again.changed)
 
 
+def test_a_place_that_a_poorer_sheet_cannot_show_is_not_gone() -> None:
+    """A sheet of three postures names the same curve a bow, or nothing at all."""
+    rig = Rig(errors=ERRORS, screw_pitch=0.02, extra=(s_curve(1, 0, 1e-4),))
+    rows = simulate(rig, protocol_rows("standard"), np.random.default_rng(1))
+    poor = og.Campaign.from_frame({k: [r[k] for r in rows] for k in rows[0]}, name="poor")
+    found = check([campaign_of(rig, 0, "rich")], [poor], SHEET)
+    assert not found.gone
+    assert not found.come
+    assert "located" not in found.line.partition(". Verdict")[0]
+
+
 def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path: Path) -> None:
     """Sound bars were said to be 0.74 mm unequal now, and to be put back."""
     hinge = {**ERRORS, "mount_tilt.z.b": -9.7e-3}

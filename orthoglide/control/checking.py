@@ -44,6 +44,7 @@ class ZeroCheck:
             "shown_at_posture_mm": [round(v * 1e3, 6) + 0.0 for v in self.at_posture],
             "expected_mm": round(self.right * 1e3, 6) + 0.0,
             "expected_if_wrong_mm": round(self.wrong * 1e3, 6) + 0.0,
+            "drives_moving": self.way or None,
         }
 
     def __str__(self) -> str:

@@ -50,6 +50,7 @@ class DriveNumbers:
     backlash: float  # lost motion, metres
     bar_length: float  # mean length of the leg's bars, metres
     best: str = ""  # what the offset is the best of; empty of the joint offset itself
+    identified: float = 0.0  # joint offset as identified, metres
 
     @property
     def new_zero(self) -> float:
@@ -85,7 +86,8 @@ class DriveNumbers:
         """For JSON; lengths in millimetres."""
         return {
             "sign": self.sign,
-            "offset_mm" if self.best else "joint_offset_mm": _mm(self.offset),
+            **({"offset_mm": _mm(self.offset)} if self.best else {}),
+            **({} if self.best == _ZEROS else {"joint_offset_mm": _mm(self.identified)}),
             "old_zero_mm": _mm(self.zero),
             "new_zero_mm": _mm(self.new_zero),
             "add_to_command_mm": _mm(self.correction),
@@ -242,7 +244,9 @@ def controller_numbers(
     held = _by_kind(machine, settings["zeros" if zeros_only else "numbers"])
     of = machine.catalogue.effect_of
     left_over = [n for n, v in machine.values.items() if v and of(n).controller not in held]
-    best = _ZEROS if zeros_only else "these numbers" if left_over else ""
+    fitted = left_over or machine.geometry.layout.hanging  # which leaves the tool at its height
+    best = _ZEROS if zeros_only else "these numbers" if fitted else ""
+    identified = _by_kind(machine, machine.values).get("zero", np.zeros(3))
     controller, length = machine.spec.controller, machine.geometry.L
     none = np.zeros(3)
     drives = [
@@ -255,6 +259,7 @@ def controller_numbers(
             float(held.get("backlash", none)[k]),
             length + float(held.get("bar_length", none)[k]),
             best,
+            float(identified[k]),
         )
         for k, leg in enumerate(machine.geometry.leg_names)
     ]

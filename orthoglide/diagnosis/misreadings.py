@@ -72,7 +72,7 @@ def misreadings(
         slipped: in which slips are, and nothing else.
     """
     problem = means.problem
-    if not setups:
+    if not setups and not slipped:
         return []
     measured, value = problem.measured, means.signatures.estimate.at.value
     order = {s: in_order(problem, s) for s in setups}

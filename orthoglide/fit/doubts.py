@@ -117,18 +117,20 @@ def check_slips(estimate: Estimate) -> None:
     if len(slipped) > _ALONE:
         slipped = far(rest, spread, alone=False)
     off = rest / np.hypot(problem.sigma, spread)
-    slipped = _apart({p: float(np.linalg.norm(off[point == p])) for p in worst}, slipped)
+    size = {int(p): float(np.linalg.norm(off[point == p])) for p in np.unique(point[point >= 0])}
+    beyond = max((one for p, one in size.items() if p not in worst), default=0.0)
+    slipped = _apart({p: size[p] for p in worst}, slipped, beyond)
     if slipped:
         raise InputError("; ".join(_said(problem, names[p], rest[point == p]) for p in slipped)
                          + ": correct the row or remove it")  # fmt: skip
 
 
-def _apart(off: Mapping[int, float], slipped: Sequence[int]) -> list[int]:
-    """Those of some points that lie well beyond all others; off by less and less, there is a bump
-    of a bed, or a wave of a rail.
+def _apart(off: Mapping[int, float], slipped: Sequence[int], rest: float) -> list[int]:
+    """Those of some points that lie well beyond all others, which are off by ``rest`` at most; off
+    by less and less, there is a bump of a bed, or a wave of a rail.
     """
     order = sorted(off, key=lambda p: -off[p])
-    least = [*(off[p] for p in order[1:]), 0.0]
+    least = [*(off[p] for p in order[1:]), rest]
     told = [
         k
         for k, p in enumerate(order)

@@ -151,7 +151,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
             before, after, apart, sigma, tuple(one.sizes.values()), unseen=unseen,
-            vague=unclear,
+            vague=unclear and catalogue.effect_of(one.parameter).controller != "zero",
         )  # fmt: skip
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import permutations
 
+import numpy as np
+
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.identifying import assemble
+from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import solve
-from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, source
 
 _FAR = 20.0
@@ -24,36 +23,35 @@ def check_columns(estimate: Estimate) -> None:
     """Refuse campaigns whose readings fit only with the commands of drives exchanged.
 
     Raises:
-        InputError: naming the file, and the drives.
+        InputError: naming the files, and the drives.
     """
-    if estimate.sigma_scale < _FAR:
+    problem, now = estimate.problem, estimate.sigma_scale
+    if now < _FAR or not problem.campaigns:
         return
-    machine = estimate.problem.machine
-    for campaign in estimate.problem.campaigns:
-        with suppress(NumericsError):
-            _check(campaign, machine)
-
-
-def _check(campaign: Campaign, machine: Machine) -> None:
-    def off(order: Sequence[int]) -> float:
-        found = _exchanged(campaign, list(order))
-        return solve(
-            assemble([found], machine, machine.catalogue.base), method="nested"
-        ).sigma_scale
-
-    now = off((0, 1, 2))
-    if now < _FAR:
-        return
-    names = machine.geometry.leg_names
+    names, several = problem.machine.geometry.leg_names, range(len(problem.campaigns))
+    which = [tuple(several), *((k,) for k in several if len(several) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
-    best, order = min((off(order), order) for order in orders)
+    tried = ((_off(problem, some, order), some, order) for some in which for order in orders)
+    best, some, order = min(tried)
     if best * _BETTER < now:
         moved = [k for k in range(3) if order[k] != k]
         told = " and ".join(f"of drive {names[k]} under {names[order[k]]}" for k in moved)
+        files = ", ".join(source(problem.campaigns[k]) for k in some)
         raise InputError(
-            f"{source(campaign)}: the readings fit {now / best:.0f} times better with the commands "
-            f"{told}: exchange the columns, or else the legs and directions of all dials"
+            f"{files}: the readings fit {now / best:.0f} times better with the commands {told}: "
+            f"exchange the columns, or else the legs and directions of all dials"
         )
+
+
+def _off(problem: Problem, some: tuple[int, ...], order: tuple[int, ...]) -> float:
+    """Times the noise by which readings are off with some campaigns' drives exchanged."""
+    campaigns = tuple(
+        _exchanged(c, list(order)) if k in some else c for k, c in enumerate(problem.campaigns)
+    )
+    try:
+        return solve(replace(problem, campaigns=campaigns), method="nested").sigma_scale
+    except NumericsError:
+        return np.inf
 
 
 def _exchanged(campaign: Campaign, order: list[int]) -> Campaign:

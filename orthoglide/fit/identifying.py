@@ -13,6 +13,7 @@ from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.fit.doubts import check_slips, check_units
 from orthoglide.fit.earlier import account_for_changes, earlier_of
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.exchanged import check_columns
 from orthoglide.fit.factors import Frame, TcpReadings
 from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.meant import check_meant
@@ -104,6 +105,7 @@ def identify(
     if weighting == "deviations":
         problem = _anchored(problem)
     found = account_for_changes(solve(problem, method=method), method)
+    check_columns(found)
     check_slips(found)
     return found
 

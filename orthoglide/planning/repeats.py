@@ -80,7 +80,7 @@ def _tcp_slope(machine: Machine, names: Sequence[str]) -> Array:
     of_machine = [not machine.catalogue.effect_of(n).of_dial for n in names]
     moving = [n for n, moves in zip(names, of_machine, strict=True) if moves]
     parts, weights = in_tolerances(machine, moving)
-    where = Conditions.at(workspace(machine.geometry, _GRID))
+    where = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
     moved = without_place(tcp_slopes(machine, parts, where) @ weights)
     slope = np.zeros((*moved.shape[:2], len(names)))
     slope[..., of_machine] = moved

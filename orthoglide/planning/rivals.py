@@ -149,7 +149,7 @@ def inseparable_words(
         within_reach: how many readings they were judged by.
         level: difference of TCPs that does not count, metres.
     """
-    conditions = Conditions.at(workspace(machine.geometry, _GRID))
+    conditions = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
     points = [machine.model.outputs(e.values, conditions).p for e in rivals]
     apart = [p - q for p in points for q in points]
     shift = max(float(np.linalg.norm(d.mean(axis=0))) for d in apart)

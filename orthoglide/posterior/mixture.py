@@ -260,7 +260,8 @@ class Mixture(Search):
             spread = weights[:, at] @ covariance(state, scale) @ weights[:, at].T
             sd = np.sqrt(np.maximum(np.diag(spread), 1e-300))
             share, along = np.linalg.eigh(spread / sd / sd[:, None])
-            root = along * np.sqrt(np.maximum(share, 0.0))
+            # Symmetric: eigenvectors alone leave signs, and turns among equal ones, to rounding.
+            root = (along * np.sqrt(np.maximum(share, 0.0))) @ along.T
             some = term == k
             drawn[some] = weights @ self._means[k] + normal[some] @ root.T * sd
         return drawn

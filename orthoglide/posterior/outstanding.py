@@ -129,7 +129,7 @@ class _Reader:
             one = self._one_cause(self.posterior.about.candidates[k])
             first, chance = found.get(one, (k, 0.0))
             found[one] = first, chance + p
-        return list(found.values())
+        return sorted(found.values(), key=lambda one: -one[1])
 
     def _one_cause(self, candidate: Candidate) -> tuple[str, ...]:
         effect = self.posterior.machine.catalogue.effect_of(candidate.name)

@@ -220,8 +220,8 @@ def unseen(result: Result, figures: Figures) -> Data:
 def _has_one_place(result: Result) -> bool:
     """Whether some leg was read by dials at a single place along it."""
     setups = [setup for campaign in result.after.problem.campaigns for setup in campaign.setups]
-    places = {(setup.leg, setup.gauge) for setup in setups}
-    return 0 < len(places) < 2 * len({setup.leg for setup in setups})
+    places = {(setup.leg, round(setup.gauge, 3)) for setup in setups}
+    return 1 in Counter(leg for leg, _ in places).values()
 
 
 _METHODS = {

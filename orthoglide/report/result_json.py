@@ -364,6 +364,7 @@ def _change(change: Change) -> dict[str, Any]:
         "unit": change.unit.name,
         "between": list(change.files),
         "words": change.message,
+        "vague": change.vague,
     }
 
 
