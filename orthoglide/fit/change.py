@@ -159,7 +159,8 @@ class Change:
         spread = estimate.covariance[np.ix_(places, places)].sum()
         after = float(estimate.x[places].sum())
         after += self.before if self.parameter.member else 0.0  # its unknown is the change
-        return replace(self, after=after, sigma_after=float(np.sqrt(spread)))
+        before = after - (self.after - self.before) if self.vague else self.before
+        return replace(self, before=before, after=after, sigma_after=float(np.sqrt(spread)))
 
     def measured(self, estimate: Estimate) -> Change:
         """With the values of a fit in which the parameter, or a member instead, is separate.

@@ -134,6 +134,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
     spec = now.problem.machine.spec
     old, unclear = Path(spec.file).name or "earlier calibration", bool(vague(spec))
     for one in found.moved:
+        average = unclear and catalogue.effect_of(one.parameter).controller != "zero"
         if one.parameter in known.names:
             summed = summed_of(tuple(one.sizes), catalogue)
             places = [now.names.index(name) for name in summed]
@@ -142,6 +143,8 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             apart = math.hypot(apart, unseen, one.among)
             sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
             after = float(now.x[places].sum())
+            if average:  # the search knows by how much, from what no average does
+                before, apart = after - next(iter(one.sizes.values())), one.sigma
         else:
             before = _pattern_before(known, one.parameter, catalogue)
             place = [n.plain for n in now.problem.names].index(one.parameter)
@@ -151,7 +154,7 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
         yield Change(
             one.parameter, tuple(one.sizes), "", (old, last.name), one.evidence, catalogue,
             before, after, apart, sigma, tuple(one.sizes.values()), unseen=unseen,
-            vague=unclear and catalogue.effect_of(one.parameter).controller != "zero",
+            vague=average,
         )  # fmt: skip
 
 
