@@ -55,8 +55,9 @@ def test_one_shuffled_setup_is_set_aside() -> None:
     assert (blunder.kind, blunder.setups) == ("scatter", (whole.setups[3].name,))
 
 
-@pytest.mark.parametrize("drives", [(0, 1), (1, 2), (0, 2)])
-@pytest.mark.parametrize("protocol", ["standard", "sweep"])
+@pytest.mark.parametrize(
+    ("drives", "protocol"), [((0, 1), "sweep"), ((1, 2), "standard"), ((0, 2), "standard")]
+)
 def test_commands_in_each_others_columns_are_refused(
     drives: tuple[int, int], protocol: str
 ) -> None:
