@@ -205,7 +205,9 @@ def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:
         located
         for located in one.located
         if known.isdisjoint(curve.place.name for curve in located.members)
-        and named.isdisjoint(c.place.names.legs[c.place.leg] for c in located.members)
+        and named.isdisjoint(
+            c.place.names.legs[c.place.leg] for c in located.members if c.place.leg >= 0
+        )
     )
 
 

@@ -237,7 +237,6 @@ def compensate(
     approach = _approach(rho, before, 4 * resolution)  # no rounding turns a drive
     arriving = {"approach": approach, **conditions}
     predicted = machine.forward(rho, **arriving)
-    turned = predicted - machine.forward(rho, **{**arriving, "approach": way})
     return Compensation(
         goal,
         rho,
@@ -251,8 +250,17 @@ def compensate(
         machine.spec.posterior is None,
         machine.geometry.layout.names,
         None if (known := machine.spec.kinematics) is None else known.places(rho),
-        np.linalg.norm(turned, axis=1),
+        _unturned(machine, rho, predicted, {**arriving, "approach": way}, approach),
     )
+
+
+def _unturned(
+    machine: Machine, rho: Array, predicted: Array, meant: dict[str, Array], approach: Array
+) -> Array:
+    """By how much the TCP is off ``(n,)`` as drives do not arrive as they were meant to, metres."""
+    if np.array_equal(meant["approach"], approach):
+        return np.zeros(len(rho))
+    return np.asarray(np.linalg.norm(predicted - machine.forward(rho, **meant), axis=1))
 
 
 def _path(points: ArrayLike) -> Array:

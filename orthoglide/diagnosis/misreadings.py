@@ -75,7 +75,7 @@ def misreadings(
     if not setups and not slipped:
         return []
     measured, value = problem.measured, means.signatures.estimate.at.value
-    order = {s: in_order(problem, s) for s in setups}
+    order = {s: in_order(problem, s) for s in (*setups, *slipped)}
     found: list[Misreading] = []
 
     def add(kind: Kind, rows: Rows, of: tuple[int, ...], size: float, corrected: Array) -> None:
@@ -83,8 +83,7 @@ def misreadings(
         change[rows] = corrected - measured[rows]
         found.append(Misreading(Fault(kind, rows, of, size), change))
 
-    for s in (*setups, *slipped):
-        rows = in_order(problem, s)
+    for s, rows in order.items():
         fitted = value[rows] + np.mean(measured[rows] - value[rows])  # with its datum
         for by in (1, -1):
             moved, lost = _shifted(rows, by)
@@ -97,7 +96,8 @@ def misreadings(
             change[order[s]] = value[order[s]] - as_labelled
         found.append(Misreading(fault, change, labels))
 
-    for s, rows in order.items():
+    for s in setups:
+        rows = order[s]
         add("sign", rows, (s,), -1.0, -measured[rows])
         for factor in MISTAKEN:
             add("unit", rows, (s,), factor, factor * measured[rows])

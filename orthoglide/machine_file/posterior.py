@@ -19,6 +19,19 @@ from orthoglide.text import shown
 _CONTENT = ("names", "mean", "covariance", "sha256")
 
 
+def root_of(covariance: Array) -> Array:
+    """A matrix ``(P, P)`` whose product with its transpose is a covariance.
+
+    In units of the standard deviations it is symmetric: eigenvectors alone would leave signs, and
+    turns among equal eigenvalues, to rounding, and draws with them.
+    """
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(sd > 0, sd, 1.0)
+    values, vectors = np.linalg.eigh(covariance / unit / unit[:, None])
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return np.asarray(unit[:, None] * root)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Posterior:
     """What is known of parameters, as a Gaussian."""
@@ -68,16 +81,8 @@ class Posterior:
 
     @property
     def root(self) -> Array:
-        """A matrix ``(P, P)`` whose product with its transpose is the covariance.
-
-        In units of the standard deviations it is symmetric: eigenvectors alone would leave signs,
-        and turns among equal eigenvalues, to rounding, and draws with them.
-        """
-        sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        unit = np.where(sd > 0, sd, 1.0)
-        values, vectors = np.linalg.eigh(self.covariance / unit / unit[:, None])
-        root = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        return np.asarray(unit[:, None] * root)
+        """A matrix ``(P, P)`` whose product with its transpose is the covariance."""
+        return root_of(self.covariance)
 
     def mapped(self, names: Sequence[str], matrix: Array) -> Posterior:
         """Of linear combinations: ``matrix`` ``(Q, P)`` gives the parameters ``names``."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
+from orthoglide.machine_file import root_of
 from orthoglide.posterior.linear import SOUND, Scale
 from orthoglide.posterior.marginal import Marginal
 from orthoglide.posterior.search import Search, State, whitened
@@ -257,13 +258,9 @@ class Mixture(Search):
         drawn, covariance = np.empty(normal.shape), self._covariances(at)
         for k in np.unique(term):
             _, state, scale = self._terms[k]
-            spread = weights[:, at] @ covariance(state, scale) @ weights[:, at].T
-            sd = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-            share, along = np.linalg.eigh(spread / sd / sd[:, None])
-            # Symmetric: eigenvectors alone leave signs, and turns among equal ones, to rounding.
-            root = (along * np.sqrt(np.maximum(share, 0.0))) @ along.T
+            root = root_of(weights[:, at] @ covariance(state, scale) @ weights[:, at].T)
             some = term == k
-            drawn[some] = weights @ self._means[k] + normal[some] @ root.T * sd
+            drawn[some] = weights @ self._means[k] + normal[some] @ root.T
         return drawn
 
     def averaged(self, known: int) -> Averaged:
