@@ -91,9 +91,9 @@ def tcp_map(machine: Machine, commands: Array | None = None) -> Map:
 
     Args:
         machine: calibrated.
-        commands: ``(g, 3)``; the grid of :func:`workspace` where absent.
+        commands: ``(g, 3)``; :func:`throughout` the workspace where absent.
     """
-    where = workspace(machine.geometry) if commands is None else commands
+    where = throughout(machine) if commands is None else commands
     posterior = machine.posterior
     slopes = without_place(tcp_slopes(machine, posterior.names, Conditions.at(where)))
     variance = np.einsum("gip,pq,giq->gi", slopes, posterior.covariance, slopes)

@@ -185,6 +185,8 @@ def test_the_workspace_meets_every_turn_of_the_screws() -> None:
     off = waving.forward(where) - waving.with_only({}).forward(where)
     true = np.linalg.norm(off - off.mean(axis=0), axis=1).mean()
     assert expected_error(waving, {}).shape == pytest.approx(true, rel=0.1)
+    known = waving.with_posterior(waving.values, Posterior(NAMES, np.zeros(3), np.eye(3) * 1e-12))
+    assert tcp_map(known).error.mean() == pytest.approx(true, rel=0.1)  # as the page shows it
 
 
 def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:

@@ -73,6 +73,14 @@ def test_commands_in_each_others_columns_are_refused(
     og.close_loop(campaign_of(rc.simulate(far, rc.protocol_rows(protocol), rng)), MACHINE)
 
 
+@pytest.mark.parametrize("order", [(1, 0, 2), (2, 0, 1)])
+def test_one_dial_does_not_tell_whose_columns_were_exchanged(order: tuple[int, ...]) -> None:
+    whole = rig()
+    one = whole.subset(whole.setup == 0)
+    with pytest.raises(InputError, match="in another order of drives, which they cannot tell"):
+        og.identify(replace(one, command=one.command[:, order]), MACHINE)
+
+
 @pytest.mark.parametrize("factor", [25.4, 1 / 25.4])
 @pytest.mark.parametrize("ask", [og.close_loop, og.identify])
 def test_inches_throughout_are_refused(ask, factor: float) -> None:

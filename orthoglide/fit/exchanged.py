@@ -17,6 +17,7 @@ _FAR = 20.0
 """Times the noise by which an exchange is off, and more: a machine's own errors are rarely."""
 
 _BETTER = 10.0  # times nearer by which the readings must fit with the commands put right
+_ALIKE = 2.0  # times as far off as the best: one dial alone need not tell which exchange it was
 
 
 def check_columns(estimate: Estimate) -> None:
@@ -31,14 +32,16 @@ def check_columns(estimate: Estimate) -> None:
     names, several = problem.machine.geometry.leg_names, range(len(problem.campaigns))
     which = [tuple(several), *((k,) for k in several if len(several) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
-    tried = ((_off(problem, some, order), some, order) for some in which for order in orders)
+    tried = [(_off(problem, some, order), some, order) for some in which for order in orders]
     best, some, order = min(tried)
     if best * _BETTER < now:
-        moved = [k for k in range(3) if order[k] != k]
-        told = " and ".join(f"of drive {names[k]} under {names[order[k]]}" for k in moved)
         files = ", ".join(source(problem.campaigns[k]) for k in some)
+        moved = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
+        told = f"with the commands {' and '.join(moved)}"
+        if sum(some == s and off < _ALIKE * best for off, s, _ in tried) > 1:
+            told = "with the commands in another order of drives, which they cannot tell"
         raise InputError(
-            f"{files}: the readings fit {now / best:.0f} times better with the commands {told}: "
+            f"{files}: the readings fit {now / best:.0f} times better {told}: "
             f"exchange the columns, or else the legs and directions of all dials"
         )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.accuracy import Map, tcp_map, variance_by_effect, without_place
+from orthoglide.accuracy import Map, tcp_map, variance_by_effect, without_place, workspace
 from orthoglide.fit import Estimate
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -18,7 +18,8 @@ _MOST_NAMED = 3
 class Workspace:
     """The TCP over the workspace, best translation removed, metres."""
 
-    at: Array  # travel from mechanical zero on the Orthoglide, else where the tool is wanted (g, 3)
+    at: Array  # travel from mechanical zero on the Orthoglide, else where the tool is wanted (g, 3),
+    # on a regular grid: errors are of a place a part of a screw's turn beside it, if it has screws
     axis: str  # what its columns are, with the axis' name to fill in
     now: Array  # predicted error of a controller that knows of no error (g, 3)
     left: Array  # predicted error of one that knows of joint offsets and leg lengths (g, 3)
@@ -52,7 +53,7 @@ def workspace_of(before: Estimate, known: Machine, calibrated: Map) -> Workspace
     base = tcp_map(known.with_posterior(before.machine.values, known.posterior))
     travels = known.geometry.dialled  # elsewhere no levels of travel are levels of the tool
     return Workspace(
-        calibrated.commands - known.geometry.zero if travels else calibrated.nominal,
+        workspace(known.geometry) - known.geometry.zero if travels else calibrated.nominal,
         "travel of {}" if travels else "{} of the tool",
         without_place(calibrated.p - calibrated.nominal),
         without_place(calibrated.p - base.p),
