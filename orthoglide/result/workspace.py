@@ -18,8 +18,9 @@ _MOST_NAMED = 3
 class Workspace:
     """The TCP over the workspace, best translation removed, metres."""
 
-    at: Array  # travel from mechanical zero on the Orthoglide, else where the tool is wanted (g, 3),
-    # on a regular grid: errors are of a place a part of a screw's turn beside it, if it has screws
+    # A regular grid (g, 3): travel from mechanical zero on the Orthoglide, else where the tool is
+    # wanted. With screws, errors are of a place a part of a turn beside it.
+    at: Array
     axis: str  # what its columns are, with the axis' name to fill in
     now: Array  # predicted error of a controller that knows of no error (g, 3)
     left: Array  # predicted error of one that knows of joint offsets and leg lengths (g, 3)
