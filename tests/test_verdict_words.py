@@ -11,6 +11,7 @@ from orthoglide.fit import solve
 from orthoglide.fit.identifying import assemble
 from orthoglide.posterior import full_posterior, outstanding, remains
 from orthoglide.posterior.causes import Outstanding
+from orthoglide.report.wording import headline
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Rig
 
@@ -110,3 +111,11 @@ def test_zeros_far_off_beside_noise_of_one_chance_in_a_hundred(seed: int) -> Non
     assert verdict.word == "adequate"
     for name in names[:3]:
         assert verdict.after.values[name] == pytest.approx(errors[name], abs=6e-4)
+
+
+@pytest.mark.parametrize("value", [0.0, 8.15e-3])
+def test_readings_that_are_all_alike_are_no_sound_machine(value: float) -> None:
+    sheet = og.protocol("standard")
+    verdict = og.close_loop(sheet.with_readings(np.full(len(sheet), value)))
+    assert verdict.word == "adequate"
+    assert headline(verdict).startswith("These readings show no error at all: either")

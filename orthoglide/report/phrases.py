@@ -21,6 +21,11 @@ _FEW = 2.0  # degrees of freedom
 _SOUND = 0.05  # probability of what the base leaves, from which nothing more is told
 _KNOWN = 0.1  # of a gain, by which it may be off without a word
 
+NOTHING_SHOWN = (
+    "These readings show no error at all: either they were made up of a machine that has none, or "
+    "the instruments read nothing."
+)
+
 WHICHEVER, PLATE = "on average, whichever of these it is", "on average, nothing if it is the plate"
 """Behind what it gains to put right one of several causes."""
 

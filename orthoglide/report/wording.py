@@ -10,7 +10,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed, told_apart
-from orthoglide.report.phrases import a_little, listed, none_left_over, sentence
+from orthoglide.report.phrases import NOTHING_SHOWN, a_little, listed, none_left_over, sentence
 
 if TYPE_CHECKING:
     from orthoglide.fit import Change, Estimate, Scores
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _HARDLY = 0.95  # of the deviations before: a fit that leaves more has not helped
 _SLIGHT = 0.9  # the same of a cause that was added
 _MATTERS = 1.5  # times what the base leaves: so much more without it makes it the first to be said
+_NONE = 1e-9  # metres: no machine of metal is as good
 _UNSEEN = 0.9  # of its tolerance: a value known no better than this is known from that alone
 _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
 _MOST_ALONE = 8
@@ -80,6 +81,8 @@ def standing(result: Result) -> str:
             f"{first}No single cause stands out{' beyond that' if first else ''}: everything is "
             f"off by a little, about {compact(result.share, 1)} of its tolerance."
         )
+    if result.nominal.rms < _NONE:
+        return NOTHING_SHOWN
     nothing = "Nothing else is" if result.changed or first else "Nothing is"
     base = effects_named(result.before)
     return f"{first}{nothing} wrong that these readings could show beyond the {base}."
