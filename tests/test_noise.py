@@ -331,6 +331,16 @@ def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None
     assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")
 
 
+@pytest.mark.parametrize("told", [5e-7, pytest.param(1e-7, marks=pytest.mark.thorough)])
+def test_a_datasheets_figure_locates_no_place_in_repeats_that_scatter(told: float) -> None:
+    """Neighbouring digits of a loud dial passed for edges of its steps; bars grew with time."""
+    fit = scattering(5e-6, told=told)
+    verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
+    assert not verdict.located
+    (note,) = scatter_notes(verdict.after)
+    assert "where the machine file says 0.000" in note
+
+
 def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> None:
     """Repeats of a tracker were said to be the machine file, and its noise mixed with a probe's."""
     machine = og.Machine.nominal()

@@ -28,6 +28,8 @@ OFF_GRID = 0.06
 _COUNTS = 0.01  # share of a variance below which a part of it is not kept apart
 _STEPS = 2.0  # scatter, in steps of a dial, from which its rounding is spread out evenly
 _QUIET = 4.0  # sigmas within a step of the dial: no scatter makes two digits of one value
+_RANGE = 2 / np.sqrt(np.pi)  # sigmas that two readings are apart, in the mean
+_OFTENER = 0.25  # share of stations at such edges that is no chance, beside what scatter makes
 _GRIDS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
 _INCHES = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
 _EXACT = 1e-3  # of a step, by which a figure that is printed in it may be off
@@ -122,7 +124,7 @@ def noise_of(
         total = np.where(given, np.hypot(campaign.sigma, rounding / np.sqrt(12)), total)
         if common.any():
             own = np.sqrt(np.maximum(total**2 - common**2, _COUNTS * total**2))
-            total = np.where(common > 0, _at_edges(campaign, own, rounding), total)
+            total = np.where(common > 0, _at_edges(campaign, own, common, rounding), total)
         sigmas.append(total)
         commons.append(common)
     return Noise(
@@ -220,18 +222,25 @@ def _coarser(apart: Array, step: float) -> float:
     return step
 
 
-def _at_edges(campaign: Campaign, sigma: Array, resolution: Array) -> Array:
+def _at_edges(campaign: Campaign, sigma: Array, common: Array, resolution: Array) -> Array:
     """Sigmas ``(n,)`` of dials, half a step where a station's visits show two neighbouring digits.
 
     There the true value stands at the edge between them, and a quiet dial shows one or the other:
-    a whole step apart, which to its scatter elsewhere would be a slip, or a drift.
+    a whole step apart, which to its scatter elsewhere would be a slip, or a drift. Where more
+    stations than these show several digits, the dial is not as quiet as it was declared.
     """
     station = numbered(campaign.stations)
-    low = np.full(int(station.max(initial=-1)) + 1, np.inf)
+    visits = np.bincount(station)
+    low = np.full(len(visits), np.inf)
     high = -low
     np.minimum.at(low, station, campaign.reading)
     np.maximum.at(high, station, campaign.reading)
     apart = (high - low)[station]
+    scatter = np.sqrt(np.maximum(sigma**2 + common**2 - resolution**2 / 12, 0.0))
+    chance = _RANGE * (visits[station] - 1) * scatter / resolution
+    again = visits[station] > 1
+    if np.mean(apart[again] > 0.5 * resolution[again]) > _OFTENER + np.mean(chance[again]):
+        return sigma
     edge = (apart > 0.5 * resolution) & (apart < 1.5 * resolution) & (resolution > _QUIET * sigma)
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
