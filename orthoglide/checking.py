@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -260,7 +261,18 @@ def _of_one(request: Request, side: Sequence[Readings]) -> Request:
 def _told_apart(
     old: Sequence[Readings], new: Sequence[Readings]
 ) -> tuple[list[Readings], list[Readings]]:
-    """The campaigns of both sides, no two of one name."""
+    """The campaigns of both sides, no two of one name; an instrument at the tool that is the only
+    one of its kind at both visits has one name at both.
+    """
+    now, then = (_only_ones(side) for side in (new, old))
+    called = {name: now[kind] for kind, name in then.items() if kind in now}
+
+    def renamed(one: Readings) -> Readings:
+        if not isinstance(one, ToolCampaign) or not {s.name for s in one.setups} <= called.keys():
+            return one
+        return replace(one, setups=tuple(replace(s, name=called[s.name]) for s in one.setups))
+
+    old = [renamed(one) for one in old]
     names = [c.name for c in (*old, *new)]
     if len(set(names)) == len(names):
         return list(old), list(new)
@@ -270,6 +282,13 @@ def _told_apart(
         for several, side in sides
     )
     return before, after
+
+
+def _only_ones(side: Sequence[Readings]) -> dict[str, str]:
+    """Names of setups at the tool by their kind, where there is one of it."""
+    setups = [s for c in side if isinstance(c, ToolCampaign) for s in c.setups]
+    count = Counter(s.kind for s in setups)
+    return {s.kind: s.name for s in setups if count[s.kind] == 1}
 
 
 def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:

@@ -187,6 +187,8 @@ def test_a_tower_set_upright_between_two_visits_of_a_tracker(tmp_path: Path) -> 
     delta().save(tmp_path / "machine.toml")
     for name, error in (("old", 4e-3), ("new", 0.0)):
         read = probed("tool coordinates", 1 if error else 2, **{"axis_tilt.c.radial": error})
+        (setup,) = read.setups  # called as one likes at each visit
+        read = replace(read, setups=(replace(setup, name=name),))
         (tmp_path / f"{name}.csv").write_text(campaign_text(read, delta().spec))
     files = (tmp_path / "old.csv", tmp_path / "new.csv")
     told = run("check", *files, "--machine", tmp_path / "machine.toml", "--out", tmp_path / "out")

@@ -27,10 +27,12 @@ _OPEN = 3.0
 
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
-    """Campaigns between which something may have changed: name, file, and first row."""
+    """Campaigns between which something may have changed: name, file, and first row. Files of the
+    tool that have no setup in common are of one visit.
+    """
     if problem.campaigns:
         read = [(c.name, c.file) for c in problem.campaigns]
-    elif len({frozenset(f.setup_names) for f in problem.factors}) == 1:
+    elif set[str].intersection(*(set(f.setup_names) for f in problem.factors)):
         read = [(f.name, f.points.file) for f in problem.points]
     else:
         return ()
