@@ -14,14 +14,8 @@ from orthoglide.closing import Verdict, run
 from orthoglide.diagnosis.changes import visits
 from orthoglide.difference import COLUMNS, Difference
 from orthoglide.effects.wording import parameter_words
-from orthoglide.fit import (
-    Change,
-    Estimate,
-    Problem,
-    account_for_changes,
-    assemble,
-    solve,
-)
+from orthoglide.entered import entered
+from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.frames import Framed
@@ -47,6 +41,7 @@ class Check(Framed):
         gone: places that were located in the old state and are not in the new one; where there are
             any, or new ones, each state speaks for itself, as no parameter is what changed.
         come: places that are located in the new state alone.
+        entered: how zeros that the old state's result advises were entered, a clause each.
     """
 
     old: tuple[str, ...]
@@ -57,6 +52,7 @@ class Check(Framed):
     moves: tuple[PlateMove, ...] = ()
     gone: tuple[Located, ...] = ()
     come: tuple[Located, ...] = ()
+    entered: tuple[str, ...] = ()
     _index = "parameter"
 
     def __repr__(self) -> str:
@@ -118,7 +114,7 @@ class Check(Framed):
             ),
         )
         told = (f"{words}: {', '.join(those)}" for words, those in said if those)
-        return (*self.places, *self.plates, *map(str, changed), *self.lying, *told)
+        return (*self.places, *self.plates, *map(str, changed), *self.entered, *self.lying, *told)
 
     @property
     def line(self) -> str:
@@ -175,15 +171,14 @@ def check(
     verdict = run(_of_one(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
-    gone: tuple[Located, ...] = ()
-    come: tuple[Located, ...] = ()
+    was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
     if not jointly or together.changed or together.word in ("located", "unexplained"):
         was = run(_of_one(request, before), progress)
         gone, come = _unlike(was, verdict), _unlike(verdict, was)
         jointly = jointly and not gone and not come
     progress(Step("comparing"))
-    differences = tuple(_of_both(together, new_names) if jointly else _of_each(was, verdict))
-    changed = together.changed if jointly else ()
+    each, changed = (None, together.changed) if jointly else (was, ())
+    differences = tuple(_of_each(each, verdict) if each else _of_both(together, new_names))
     none = Change(
         differences[0].parameter, (), "", (", ".join(old_names), ", ".join(new_names)),
         float("nan"), machine.catalogue,
@@ -191,7 +186,8 @@ def check(
     changes = tuple(_changes(differences, changed, none))
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
-    return Check(old_names, new_names, verdict, differences, changes, moves, gone, come)
+    told = () if was is None else tuple(entered(was.machine, differences))
+    return Check(old_names, new_names, verdict, differences, changes, moves, gone, come, told)
 
 
 def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:

@@ -26,7 +26,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"prediction", "figures"}),
     frozenset({"machine"}),
     frozenset({"accuracy", "klipper"}),
-    frozenset({"fit", "comparison", "control", "pictures"}),
+    frozenset({"entered", "fit", "comparison", "control", "pictures"}),
     frozenset({"diagnosis"}),
     frozenset({"posterior", "judging", "simulation"}),
     frozenset({"planning", "request"}),

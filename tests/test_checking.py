@@ -19,6 +19,7 @@ from benchmarks.delta_truth import machine as delta
 from orthoglide import units
 from orthoglide.checking import Check, Difference, check
 from orthoglide.effects import CATALOGUE
+from orthoglide.entered import entered
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.klipper import import_printer
@@ -69,6 +70,28 @@ def test_zeros_that_were_entered_are_seen_and_nothing_else(machine: og.Machine) 
     assert frame["new"]["joint_offset.x"] == by_name["joint_offset.x"].after * 1e3
     assert set(frame.index[frame["changed"]]) == set(new)
     assert found.line in unescape(found._repr_html_())
+
+
+@pytest.mark.parametrize(
+    ("times", "told"),
+    [
+        (1.0, "zeros of drives x, z changed by as much as was advised: they were entered"),
+        (2.0, "changed by twice as much as was advised: they were entered twice"),
+        (-1.0, "changed by as much as was advised, but the other way: they were entered with the"),
+        (0.5, ""),
+    ],
+)
+def test_how_the_zeros_were_entered_that_were_advised(times: float, told: str) -> None:
+    """A controller that gets an offset of its own takes it off: right entries leave none."""
+    offsets = {"joint_offset.x": 5e-4, "joint_offset.z": -8e-4}
+    machine = og.Machine.nominal().with_parameters(offsets)
+    differences = [
+        Difference(machine.catalogue.parameter(n), v, v - times * v, 1e-5, units.MM, True)
+        for n, v in offsets.items()
+    ]
+    said = list(entered(machine, differences))
+    assert len(said) == bool(told)
+    assert all(told in one for one in said)
 
 
 def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> None:
@@ -133,8 +156,9 @@ def test_from_files_and_results_to_words_and_a_page(
     assert "Joint offset of leg x changed from" in page
     assert "<svg" in page
     assert re.search(r"changed by 1\.\d+ mm inward", page)
-    assert "Confirm what was put right" in page
-    assert "Before: the zero of drive x is 1." in " ".join(plain.stdout.split())
+    assert "changed by as much as was advised" in page
+    assert "Confirm what was put right" not in page
+    assert "changed by as much as was advised" in " ".join(plain.stdout.split())
     assert "it must read" in page
     assert "The report of new<" in page
     seen = opened(page, 390, tmp_path)  # its table was wider than a phone

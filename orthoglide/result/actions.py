@@ -71,7 +71,8 @@ def actions(result: Result) -> tuple[Action, ...]:
             for one in (result.scattering if result.word == "unexplained" else ())
         ]
         return (*noisy, *_found(result, "confirm"), *told)
-    done = [*_zeros(result), *_found(result, "mend"), *_compensate(result)]
+    zeros = list(_zeros(result))
+    done = [*zeros, *_found(result, "mend", bool(zeros)), *_compensate(result)]
     done.sort(key=lambda action: -action.gain if math.isfinite(action.gain) else 0.0)
     done = _one_of_two(done)
     return (*told, *done) if decides else (*done, *told)
@@ -122,8 +123,12 @@ def _zeros(result: Result) -> Iterator[Action]:
         yield Action("zeros", f"Enter new zeros in the controller: {values} mm", gain)
 
 
-def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]:
-    """Causes, places and changes found, each with what to look at and what it gains."""
+def _found(
+    result: Result, kind: Literal["confirm", "mend"], zeros: bool = False
+) -> Iterator[Action]:
+    """Causes, places and changes found, each with what to look at and what it gains; none of a
+    drive's zero that is better than before, or that new ``zeros`` to be entered correct.
+    """
     found = [item for item in result.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
     what = {"confirm": "Confirm before anything is changed", "mend": _MEND}
@@ -138,14 +143,17 @@ def _found(result: Result, kind: Literal["confirm", "mend"]) -> Iterator[Action]
         else:
             lost = f" ({_LOST})" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=options)
+    of = result.catalogue.effect_of
     for change in result.moved:
+        better = abs(change.after) < abs(change.before)
+        if kind == "mend" and (zeros or better) and of(change.parameter).controller == "zero":
+            continue
         again = _AGAIN.format(change.files[1])
         if kind == "confirm" or change.vague:
             yield Action("confirm", what["confirm"], options=suspects(change))
-        elif abs(change.after) < abs(change.before):
-            yield Action(
-                "confirm", f"Confirm what was put right; {again}", options=suspects(change)
-            )
+        elif better:
+            words = f"Confirm what was put right; {again}"
+            yield Action("confirm", words, options=suspects(change))
         else:
             gain = (math.nan, math.nan)
             gain = gain if loses(change) else gains.get(change.parameter, gain)
