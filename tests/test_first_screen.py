@@ -478,7 +478,7 @@ def test_the_gain_of_a_class_of_places_counts_all_that_the_machine_has() -> None
     kinds = ("rail.x.y/approach", "rail.x.y/travel", "carriage.x.y/travel")
     found = {place.name: place for place in places() if place.name in kinds}
     known = CATALOGUE.with_effects([found[name].effect for name in kinds[1:]])
-    members = tuple(SimpleNamespace(place=found[name]) for name in kinds)
+    members = tuple(SimpleNamespace(name=name, place=found[name]) for name in kinds)
     name, parts = Located(members, (), 1.0, 0).in_machine(known)  # type: ignore[arg-type]
     assert name == found[kinds[1]].effect.name
     assert set(parts) == {str(p) for kind in kinds[1:] for p in found[kind].effect.motions}

@@ -118,7 +118,7 @@ def verdict_of(*effects: tuple[str, ...], places: tuple[str, ...] = ()) -> Any:
         SimpleNamespace(name=names[0], explanations=[explanation(n) for n in names])
         for names in effects
     ]
-    members = [SimpleNamespace(place=SimpleNamespace(name=p)) for p in places]
+    members = [SimpleNamespace(name=place) for place in places]
     located = [SimpleNamespace(members=members, resembling=(), probability=0.9)] if places else []
     return SimpleNamespace(effects=causes, located=located, catalogue=catalogue, blunders=())
 

@@ -29,7 +29,7 @@ def said(verdict: Verdict) -> dict[str, list[dict[str, Any]]]:
     ]
     located = [
         {
-            "places": [c.place.name for c in f.members],
+            "places": [c.name for c in f.members],
             "resembling": list(f.resembling),
             "probability": f.probability,
         }

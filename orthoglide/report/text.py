@@ -150,12 +150,12 @@ def _causes(result: Result) -> Iterator[tuple[str, str]]:
         for rival in cause.rivals:
             yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
         for c in cause.places:
-            yield hundredths(c.probability), f"or {c.place.words}\n{c.place.name}"
+            yield hundredths(c.probability), f"or {c.place.words}\n{c.name}"
 
 
 def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
     """Each place, then what else it could be."""
     for found in result.located:
         for k, c in enumerate(found.members):
-            name = f"or {c.place.name}" if k else c.place.name
+            name = f"or {c.name}" if k else c.name
             yield name, f"{c.probability:.2f}", c.size_words, c.place.words
