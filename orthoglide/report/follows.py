@@ -13,7 +13,6 @@ from orthoglide.control import withheld
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
 from orthoglide.klipper import WHERE
-from orthoglide.numerals import compact, plain, signed
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
@@ -22,7 +21,6 @@ from orthoglide.result.firmware import UNSEEN, FirmwareAdvice
 from orthoglide.result.unvaried import unshown
 
 if TYPE_CHECKING:
-    from orthoglide.fit import CrossCheck
     from orthoglide.klipper import Corrections
     from orthoglide.observations import Campaign
     from orthoglide.posterior import Located
@@ -39,26 +37,13 @@ def controller(result: Result) -> Data:
     """Numbers for the controller; withheld where the verdict says not to act on them."""
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
     effects = result.catalogue
-    rows = [
-        {
-            "axis": d.leg,
-            "old": plain(d.zero * 1e3, 3),
-            "zero": plain(d.new_zero * 1e3, 3),
-            "add": signed(d.correction * 1e3, 3),
-        }
-        for d in numbers.drives
-    ]
     zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
     return {
-        "rows": rows if zeros else [],
+        "numbers": numbers,
+        "drives": numbers.drives if zeros else (),
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
-        "rule": numbers.rule,
-        "worked": numbers.drives[0].worked(numbers.names),
-        "checks": [str(check) for check in numbers.checks],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        "left_over": listed(numbers.beyond),
         "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
-        "shape": {name: f"{e.shape * 1e3:.4f}" for name, e in numbers.expected.items()},
     }
 
 
@@ -85,19 +70,7 @@ def too_early(result: Result) -> tuple[str, str]:
 
 def firmware(advice: FirmwareAdvice, found: Corrections, early: tuple[str, str]) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
-    return {
-        "first": advice.first,
-        "early": early,
-        "where": WHERE,
-        "rows": found.rows,
-        "height": [f"{v * 1e3:.3f}" for v in found.height],
-        "sideways": [f"{v * 1e3:.3f}" for v in found.sideways],
-        "paste": advice.paste,
-        "undo": advice.undo,
-        "beyond": [sentence(text) for text in advice.beyond],
-        "unseen": [sentence(one.brief) for one in advice.unseen],
-        "heading": UNSEEN,
-    }
+    return {"advice": advice, "found": found, "early": early, "where": WHERE, "heading": UNSEEN}
 
 
 _AIMS = {
@@ -239,33 +212,12 @@ _SOURCES = {
 
 def method(result: Result) -> Data:
     """How it was computed, from which files, and how to do it again."""
-    fit, request = result.before, result.request
-    problem = fit.problem
+    fit = result.before
     return {
-        "searches": request.searches,
+        "request": result.request,
+        "fit": fit,
         "base": effects_named(fit),
-        "seed": request.seed,
-        "inputs": [(i["file"], len(i["rows"]), i["sha256"]) for i in request.inputs],
-        "again": request.command_line,
-        "machine": Path(problem.machine.spec.file).name or "the nominal Orthoglide",
+        "machine": Path(fit.problem.machine.spec.file).name or "the nominal Orthoglide",
         "method": _METHODS[fit.method],
-        "iterations": fit.iterations,
-        "optimality": compact(fit.optimality, 1),
-        "noise": problem.one_reading.said(),
-        "source": _SOURCES[problem.noise_source],
-        "dials": bool(problem.campaigns),
-        "placement": compact(problem.machine.spec.dial.placement * 1e3, 2),
-        "priors": problem.priors,
-        "check": fit.check and _check(fit.check),
-    }
-
-
-def _check(check: CrossCheck) -> Data:
-    same = check.reduction < 1e-12
-    return {
-        "reduction": "less than 10⁻⁹" if same else compact(check.reduction * 1e3, 2),
-        "linear": compact(check.linear * 1e3, 2),
-        "size": compact(check.linear_size * 1e3, 2),
-        "bound": compact(check.linear_bound * 1e3, 2),
-        "second_order": check.second_order,
+        "source": _SOURCES[fit.problem.noise_source],
     }

@@ -11,21 +11,15 @@ from orthoglide.effects.words import toward
 from orthoglide.figures.causes import MOST_CURVES
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
-from orthoglide.numerals import (
-    ByUnit,
-    compact,
-    plain,
-    probability,
-    signed,
-    told_apart,
-)
+from orthoglide.numerals import ByUnit, compact, told_apart
 from orthoglide.report.embed import panels, whole
-from orthoglide.report.phrases import listed, sentence
+from orthoglide.report.phrases import listed
 from orthoglide.report.rows import score_rows
 from orthoglide.report.wording import effects_named, located_words
 
 if TYPE_CHECKING:
-    from orthoglide.posterior import BudgetItem, Cause
+    from orthoglide.diagnosis.rest import SetupRest
+    from orthoglide.posterior import BudgetItem
     from orthoglide.result import Result
 
 Data = dict[str, Any]
@@ -93,40 +87,28 @@ def _tiles(what: str, before: ByUnit, after: ByUnit, figure: str) -> list[Before
 
 def faults(result: Result) -> Data:
     """Faults of the data, each with and without."""
-    rows = [
-        {
-            "kind": _FAULTS[b.kind],
-            "message": b.message,
-            "with": f"{b.rms_with * 1e3:.4f}",
-            "without": f"{b.rms_without * 1e3:.4f}",
-        }
-        for b in result.blunders
-    ]
-    with_them, without = result.first.scores.rms * 1e3, result.before.scores.rms * 1e3
-    return {"rows": rows, "with": f"{with_them:.4f}", "without": f"{without:.4f}"}
+    return {
+        "rows": [(_FAULTS[b.kind], b) for b in result.blunders],
+        "with": result.first.scores.rms,
+        "without": result.before.scores.rms,
+    }
 
 
 def left(result: Result) -> Data:
     """The pattern of what is left."""
     return {
-        "pattern": [sentence(text) for text in result.pattern],
+        "pattern": result.pattern,
         "rms": result.after.scores.left.said(),
         "noise": result.after.problem.one_reading.said(),
-        "rows": [
-            {
-                "setup": rest.setup,
-                "read": rest.reads,
-                "share": f"{rest.share:.0%}",
-                "rms": f"{compact(rest.rms * 1e3, 2)} {rest.unit}",
-                "most": f"{compact(abs(rest.most) * 1e3, 2)} mm toward "
-                f"{toward(LEGS[rest.axis], rest.most)}"
-                if rest.kind == "leg"
-                else f"{compact(rest.most * 1e3, 2)} {rest.unit}",
-                "posture": rest.posture or "".join(f"tool at {p}" for p in rest.where[:1]),
-            }
-            for rest in (*result.rest, *result.rest_of_tool)
-        ],
+        "rows": [(rest, _most(rest)) for rest in (*result.rest, *result.rest_of_tool)],
     }
+
+
+def _most(rest: SetupRest) -> str:
+    if rest.kind != "leg":
+        return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
+    way = toward(LEGS[rest.axis], rest.most)
+    return f"{compact(abs(rest.most) * 1e3, 2)} mm toward {way}"
 
 
 def judged(result: Result, figures: Figures) -> Data:
@@ -148,48 +130,20 @@ def judged(result: Result, figures: Figures) -> Data:
 
 def causes(result: Result, figures: Figures) -> Data:
     """Causes and places that were weighed, and how sure they are."""
-    added = {c.name for c in result.effects} | {f.name for f in result.located}
-    rows = [
-        {
-            "name": t.name,
-            "words": result.short(t.name) if t.parameters else "a free function",
-            "evidence": signed(t.evidence, 1),
-            "added": t.name in added,
-            "probability": f"{t.probability:.2f}",
-        }
-        for t in result.candidates
-    ]
     return {
-        "rows": rows,
+        "result": result,
+        "added": {c.name for c in result.effects} | {f.name for f in result.located},
         "figure": whole(figures["causes"]) if "causes" in figures else "",
-        "stopped": result.stopped,
-        "share": compact(result.share, 1),
-        "left": probability(result.left.p_value),
     }
 
 
 def located(result: Result, figures: Figures) -> Data:
     """Places without a name: the curve found, what else it could be, what it resembles."""
-    found = [
-        {
-            "words": sentence(located_words(one)),
-            "probability": f"{one.probability:.2f}",
-            "panels": panels(figures[f"located-{k}"]),
-            "members": [
-                {
-                    "name": c.place.name,
-                    "words": c.place.words,
-                    "size": c.size_words,
-                    "probability": f"{c.probability:.2f}",
-                }
-                for c in one.members
-            ],
-            "resembling": [result.short(name) for name in one.resembling],
-            "ruled_out": [result.short(name) for name in one.ruled_out],
-        }
+    places = [
+        (located_words(one), one, panels(figures[f"located-{k}"]))
         for k, one in enumerate(result.located, start=1)
     ]
-    return {"places": found, "most": _MOST_SHAPES}
+    return {"places": places, "short": result.short, "most": _MOST_SHAPES}
 
 
 def budget(result: Result) -> Data:
@@ -198,24 +152,11 @@ def budget(result: Result) -> Data:
     classes = [one for one in result.located if len(one.members) > 1]
     several |= {one.in_machine(result.catalogue)[0] for one in classes}
     named = {item.cause for item in result.budget if not item.rest}
-    return {
-        "rows": [
-            {
-                "cause": item.cause,
-                "words": result.short(item.cause) + _counted(item, named, several),
-                "tolerances": compact(item.tolerances, 2),
-                "beyond": f"{item.beyond_tolerance:.2f}",
-                "readings": _of_readings(item),
-                "tcp": f"{item.tcp_mean * 1e3:.4f} ± {item.tcp_sigma * 1e3:.4f}",
-                "gain": f"{plain(item.gain * 1e3, 4)} ± {item.gain_sigma * 1e3:.4f}",
-                "compensated": (
-                    f"{plain(item.compensated * 1e3, 4)} ± {item.compensated_sigma * 1e3:.4f}"
-                ),
-                "share": f"{plain(100 * item.share, 0)}%",
-            }
-            for item in result.budget[:_MOST_ITEMS]
-        ]
-    }
+    rows = [
+        (item, result.short(item.cause) + _counted(item, named, several), _of_readings(item))
+        for item in result.budget[:_MOST_ITEMS]
+    ]
+    return {"rows": rows}
 
 
 def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
@@ -235,36 +176,9 @@ def _of_readings(item: BudgetItem) -> str:
 
 def apart(result: Result, figures: Figures) -> Data:
     """What each cause makes of the readings, rivals overlaid."""
-    found = [
-        _apart(cause, panels(figures[f"signatures-{k}"]))
-        for k, cause in enumerate(result.effects, start=1)
-    ]
-    return {"effects": found, "several": len(found) > 1}
-
-
-def _apart(cause: Cause, shown: list[str]) -> Data:
-    rivals = [
-        {
-            "name": rival.name,
-            "words": rival.words,
-            "probability": f"{rival.probability:.2f}",
-        }
-        for rival in cause.rivals
-    ]
-    rivals += [
-        {
-            "name": curve.place.name,
-            "words": f"{curve.place.words}, by {curve.size_words}",
-            "probability": f"{curve.probability:.2f}",
-        }
-        for curve in cause.places
-    ]
-    return {
-        "name": cause.name,
-        "panels": shown,
-        "key": [one.name for one in cause.explanations[:MOST_CURVES]],
-        "rivals": rivals,
-    }
+    every = enumerate(result.effects, start=1)
+    causes = [(cause, panels(figures[f"signatures-{k}"])) for k, cause in every]
+    return {"causes": causes, "most": MOST_CURVES}
 
 
 def readings(result: Result, figures: Figures) -> Data:

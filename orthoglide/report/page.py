@@ -71,8 +71,8 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         early = follows.too_early(result)
         data = follows.firmware(result.firmware, result.firmware.corrections, early)
         yield Section("firmware", "Numbers for the firmware", data)
-    controller = {"rows": ()} if result.firmware else follows.controller(result)
-    if controller["rows"]:
+    controller = {"drives": ()} if result.firmware else follows.controller(result)
+    if controller["drives"]:
         yield Section("controller", "Numbers for the controller", controller)
     yield Section("judged", "Before and after", found.judged(result, figures))
     if searches:
