@@ -455,7 +455,7 @@ def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_ga
     (action,) = (a for a in verdict.actions if a.kind == "mend")
     assert action.gain == found.gain
     assert not action.whichever
-    first, second = (words for _, words, _ in budget(verdict)["rows"])
+    first, second = (words for _, words in budget(verdict)["rows"])
     assert second == f"{first}: the rest of them"
 
 

@@ -153,7 +153,7 @@ def budget(result: Result) -> Data:
     several |= {one.in_machine(result.catalogue)[0] for one in classes}
     named = {item.cause for item in result.budget if not item.rest}
     rows = [
-        (item, result.short(item.cause) + _counted(item, named, several), _of_readings(item))
+        (item, result.short(item.cause) + _counted(item, named, several))
         for item in result.budget[:_MOST_ITEMS]
     ]
     return {"rows": rows}
@@ -166,12 +166,6 @@ def _counted(item: BudgetItem, named: Collection[str], several: Collection[str])
     if item.rest:
         return ": the rest of them" if item.cause in named else ""
     return ", or what these readings cannot tell from it" if item.cause in several else ""
-
-
-def _of_readings(item: BudgetItem) -> str:
-    """A cause's part of the readings; those of lengths are in millimetres, as the column says."""
-    shown = ByUnit(item.readings_rms, item.readings_turn_rms).shown
-    return ", ".join(f"{v:.4f}{' mrad' if unit == 'mrad' else ''}" for unit, v in shown.items())
 
 
 def apart(result: Result, figures: Figures) -> Data:
