@@ -5,7 +5,4 @@ from orthoglide.mechanism.mechanism import (
     Mode as Mode,
     Posture as Posture,
 )
-from orthoglide.mechanism.mobility import (
-    Conditioning as Conditioning,
-    Mobility as Mobility,
-)
+from orthoglide.mechanism.mobility import Mobility as Mobility
