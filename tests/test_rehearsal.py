@@ -33,8 +33,7 @@ from orthoglide.rehearsal.drawing import (
     Scope,
     draw,
 )
-from orthoglide.rehearsal.outcome import Outcome, outcome_of
-from orthoglide.rehearsal.scoring import claims, is_cause
+from orthoglide.rehearsal.outcome import Outcome, claims, is_cause, outcome_of
 from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.rehearsal.weak_spots import weak_spots
 from tests.klipper_files import DATA
