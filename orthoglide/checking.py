@@ -13,14 +13,7 @@ from orthoglide.closing import Verdict, run
 from orthoglide.diagnosis.changes import visits
 from orthoglide.difference import COLUMNS, Difference
 from orthoglide.effects.wording import parameter_words
-from orthoglide.fit import (
-    Change,
-    Estimate,
-    Problem,
-    account_for_changes,
-    assemble,
-    solve,
-)
+from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.frames import Framed

@@ -19,13 +19,7 @@ from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.mechanism.functions import LINES, OUTPUTS, ROTATION, TCP
 from orthoglide.mechanism.loops import Loops
 from orthoglide.mechanism.seed import Mode
-from orthoglide.mechanism.tree import (
-    RELIEF_NAMES,
-    VIRTUAL_NAMES,
-    Tree,
-    general_tree,
-    nominal_tree,
-)
+from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES, Tree, general_tree, nominal_tree
 from orthoglide.urdf import Closure
 from tests.rig import _solve, rotation
 

@@ -12,13 +12,7 @@ from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
 from orthoglide.report.phrases import sentence
-from orthoglide.report.wording import (
-    BESIDES,
-    MEANINGS,
-    curve_words,
-    evidence,
-    standing,
-)
+from orthoglide.report.wording import BESIDES, MEANINGS, curve_words, evidence, standing
 from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
