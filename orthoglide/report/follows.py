@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,11 @@ from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
 from orthoglide.report.rows import millimetres, parameter_rows
 from orthoglide.report.wording import effects_named
-from orthoglide.result.firmware import UNSEEN, FirmwareAdvice
+from orthoglide.result.firmware import UNSEEN
 from orthoglide.result.unvaried import unshown
 
 if TYPE_CHECKING:
-    from orthoglide.klipper import Corrections
-    from orthoglide.observations import Campaign
+    from orthoglide.observations import Campaign, Setup
     from orthoglide.posterior import Located
     from orthoglide.result import Result, Workspace
 
@@ -39,7 +38,6 @@ def controller(result: Result) -> Data:
     effects = result.catalogue
     zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
     return {
-        "numbers": numbers,
         "drives": numbers.drives if zeros else (),
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
@@ -68,9 +66,9 @@ def too_early(result: Result) -> tuple[str, str]:
     return "Keep the numbers that are there", f"by what is known the new ones are {found.vain}"
 
 
-def firmware(advice: FirmwareAdvice, found: Corrections, early: tuple[str, str]) -> Data:
+def firmware(result: Result) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
-    return {"advice": advice, "found": found, "early": early, "where": WHERE, "heading": UNSEEN}
+    return {"early": too_early(result), "where": WHERE, "heading": UNSEEN}
 
 
 _AIMS = {
@@ -83,14 +81,9 @@ _MINUS = re.compile(r"(?<=\s)-(?=\d)")
 
 def following(result: Result, sheet: str) -> Data:
     """What to measure next, with the sheet as a link."""
-    suggested, proposed = result.next_measurements, result.next_sheet
+    suggested = result.next_measurements
     suggestions = [
-        {
-            "aim": _AIMS[s.aim],
-            "reason": _reason(s.reason),
-            "rows": _stations(s.campaign),
-            "bar": any(setup.bar for setup in s.campaign.setups),
-        }
+        (_AIMS[s.aim], _reason(s.reason), s.campaign, _stations(s.campaign))
         for s in suggested
         if s.campaign is not None
     ]
@@ -99,10 +92,8 @@ def following(result: Result, sheet: str) -> Data:
         "suggestions": suggestions,
         "others": [_reason(s.reason) for s in suggested if s.pool is None and not s.hopeless],
         "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
-        "hidden": bool(result.after.weak),
+        "legs": LEGS,
         "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
-        "readings": len(proposed or ()),
-        "moves": len(proposed.moves) if proposed else 0,
     }
 
 
@@ -110,30 +101,18 @@ def _reason(text: str) -> str:
     return sentence(_MINUS.sub("−", text))
 
 
-def _stations(sheet: Campaign) -> list[dict[str, str]]:
-    """Stations of a sheet, each once, with how often it is visited."""
+def _stations(sheet: Campaign) -> Iterator[tuple[Setup, str, str, int]]:
+    """Stations of a sheet, each once: its setup, the command and its side, and how often it is
+    visited.
+    """
     every = zip(sheet.setup.tolist(), sheet.command.tolist(), sheet.approach.tolist(), strict=True)
     visits = Counter(
         (k, tuple(command), tuple(near), label)
         for (k, command, near), label in zip(every, sheet.posture, strict=True)
     )
-    found = []
-    for (k, command, near, label), times in visits.items():
-        setup = sheet.setups[k]
-        found.append(
-            {
-                "setup": setup.name,
-                "leg": LEGS[setup.leg],
-                "direction": setup.direction,
-                "posture": label,
-                "gauge_mm": f"{setup.gauge * 1e3:.1f}",
-                "bar": str(setup.bar or ""),
-                "command": ", ".join(f"{value * 1e3:.2f}" for value in command),
-                "side": "".join({1.0: "+", -1.0: "−"}.get(way, "·") for way in near),
-                "times": str(times),
-            }
-        )
-    return found
+    for (k, command, near, _), times in visits.items():
+        side = "".join({1.0: "+", -1.0: "−"}.get(way, "·") for way in near)
+        yield sheet.setups[k], ", ".join(f"{value * 1e3:.2f}" for value in command), side, times
 
 
 def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
@@ -152,8 +131,6 @@ def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
         "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
         "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
         "most": listed([f"{name.replace('_', ' ')} ({share:.0%})" for name, share in shares]),
-        "proposed": bool(result.next_sheet),
-        "legs_alone": not result.after.problem.points,
     }
 
 
@@ -166,8 +143,6 @@ def values(result: Result, figures: Figures) -> Data:
     return {
         "rows": parameter_rows(result),
         "figure": whole(figures["parameters"]) if "parameters" in figures else "",
-        "known": result.posterior is not None,
-        "priors": fit.problem.priors,
         "others": listed(others),
         "dials": any(of(n).of_dial for n in result.shown),
         "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
@@ -214,8 +189,6 @@ def method(result: Result) -> Data:
     """How it was computed, from which files, and how to do it again."""
     fit = result.before
     return {
-        "request": result.request,
-        "fit": fit,
         "base": effects_named(fit),
         "machine": Path(fit.problem.machine.spec.file).name or "the nominal Orthoglide",
         "method": _METHODS[fit.method],

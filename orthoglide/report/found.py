@@ -87,21 +87,12 @@ def _tiles(what: str, before: ByUnit, after: ByUnit, figure: str) -> list[Before
 
 def faults(result: Result) -> Data:
     """Faults of the data, each with and without."""
-    return {
-        "rows": [(_FAULTS[b.kind], b) for b in result.blunders],
-        "with": result.first.scores.rms,
-        "without": result.before.scores.rms,
-    }
+    return {"rows": [(_FAULTS[b.kind], b) for b in result.blunders]}
 
 
 def left(result: Result) -> Data:
     """The pattern of what is left."""
-    return {
-        "pattern": result.pattern,
-        "rms": result.after.scores.left.said(),
-        "noise": result.after.problem.one_reading.said(),
-        "rows": [(rest, _most(rest)) for rest in (*result.rest, *result.rest_of_tool)],
-    }
+    return {"rows": [(rest, _most(rest)) for rest in (*result.rest, *result.rest_of_tool)]}
 
 
 def _most(rest: SetupRest) -> str:
@@ -118,12 +109,8 @@ def judged(result: Result, figures: Figures) -> Data:
         "tiles": before_and_after(result),
         "rows": score_rows(result),
         "figure": whole(figures["residuals"]),
-        "dials": bool(result.after.problem.campaigns),
-        "held": result.hold_out is not None,
         "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
-        "tcp": result.tcp is not None,
         "inside": f"{inside:.0%}" if math.isfinite(inside) else "",
-        "several": result.improved,
         "base": effects_named(result.before),
     }
 
@@ -131,7 +118,6 @@ def judged(result: Result, figures: Figures) -> Data:
 def causes(result: Result, figures: Figures) -> Data:
     """Causes and places that were weighed, and how sure they are."""
     return {
-        "result": result,
         "added": {c.name for c in result.effects} | {f.name for f in result.located},
         "figure": whole(figures["causes"]) if "causes" in figures else "",
     }
@@ -143,7 +129,7 @@ def located(result: Result, figures: Figures) -> Data:
         (located_words(one), one, panels(figures[f"located-{k}"]))
         for k, one in enumerate(result.located, start=1)
     ]
-    return {"places": places, "short": result.short, "most": _MOST_SHAPES}
+    return {"places": places, "most": _MOST_SHAPES}
 
 
 def budget(result: Result) -> Data:
@@ -175,7 +161,6 @@ def apart(result: Result, figures: Figures) -> Data:
     return {"causes": causes, "most": MOST_CURVES}
 
 
-def readings(result: Result, figures: Figures) -> Data:
+def readings(figures: Figures) -> Data:
     """Readings and fit, setup by setup."""
-    dials = not result.after.problem.points
-    return {"panels": panels(figures["readings"]), "dials": dials}
+    return {"panels": panels(figures["readings"])}

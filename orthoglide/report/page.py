@@ -34,7 +34,7 @@ class Section:
 
     template: str  # name under `templates/sections`, and its anchor
     title: str  # its heading; empty for the verdict at the top
-    data: Mapping[str, Any]  # what the template shows
+    data: Mapping[str, Any]  # what the template shows besides the result
 
     @property
     def folded(self) -> bool:
@@ -49,6 +49,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     searches = result.request.searches
     return rendered(
         "page.html.j2",
+        result=result,
         title="What is wrong with this machine" if searches else "Calibration report",
         subtitle=_subtitle(result),
         sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
@@ -68,9 +69,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     if result.pattern:
         yield Section("left", "What is left", found.left(result))
     if result.firmware is not None and result.firmware.corrections is not None:
-        early = follows.too_early(result)
-        data = follows.firmware(result.firmware, result.firmware.corrections, early)
-        yield Section("firmware", "Numbers for the firmware", data)
+        yield Section("firmware", "Numbers for the firmware", follows.firmware(result))
     controller = {"drives": ()} if result.firmware else follows.controller(result)
     if controller["drives"]:
         yield Section("controller", "Numbers for the controller", controller)
@@ -90,7 +89,7 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
         space = follows.workspace(result, result.workspace, figures)
         yield Section("workspace", "The TCP over the workspace", space)
     yield Section("values", "What was identified", follows.values(result, figures))
-    yield Section("readings", "Readings and fit, setup by setup", found.readings(result, figures))
+    yield Section("readings", "Readings and fit, setup by setup", found.readings(figures))
     yield Section("unseen", "What these readings cannot tell", follows.unseen(result, figures))
     yield Section("method", "How this was computed", follows.method(result))
 
