@@ -425,7 +425,7 @@ def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_r
     """`rail.x.y/travel` is of one leg, not of all."""
     from orthoglide.effects.places import places
     from orthoglide.effects.wording import cause_short
-    from orthoglide.report.found import budget
+    from orthoglide.report.sections import budget
 
     place = next(p for p in places() if p.name == "rail.x.y/travel")
     own = CATALOGUE.with_effects([place.effect])
@@ -440,7 +440,7 @@ def test_a_place_in_the_budget_is_its_own_words_and_nothing_is_below_zero_that_r
 
 def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_gains() -> None:
     """Both have the family's name: 0.2 um stood beside a cause of 0.175 mm, behind all else."""
-    from orthoglide.report.found import budget
+    from orthoglide.report.sections import budget
 
     tilt, rest = ("axis_tilt.x.z", "axis_tilt.y.z"), ("axis_tilt.x.y",)
     cause = Explanation(

@@ -32,7 +32,7 @@ from orthoglide.fit import Estimate, WeakDirection, identify
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol
-from orthoglide.report import follows, report_files
+from orthoglide.report import report_files, sections
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, weak_sentences
 from orthoglide.report.wording import claim, headline
@@ -215,7 +215,7 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     sheet = protocol("standard")
     campaign = sheet.with_readings(real.readings(sheet))
     result = identified(machine=machine, campaigns=[campaign], free=("joint_offset",), priors=False)
-    data = follows.controller(result)
+    data = sections.controller(result)
     said = [[getattr(d, name) for d in data["drives"]] for name in ("new_zero", "correction")]
     command, add = np.round(said, 6)
     geometry = machine.geometry

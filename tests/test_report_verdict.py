@@ -27,7 +27,7 @@ from orthoglide.judging import HoldOut
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
-from orthoglide.report.found import before_and_after
+from orthoglide.report.sections import before_and_after
 from orthoglide.report.wording import evidence, headline
 from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import hundredths, signed
-from orthoglide.report.follows import too_early
 from orthoglide.report.phrases import (
     gain_words,
     sentence,
@@ -16,6 +15,7 @@ from orthoglide.report.phrases import (
     weak_sentences,
 )
 from orthoglide.report.rows import parameter_rows, score_rows
+from orthoglide.report.sections import too_early
 from orthoglide.report.wording import MEANINGS, headline
 from orthoglide.result.firmware import UNSEEN, Unseen
 from orthoglide.text import is_terminal, text_width
