@@ -23,7 +23,7 @@ from orthoglide.fit import identify, solve, with_free
 from orthoglide.judging import tcp_errors
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, TcpPoints
-from orthoglide.rehearsal.scoring import is_cause, said
+from orthoglide.rehearsal.outcome import is_cause, said
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 

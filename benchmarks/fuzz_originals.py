@@ -14,12 +14,7 @@ from orthoglide.cli import cli
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text
-from orthoglide.observations import (
-    campaign_text,
-    csv_text,
-    read_readings,
-    tcp_rows,
-)
+from orthoglide.observations import campaign_text, csv_text, read_readings, tcp_rows
 from orthoglide.simulation import simulate, simulate_tcp
 
 _ERRORS = {"joint_offset.x": 0.8e-3, "leg_length.z": 0.06e-3, "axis_tilt.y.z": 1e-3}

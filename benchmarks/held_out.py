@@ -61,7 +61,7 @@ def predictions(path: Path) -> Iterator[Predicted]:
                 continue
             nominal = hold_out({}, verdict.values, machine, [other])
             base = hold_out(verdict.values_before, verdict.values, machine, [other])
-            rms = (nominal.before_rms, base.before_rms, base.after_rms)
+            rms = (nominal.before.length, base.before.length, base.after.length)
             yield Predicted(
                 path.stem, f"{used.name}, {len(used)}", f"{other.name}, {len(other)}",
                 verdict.word, *(1e3 * one for one in rms),

@@ -28,7 +28,7 @@ from orthoglide.posterior.causes import Explanation
 from orthoglide.posterior.everything import FullPosterior
 from orthoglide.posterior.linear import Basis, Scale
 from orthoglide.posterior.outstanding import CREDIBLE, MOST, NAMED
-from orthoglide.rehearsal.scoring import is_cause
+from orthoglide.rehearsal.outcome import is_cause
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 

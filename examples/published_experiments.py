@@ -168,10 +168,10 @@ def held_out() -> Iterator[str]:
         verdict = close_loop(campaign(learned), holdout=campaign(predicted), own=["joint_offset"])
         score = verdict.hold_out
         assert score is not None
-        change.append(score.after_rms / score.before_rms - 1)
+        change.append(score.after.length / score.before.length - 1)
         yield (
-            f"| {learned} | {predicted} | {score.before_rms * 1e3:.3f} | "
-            f"{score.after_rms * 1e3:.3f} |"
+            f"| {learned} | {predicted} | {score.before.length * 1e3:.3f} | "
+            f"{score.after.length * 1e3:.3f} |"
         )
     yield ""
     yield (

@@ -196,12 +196,12 @@ def _unlike(one: Verdict, other: Verdict) -> tuple[Located, ...]:
     """
     if not _read(one) or _read(one) != _read(other):
         return ()
-    known = {curve.place.name for located in other.located for curve in located.members}
+    known = {curve.name for located in other.located for curve in located.members}
     named = {other.catalogue.parameter(n).leg for cause in other.effects for n in cause.every}
     return tuple(
         located
         for located in one.located
-        if known.isdisjoint(curve.place.name for curve in located.members)
+        if known.isdisjoint(curve.name for curve in located.members)
         and named.isdisjoint(
             c.place.names.legs[c.place.leg] for c in located.members if c.place.leg >= 0
         )
@@ -225,7 +225,7 @@ def _words(located: Located) -> str:
     """Its likeliest place, and how many others it may be."""
     first, *others = located.members
     more = f" (or {len(others)} other place{'s' * (len(others) > 1)})" if others else ""
-    return f"{first.place.words}, by {first.size_words}{more}"
+    return f"{first.words}{more}"
 
 
 def _of_all(

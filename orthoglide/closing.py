@@ -297,11 +297,8 @@ def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ..
         found = outstanding(known)
         if found.causes or len(found.located) != 1 or _missing(remains(known, found)):
             continue
-        curve = found.located[0].members[0]
-        rival = (
-            f"; or it is the machine, for as they stand the readings fit as well if "
-            f"{curve.place.words}, by {curve.size_words}"
-        )
+        place = found.located[0].members[0].words
+        rival = f"; or it is the machine, for as they stand the readings fit as well if {place}"
         kept[here] = replace(one, message=one.message + rival)
     return tuple(kept)
 
@@ -364,4 +361,4 @@ def _word(found: Outstanding, left: Left) -> Word:
         return "partial"
     if found.located:
         return "located"
-    return "ambiguous" if any(c.rivals or c.places for c in found.causes) else "explained"
+    return "ambiguous" if any(c.others for c in found.causes) else "explained"

@@ -22,21 +22,8 @@ from orthoglide.prediction import Conditions
 class HoldOut:
     """Readings of another campaign, predicted without those scored."""
 
-    before_rms: float  # of lengths by the base model, metres; nan where none was read
-    after_rms: float  # by the extended model
-    # of inclinations by the base model, radians; nan where none was read
-    before_turn_rms: float = float("nan")
-    after_turn_rms: float = float("nan")  # by the extended model
-
-    @property
-    def before(self) -> ByUnit:
-        """By the base model."""
-        return ByUnit(self.before_rms, self.before_turn_rms)
-
-    @property
-    def after(self) -> ByUnit:
-        """By the extended model."""
-        return ByUnit(self.after_rms, self.after_turn_rms)
+    before: ByUnit  # root mean square of what the base model leaves
+    after: ByUnit  # of what the extended model leaves
 
     @property
     def worse(self) -> bool:
@@ -66,8 +53,7 @@ def hold_out(
         held: out, of any kinds.
         own: families or parameters that each campaign has for itself.
     """
-    first, last = (_left_out(values, machine, held, own) for values in (before, after))
-    return HoldOut(first.length, last.length, first.turn, last.turn)
+    return HoldOut(*(_left_out(values, machine, held, own) for values in (before, after)))
 
 
 def _left_out(

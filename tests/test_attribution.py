@@ -5,13 +5,7 @@ import math
 import pytest
 
 from benchmarks import delta_table
-from benchmarks.attribution_asked import (
-    clear,
-    fault_found,
-    is_shape_of,
-    named,
-    upper_bound,
-)
+from benchmarks.attribution_asked import clear, fault_found, is_shape_of, named, upper_bound
 from benchmarks.attribution_cases import PROTOCOLS, SHARES, Case, cases
 from benchmarks.attribution_run import Record, accepted, draw, run
 from benchmarks.attribution_table import tables

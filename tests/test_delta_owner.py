@@ -22,8 +22,7 @@ from orthoglide.fit import identify
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolSetup, read_readings
 from orthoglide.planning import owned_instruments
-from orthoglide.planning.mixed import mixed_sheet, whitened
-from orthoglide.planning.owning import sheet_of
+from orthoglide.planning.owning import mixed_sheet, sheet_of, whitened
 from orthoglide.report import report_files
 from orthoglide.report.wording import headline
 from tests.klipper_files import DATA

@@ -20,9 +20,9 @@ COUNT = 12
 
 # Where files of the command line, parts of a drawing or groups of effects have the same word.
 OTHER_MEANINGS = {
-    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py", "report/found.py",
-    "report/page.py", "report/result_json.py", "report/tables.py", "request/reading.py",
-    "request/request.py", "scene/marks.py", "scene/parts.py", "klipper/calibration.py",
+    "effects/effect.py", "effects/page.py", "effects/plates.py", "pictures.py", "report/page.py",
+    "report/result_json.py", "report/tables.py", "request/reading.py", "request/request.py",
+    "scene/marks.py", "scene/parts.py", "klipper/calibration.py",
 }  # fmt: skip
 
 every = pytest.mark.parametrize("one", INSTRUMENTS.values(), ids=lambda one: one.kind)

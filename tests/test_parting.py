@@ -82,7 +82,7 @@ def class_of(verdict: Any, *names: str) -> Any:
     """A class of other places in the place of the one found."""
     (found,) = verdict.located
     places = {p.name: p for p in verdict.posterior.about.places}
-    return replace(found, members=tuple(SimpleNamespace(place=places[n]) for n in names))
+    return replace(found, members=tuple(SimpleNamespace(name=n, place=places[n]) for n in names))
 
 
 def test_places_that_no_reading_parts_are_said_to_be_such() -> None:

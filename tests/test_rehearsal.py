@@ -33,8 +33,7 @@ from orthoglide.rehearsal.drawing import (
     Scope,
     draw,
 )
-from orthoglide.rehearsal.outcome import Outcome, outcome_of
-from orthoglide.rehearsal.scoring import claims, is_cause
+from orthoglide.rehearsal.outcome import Outcome, claims, is_cause, outcome_of
 from orthoglide.rehearsal.table import Rehearsal
 from orthoglide.rehearsal.weak_spots import weak_spots
 from tests.klipper_files import DATA
@@ -118,7 +117,7 @@ def verdict_of(*effects: tuple[str, ...], places: tuple[str, ...] = ()) -> Any:
         SimpleNamespace(name=names[0], explanations=[explanation(n) for n in names])
         for names in effects
     ]
-    members = [SimpleNamespace(place=SimpleNamespace(name=p)) for p in places]
+    members = [SimpleNamespace(name=place) for place in places]
     located = [SimpleNamespace(members=members, resembling=(), probability=0.9)] if places else []
     return SimpleNamespace(effects=causes, located=located, catalogue=catalogue, blunders=())
 

@@ -32,7 +32,7 @@ from orthoglide.fit import Estimate, WeakDirection, identify
 from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed
 from orthoglide.observations import protocol
-from orthoglide.report import follows, report_files
+from orthoglide.report import report_files, sections
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, weak_sentences
 from orthoglide.report.wording import claim, headline
@@ -215,17 +215,18 @@ def test_the_sign_rule_brings_the_carriage_to_its_place(
     sheet = protocol("standard")
     campaign = sheet.with_readings(real.readings(sheet))
     result = identified(machine=machine, campaigns=[campaign], free=("joint_offset",), priors=False)
-    data = follows.controller(result)
-    said = [[float(r[name].replace("−", "-")) for r in data["rows"]] for name in ("zero", "add")]
-    command, add = np.array(said) * 1e-3
+    data = sections.controller(result)
+    said = [[getattr(d, name) for d in data["drives"]] for name in ("new_zero", "correction")]
+    command, add = np.round(said, 6)
     geometry = machine.geometry
     # Commanding the new zero brings the real TCP to the origin.
     np.testing.assert_allclose(real.forward(controller.to_rho(command, geometry)), 0.0, atol=2e-6)
+    worked = data["drives"][0].worked(result.numbers.names)
     # Believing the old zero leaves each carriage its offset away, as the line says.
     shown = controller.from_rho(geometry.zero, geometry)
     line = f"shown {shown[0] * 1e3:.4f}, carriage x stands 0.7000 mm too far out"
-    assert line in data["worked"]
-    assert not re.search("joint.offset", data["rule"] + data["worked"])
+    assert line in worked
+    assert not re.search("joint.offset", result.numbers.rule + worked)
     # A controller to whose commands `add` was added means what it shows.
     wanted = np.array([0.3, 0.31, 0.32])
     display = controller.from_rho(wanted, geometry)

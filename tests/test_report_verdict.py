@@ -24,9 +24,10 @@ from orthoglide.effects.wording import cause_short, cause_words
 from orthoglide.errors import FileError
 from orthoglide.fit import Estimate, identify
 from orthoglide.judging import HoldOut
+from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
-from orthoglide.report.found import before_and_after
+from orthoglide.report.sections import before_and_after
 from orthoglide.report.wording import evidence, headline
 from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
 
@@ -389,7 +390,7 @@ def test_judges_are_reported() -> None:
     held = json.loads(files_of("partial")["result.json"])
     verdict = verdict_of("partial")
     assert verdict.hold_out is not None
-    assert held["holdout"]["after_rms_mm"] == pytest.approx(verdict.hold_out.after_rms * 1e3)
+    assert held["holdout"]["after_rms_mm"] == pytest.approx(verdict.hold_out.after.length * 1e3)
     assert held["tcp"] is None
     assert [i.get("role", "campaign") for i in held["inputs"]] == ["campaign", "holdout"]
     judged = json.loads(files_of("explained")["result.json"])
@@ -406,7 +407,8 @@ def test_judges_are_reported() -> None:
 def test_what_speaks_against_acting_is_told_everywhere(worse: bool) -> None:
     """A mere part, and readings held out that the cause predicts worse."""
     known = verdict_of("partial")
-    scores = HoldOut(2e-5, 3e-5) if worse else HoldOut(3e-5, 2e-5)
+    less, more = ByUnit(2e-5, np.nan), ByUnit(3e-5, np.nan)
+    scores = HoldOut(less, more) if worse else HoldOut(more, less)
     verdict = replace(known, hold_out=scores)
     files = report_files(verdict)
     warnings = json.loads(files["result.json"])["warnings"]

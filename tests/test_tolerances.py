@@ -13,8 +13,7 @@ from orthoglide.accuracy import mean_length, without_place, workspace
 from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE
 from orthoglide.machine_file import MachineFile
-from orthoglide.planning.sources import Sources
-from orthoglide.planning.tolerances import NeededTolerances
+from orthoglide.planning.tolerances import NeededTolerances, Sources
 from tests.test_layout import DELTA
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"

@@ -11,14 +11,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import orthoglide as og
-from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit import tempered
-from orthoglide.fit.surface import roughness
 from orthoglide.fit.tool import ToolReadings
+from orthoglide.fit.tool_noise import roughness
 from orthoglide.geometry import Geometry, moved_onto
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.klipper import import_printer
+from orthoglide.klipper.importing import of_printers
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller, Instrument, MachineFile

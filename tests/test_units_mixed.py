@@ -17,8 +17,8 @@ from orthoglide.machine_file import Dial
 from orthoglide.notes import Note
 from orthoglide.observations import Campaign, ToolCampaign
 from orthoglide.report import report_files, result_text, summary
-from orthoglide.report.found import before_and_after
 from orthoglide.report.rows import score_rows
+from orthoglide.report.sections import before_and_after
 from orthoglide.report.wording import headline, where_left
 from orthoglide.request import Request
 from tests import rig_campaigns as rc

@@ -9,7 +9,7 @@ from orthoglide import __version__
 from orthoglide.difference import COLUMNS
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
-from orthoglide.report.first import MOST, action_data
+from orthoglide.report.first import MOST
 from orthoglide.report.page import Section
 from orthoglide.report.phrases import sentence
 from orthoglide.report.rendering import rendered
@@ -41,7 +41,7 @@ def changes_page(found: Check) -> str:
     drawn = {
         "judged": ", ".join(c.name for c in found.verdict.request.readings),
         "drawing": found.told.picture.svg(),
-        "actions": [action_data(action) for action in found.told.actions],
+        "actions": found.told.actions,
         "most": MOST,
         "sheet": False,
         "columns": COLUMNS,

@@ -63,12 +63,7 @@ def compare(
 
 
 def _files(sections: list[tuple[str, tuple[Row, ...]]], figures: dict[str, str]) -> dict[str, str]:
-    from orthoglide.comparison.tables import (
-        comparison_page,
-        csv_table,
-        legend,
-        markdown_table,
-    )
+    from orthoglide.comparison.tables import comparison_page, csv_table, legend, markdown_table
 
     every = [row for _, rows in sections for row in rows]
     tables = "".join(f"\n## {name}\n\n{markdown_table(rows)}" for name, rows in sections)

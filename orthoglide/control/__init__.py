@@ -4,10 +4,7 @@ files that a controller or another program takes of a calibrated machine.
 
 from orthoglide.control.acting import withheld as withheld
 from orthoglide.control.checking import ZeroCheck as ZeroCheck
-from orthoglide.control.compensation import (
-    Compensation as Compensation,
-    compensate as compensate,
-)
+from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
 from orthoglide.control.files import (
     PathPoints as PathPoints,
     commands_text as commands_text,
@@ -20,7 +17,4 @@ from orthoglide.control.numbers import (
     DriveNumbers as DriveNumbers,
     controller_numbers as controller_numbers,
 )
-from orthoglide.control.urdf import (
-    calibrated_urdf as calibrated_urdf,
-    held_by_urdf as held_by_urdf,
-)
+from orthoglide.control.urdf import calibrated_urdf as calibrated_urdf, held_by_urdf as held_by_urdf

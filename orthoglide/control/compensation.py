@@ -20,14 +20,7 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.seed import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import (
-    APPROACHED,
-    PLACE,
-    POINT,
-    TRAVELLED,
-    by_leg,
-    of_commands,
-)
+from orthoglide.observations.columns import APPROACHED, PLACE, POINT, TRAVELLED, by_leg, of_commands
 from orthoglide.prediction import Conditions
 
 RESOLUTION = 1e-9

@@ -16,16 +16,7 @@ from numpy.typing import NDArray
 
 from orthoglide.diagnosis.changes import Change, Changes, separated, visits
 from orthoglide.diagnosis.commands import all_put_right, put_right
-from orthoglide.diagnosis.faults import (
-    DATUMS,
-    Fault,
-    Kind,
-    Rows,
-    message,
-    parts,
-    places,
-    steps,
-)
+from orthoglide.diagnosis.faults import DATUMS, Fault, Kind, Rows, message, parts, places, steps
 from orthoglide.diagnosis.fit_faults import fit_fault, unit_faults
 from orthoglide.diagnosis.joint_faults import joint_fault
 from orthoglide.diagnosis.misreadings import restored, silenced

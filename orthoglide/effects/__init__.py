@@ -6,10 +6,7 @@ from orthoglide.effects.catalogue import (
     catalogue_of as catalogue_of,
     relabelled as relabelled,
 )
-from orthoglide.effects.effect import (
-    OF_DRIVES as OF_DRIVES,
-    Effect as Effect,
-)
+from orthoglide.effects.effect import OF_DRIVES as OF_DRIVES, Effect as Effect
 from orthoglide.effects.motions import (
     DialReading as DialReading,
     LegConditions as LegConditions,

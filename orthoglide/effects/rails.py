@@ -6,17 +6,7 @@ from typing import Any
 
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import LegConditions, Motion, constant, once, sideways
-from orthoglide.effects.words import (
-    Words,
-    across,
-    along,
-    mm,
-    more,
-    mrad,
-    slope,
-    toward,
-    turned,
-)
+from orthoglide.effects.words import Words, across, along, mm, more, mrad, slope, toward, turned
 from orthoglide.layout import LinearDelta, Orthoglide
 from orthoglide.parameters import Parameter
 from orthoglide.units import MM, RAD

@@ -41,8 +41,7 @@ def draw_causes(causes: Sequence[Cause]) -> Drawing:
     place = 0.0
     for cause in causes:
         found = [(cause.name, cause.together, style.FIT)]
-        found += [(rival.name, rival.probability, style.BAND) for rival in cause.rivals]
-        found += [(c.place.name, c.probability, style.BAND) for c in cause.places]
+        found += [(one.name, one.probability, style.BAND) for one in cause.others]
         rest = max(1.0 - sum(p for _, p, _ in found), 0.0)
         found.append(("all else together", rest, style.PALETTE["before"]))
         for name, p, colour in found:

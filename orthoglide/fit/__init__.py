@@ -13,10 +13,7 @@ from orthoglide.fit.identifying import (
     readings_of as readings_of,
     sorted_out as sorted_out,
 )
-from orthoglide.fit.noise import (
-    Noise as Noise,
-    noise_of as noise_of,
-)
+from orthoglide.fit.noise import Noise as Noise, noise_of as noise_of
 from orthoglide.fit.problem import Problem as Problem
 from orthoglide.fit.scores import Scores as Scores
 from orthoglide.fit.solving import solve as solve

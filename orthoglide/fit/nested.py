@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import ClosureError, SolverError
-from orthoglide.fit.least_squares import (
-    Linearised,
-    Normal,
-    Nuisances,
-    linearise,
-    normal,
-    predict,
-)
+from orthoglide.fit.least_squares import Linearised, Normal, Nuisances, linearise, normal, predict
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 

@@ -4,10 +4,7 @@ The formats and equations are those of the firmware's documentation and sources
 (klippy/kinematics/delta.py, klippy/extras/delta_calibrate.py, bed_mesh.py); the code is our own.
 """
 
-from orthoglide.klipper.agreeing import (
-    RELATIVE as RELATIVE,
-    disagreements as disagreements,
-)
+from orthoglide.klipper.agreeing import RELATIVE as RELATIVE, disagreements as disagreements
 from orthoglide.klipper.corrections import (
     WHERE as WHERE,
     Corrections as Corrections,

@@ -5,16 +5,24 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
+from orthoglide.geometry import Array
+from orthoglide.instruments import Probe
 from orthoglide.klipper.calibration import Calibration
 from orthoglide.klipper.config import Config
-from orthoglide.klipper.mesh import touches
-from orthoglide.klipper.probe import lies
-from orthoglide.klipper.rows import campaign_of
+from orthoglide.klipper.entries import Section
+from orthoglide.klipper.probe import lies, probe_offset
+from orthoglide.klipper.rows import ROUND, campaign_of, row
 from orthoglide.machine_file import Firmware
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign
+
+_MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbours read alike
 
 CALIBRATION = "calibration"
 """Name of the campaign of heights and distances, which are stored as steps from the endstops: they
@@ -91,3 +99,93 @@ class Stored:
 def _plain(name: str) -> str:
     """A profile's name as files and parameters may carry it."""
     return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:60] or "mesh"
+
+
+def touches(
+    config: Config, firmware: Firmware, section: Section, name: str, notes: list[Note]
+) -> Iterator[dict[str, Any]]:
+    """Rows of a profile.
+
+    Args:
+        config: the file.
+        firmware: its present numbers.
+        section: the profile's own.
+        name: of the setup.
+        notes: to which what was noticed is added.
+
+    Raises:
+        FileError: where the profile is none, or lies beyond the arms.
+    """
+    table = section.table("points")
+    if not table:
+        section.fail("points", "are empty: probe the mesh again")
+    if not np.any([value for line in table for value in line]):
+        notes.append(Note(
+            f"the mesh {name!r} has nothing but zeros, as no probe reads: it is left out", "mesh",
+        ))  # fmt: skip
+        return
+    columns = section.whole("x_count", len(table[0]))
+    lines = section.whole("y_count", len(table))
+    if len(table) != lines or any(len(line) != columns for line in table):
+        section.fail("points", f"are not {lines} rows of {columns}: probe the mesh again")
+    spans = []
+    for axis, count in (("x", columns), ("y", lines)):
+        low, high = section.number(f"min_{axis}"), section.number(f"max_{axis}")
+        if not low < high:
+            section.fail(f"max_{axis}", f"is not above min_{axis}: correct it")
+        spans.append(np.linspace(low, high, count) * 1e-3)
+    probe, offset = probe_offset(config)
+    across, along = spans
+    for k in np.flatnonzero(_probed(config, np.array(table), across, along, offset, notes)):
+        j, i = divmod(int(k), columns)
+        x, y = across[i], along[j]
+        p = np.array([[x - offset[0], y - offset[1], probe + table[j][i] * 1e-3]])
+        try:
+            travel = firmware.heights(p)[0] - firmware.zero
+        except InputError:
+            away = float(np.hypot(x, y))
+            section.fail("points", f"reach {away * 1e3:.0f} mm out, beyond the arms")
+        label = f"{x * 1e3:.6g} {y * 1e3:.6g}"
+        touch = row(Probe.kind, name, label, np.round(travel, ROUND), probe)
+        yield {**touch, "beside": offset}
+
+
+def _probed(
+    config: Config, table: Array, x: Array, y: Array, offset: Array, notes: list[Note]
+) -> NDArray[np.bool_]:
+    """Which values ``(rows * columns,)`` the probe touched: no padding, no faulty regions."""
+    general = config.optional("bed_mesh")
+    place = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    radius = general.number("mesh_radius", 0.0, -1, 5000) * 1e-3
+    if "mesh_radius" in general and not radius > 0:
+        general.fail("mesh_radius", "must be above 0: correct it")
+    kept = np.ones(len(place), dtype=bool)
+    stride = int(np.ceil(np.sqrt(len(place) / _MOST_TOUCHES)))
+    if stride > 1:
+        kept &= _thinned(len(y), stride)[:, None].repeat(len(x), 1).reshape(-1)
+        kept &= np.tile(_thinned(len(x), stride), len(y))
+        notes.append(Note(
+            f"a mesh of {len(y)} by {len(x)} is finer than any cause needs: of its rows and "
+            f"columns one in {stride} is taken", "mesh",
+        ))  # fmt: skip
+    if radius:  # about the profile's own middle: mesh_origin may have been another one then
+        middle = (place.min(axis=0) + place.max(axis=0)) / 2
+        kept &= np.hypot(*(place - middle).T) <= radius * (1 + 1e-9) + 1e-5
+    if min(table.shape) > 2 and (table[[0, 0, -1, -1], [0, -1, 0, -1]]
+                                 == table[[0, 0, -1, -1], [1, -2, 1, -2]]).all():  # fmt: skip
+        # Round, whatever [bed_mesh] says: beyond the circle the firmware repeats what is next.
+        apart = (place - place.mean(axis=0)) / [np.ptp(x) / 2, np.ptp(y) / 2]
+        kept &= np.hypot(*apart.T) <= 1 + 1e-6
+    for k in range(1, 100):  # where the probe cannot work the firmware takes its neighbours
+        low, high = f"faulty_region_{k}_min", f"faulty_region_{k}_max"
+        if low not in general:
+            break
+        ends = np.array([general.numbers(low, 2), general.numbers(high, 2)]) * 1e-3
+        for at in (place, place - offset):
+            kept &= ~((at >= ends[0]) & (at <= ends[1])).all(axis=1)
+    return kept
+
+
+def _thinned(count: int, stride: int) -> NDArray[np.bool_]:
+    """Every so-many-th of ``count``, the middle among them ``(count,)``."""
+    return np.asarray((np.arange(count) - count // 2) % stride == 0)

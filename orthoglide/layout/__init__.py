@@ -4,20 +4,11 @@ A layout says for each leg where its rail starts, which way it slides and where 
 point. Nothing else knows whether a machine is an Orthoglide or a linear delta.
 """
 
-from orthoglide.layout.free import (
-    FreeLeg as FreeLeg,
-    FreeLegs as FreeLegs,
-)
+from orthoglide.layout.free import FreeLeg as FreeLeg, FreeLegs as FreeLegs
 from orthoglide.layout.layout import Layout as Layout
-from orthoglide.layout.leg import (
-    Leg as Leg,
-    LegNames as LegNames,
-)
+from orthoglide.layout.leg import Leg as Leg, LegNames as LegNames
 from orthoglide.layout.linear_delta import LinearDelta as LinearDelta
-from orthoglide.layout.orthoglide import (
-    ORTHOGLIDE as ORTHOGLIDE,
-    Orthoglide as Orthoglide,
-)
+from orthoglide.layout.orthoglide import ORTHOGLIDE as ORTHOGLIDE, Orthoglide as Orthoglide
 
 DIRECTIONS: frozenset[str] = frozenset(Orthoglide.names.every | LinearDelta.names.every)
 """All words for directions across a leg."""

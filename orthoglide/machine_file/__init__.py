@@ -14,10 +14,7 @@ from orthoglide.machine_file.model import (
     Stiffness as Stiffness,
     nominal_machine_file as nominal_machine_file,
 )
-from orthoglide.machine_file.posterior import (
-    Posterior as Posterior,
-    root_of as root_of,
-)
+from orthoglide.machine_file.posterior import Posterior as Posterior, root_of as root_of
 from orthoglide.machine_file.reading import (
     AnyMachine as AnyMachine,
     machine_file_of as machine_file_of,

@@ -14,7 +14,7 @@ from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.mechanism import seed
 from orthoglide.mechanism.batch import CLOSED, JUMPED, BatchClosure, placed
 from orthoglide.mechanism.loops import Loops
-from orthoglide.mechanism.mobility import Conditioning, Mobility, conditioning, mobility
+from orthoglide.mechanism.mobility import Mobility, mobility
 from orthoglide.mechanism.seed import Mode
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, general_tree, nominal_tree
 
@@ -222,11 +222,6 @@ class Mechanism:
         q[nominal.drive] = posture.q[self.tree.drive]
         q[nominal.passive] = posture.q[self.tree.passive]
         return mobility(Loops(nominal), q)
-
-    def conditioning(self, posture: Posture) -> Conditioning:
-        """Condition of closure and velocities at a posture, and its distance to singularity."""
-        rows = self.loops.jacobian(posture.q)
-        return conditioning(rows[:, self.tree.free], self.velocity_jacobian(posture))
 
     # Batches, by CasADi --------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Mobility, redundancy and conditioning of the closed mechanism at a posture."""
+"""Mobility and redundancy of the closed mechanism at a posture."""
 
 from __future__ import annotations
 
@@ -38,28 +38,6 @@ class Mobility:
         )
 
 
-@dataclass(frozen=True)
-class Conditioning:
-    """How far a posture is from a singularity."""
-
-    closure: float  # condition number of the closure's square Jacobian (relief joints freed)
-    velocity: float  # condition number of dp/drho; 1 at the isotropic posture
-    # singular values of dp/drho, smallest first. The smallest is 0 where a leg is stretched across
-    # its drive (serial singularity); the largest grows without bound where the three legs lie in
-    # one plane (parallel singularity).
-    transmission: tuple[float, float, float]
-
-    @property
-    def distance_to_parallel_singularity(self) -> float:
-        """Smallest singular value of drho/dp: 1 where isotropic, 0 where singular."""
-        return 1 / self.transmission[-1]
-
-    @property
-    def distance_to_serial_singularity(self) -> float:
-        """Smallest singular value of dp/drho: 1 where isotropic, 0 where singular."""
-        return self.transmission[0]
-
-
 def mobility(loops: Loops, q: Array) -> Mobility:
     """Rank of the constraint Jacobian at a closed posture ``q`` of the nominal tree."""
     rows = loops.jacobian(q)
@@ -72,13 +50,3 @@ def _rank(rows: Array) -> int:
     # Translations in metres beside turns in radians: bring the bars' length to order one.
     values = np.linalg.svd(rows, compute_uv=False)
     return int(np.sum(values > _RANK_TOLERANCE * values[0]))
-
-
-def conditioning(closure_jacobian: Array, velocity_jacobian: Array) -> Conditioning:
-    """From the square closure Jacobian ``(21, 21)`` and dp/drho ``(3, 3)`` at a posture."""
-    low, middle, high = np.linalg.svd(velocity_jacobian, compute_uv=False)[::-1]
-    return Conditioning(
-        float(np.linalg.cond(closure_jacobian)),
-        float(high / low),
-        (float(low), float(middle), float(high)),
-    )

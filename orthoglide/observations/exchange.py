@@ -23,12 +23,7 @@ from orthoglide.observations.table import frame_table
 from orthoglide.observations.tcp import TcpPoints, check_points
 from orthoglide.observations.tool import ToolCampaign
 from orthoglide.observations.tool_reading import Readings, check_tool, readings_of_table
-from orthoglide.observations.writing import (
-    Row,
-    campaign_rows,
-    csv_text,
-    tcp_rows,
-)
+from orthoglide.observations.writing import Row, campaign_rows, csv_text, tcp_rows
 from orthoglide.units import NOISE
 
 if TYPE_CHECKING:

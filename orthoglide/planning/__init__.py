@@ -1,9 +1,6 @@
 """Which readings to take: before any measurement, and next."""
 
-from orthoglide.planning.designs import (
-    Design as Design,
-    design as design,
-)
+from orthoglide.planning.designs import Design as Design, design as design
 from orthoglide.planning.detectable import (
     SmallestEffect as SmallestEffect,
     smallest_effects as smallest_effects,
@@ -19,10 +16,7 @@ from orthoglide.planning.owning import (
 )
 from orthoglide.planning.parting import parting as parting
 from orthoglide.planning.pool import reading_pool as reading_pool
-from orthoglide.planning.repeats import (
-    Repeats as Repeats,
-    repeats_needed as repeats_needed,
-)
+from orthoglide.planning.repeats import Repeats as Repeats, repeats_needed as repeats_needed
 from orthoglide.planning.rivals import pairs_within as pairs_within
 from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,

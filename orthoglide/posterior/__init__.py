@@ -1,9 +1,6 @@
 """Everything known is one posterior: the background, what stands out of it, and free places."""
 
-from orthoglide.posterior.budget import (
-    BudgetItem as BudgetItem,
-    budget as budget,
-)
+from orthoglide.posterior.budget import BudgetItem as BudgetItem, budget as budget
 from orthoglide.posterior.causes import (
     CandidateScore as CandidateScore,
     Cause as Cause,

@@ -35,9 +35,7 @@ class BudgetItem:
     sigma: float  # of that
     tolerances: float  # largest of its parameters, in tolerances
     beyond_tolerance: float  # probability that any of them is beyond its tolerance
-    # root mean square of its part of the readings of lengths, datums fitted; nan where none was
-    # read
-    readings_rms: float
+    readings: ByUnit  # root mean square of its part of them, datums fitted
     tcp_mean: float  # mean of its part of the tool's error
     tcp_sigma: float  # standard deviation of that
     gain: float  # by how much the mean error of the tool falls if it is put right
@@ -47,7 +45,6 @@ class BudgetItem:
     compensated: float
     compensated_sigma: float  # standard deviation of that
     share: float  # `gain` over the mean error
-    readings_turn_rms: float = float("nan")  # as `readings_rms` of inclinations, radians
     rest: bool = False  # whether it is what is left of an effect beside all that was found
 
 
@@ -78,7 +75,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
         compensated = total - _mean_length(drawn - known_part)
         tolerance = np.array([machine.tolerance(n) for n in names])
         size, single = np.abs(known.mean[at] + off[:, at]) / tolerance, len(at) == 1
-        length, shown = _mean_length(part), _shown(posterior, names)
+        length = _mean_length(part)
         found.append(
             BudgetItem(
                 cause,
@@ -87,7 +84,7 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 float(np.sqrt(known.covariance[at[0], at[0]])) if single else float("nan"),
                 float(np.max(np.abs(known.mean[at]) / tolerance)),
                 float(np.mean((size > 1).any(axis=1))),
-                shown.length,
+                _shown(posterior, names),
                 float(length.mean()),
                 float(length.std()),
                 float(gain.mean()),
@@ -95,7 +92,6 @@ def budget(posterior: FullPosterior, causes: Mapping[str, Sequence[str]]) -> tup
                 float(compensated.mean()),
                 float(compensated.std()),
                 float(gain.mean() / max(total.mean(), 1e-12)),
-                shown.turn,
                 rest,
             )
         )

@@ -108,6 +108,11 @@ class Cause:
         return (self.chosen, *self.same, *self.rivals)
 
     @property
+    def others(self) -> tuple[Explanation | Curve, ...]:
+        """What else it may be, by name and by place."""
+        return (*self.rivals, *self.places)
+
+    @property
     def every(self) -> tuple[str, ...]:
         """Parameters of the whole credible set."""
         return tuple(name for one in self.explanations for name in one.parameters)
@@ -130,7 +135,17 @@ class Curve:
     sigma: Array  # of the same, SI (k,)
 
     def __repr__(self) -> str:
-        return f"<{self.place.name}, probability {self.probability:.2f}: {self.size_words}>"
+        return f"<{self.name}, probability {self.probability:.2f}: {self.size_words}>"
+
+    @property
+    def name(self) -> str:
+        """Of the place."""
+        return self.place.name
+
+    @property
+    def words(self) -> str:
+        """What is wrong there, with its size, as a clause."""
+        return f"{self.place.words}, by {self.size_words}"
 
     @property
     def size(self) -> float:
@@ -171,7 +186,7 @@ class Located:
     @property
     def name(self) -> str:
         """Of the most probable place."""
-        return self.members[0].place.name
+        return self.members[0].name
 
     @property
     def in_repeats(self) -> bool:
@@ -216,5 +231,5 @@ class Outstanding:
     def names(self) -> frozenset[str]:
         """Causes and places of all credible sets."""
         causes = {one.name for cause in self.causes for one in cause.explanations}
-        places = {one.place.name for located in self.located for one in located.members}
+        places = {one.name for located in self.located for one in located.members}
         return frozenset(causes | places | {n for one in self.located for n in one.resembling})

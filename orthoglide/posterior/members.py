@@ -49,7 +49,7 @@ class Members:
         about, groups = posterior.about, posterior.mixture.linear.groups
         instead = Alternatives(posterior.mixture)
         odds = instead.of(located.group)[:-1]
-        names = {curve.place.name for curve in located.members} | {*located.resembling}
+        names = {curve.name for curve in located.members} | {*located.resembling}
         chosen = [int(k) for k in np.argsort(-odds, kind="stable") if groups[k].name in names]
         chosen = chosen[:most]
         by_name = {p.name: p for p in about.places}

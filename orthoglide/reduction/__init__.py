@@ -7,10 +7,7 @@ derivation of its own: nothing here knows the general mechanism.
 """
 
 from orthoglide.reduction.deviations import observe as observe
-from orthoglide.reduction.fit import (
-    ReadingFit as ReadingFit,
-    fit_readings as fit_readings,
-)
+from orthoglide.reduction.fit import ReadingFit as ReadingFit, fit_readings as fit_readings
 from orthoglide.reduction.kinematics import (
     CONFIGURATIONS as CONFIGURATIONS,
     NOMINAL as NOMINAL,
@@ -32,7 +29,4 @@ from orthoglide.reduction.linear import (
     system8 as system8,
     system11 as system11,
 )
-from orthoglide.reduction.spheres import (
-    intersect_spheres as intersect_spheres,
-    reading as reading,
-)
+from orthoglide.reduction.spheres import intersect_spheres as intersect_spheres, reading as reading

@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING
 
 from orthoglide.errors import path_of
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.report.folder import (
-    check_folder as check_folder,
-    write_folder as write_folder,
-)
+from orthoglide.report.folder import check_folder as check_folder, write_folder as write_folder
 from orthoglide.report.result_json import result_text as result_text
 from orthoglide.report.text import summary as summary
 

@@ -11,14 +11,8 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
-from orthoglide.report.phrases import gain_words, sentence
-from orthoglide.report.wording import (
-    BESIDES,
-    MEANINGS,
-    curve_words,
-    evidence,
-    standing,
-)
+from orthoglide.report.phrases import sentence
+from orthoglide.report.wording import BESIDES, MEANINGS, curve_words, evidence, standing
 from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
@@ -26,7 +20,6 @@ if TYPE_CHECKING:
     from orthoglide.fit import Change
     from orthoglide.posterior import Cause, Explanation, Located
     from orthoglide.result import Result
-    from orthoglide.result.actions import Action
 
 Data = dict[str, Any]
 
@@ -94,7 +87,7 @@ def finding(result: Result) -> Data:
         "loses": any(map(loses, result.effects))
         or any(map(loses, result.located))
         or any(map(loses, result.moved)),
-        "actions": [action_data(action) for action in result.actions],
+        "actions": result.actions,
         "sheet": result.next_sheet is not None,
         "most": MOST,
         "cautions": result.cautions,
@@ -179,23 +172,3 @@ def _tile(what: str, error: ExpectedError) -> Tile:
     shape, sigma = (compact(v * 1e3, 2) for v in (error.shape, error.shape_sigma))
     place = f"of place, {error.place * 1e3:.1f} ± {error.place_sigma * 1e3:.1f}"
     return Tile(what, shape, (f"of shape, ± {sigma}", place))
-
-
-def action_data(action: Action) -> Data:
-    """What a page shows of one thing to do."""
-    gain, mean = gain_words(action)
-    options = [
-        {
-            "words": sentence(o.words),
-            "look_at": sentence(f"look at {o.look_at}"),
-            "confirm": o.confirm and sentence(o.confirm),
-        }
-        for o in action.options
-    ]
-    return {
-        "kind": action.kind,
-        "words": sentence(action.words),
-        "gain": gain,
-        "mean": mean,
-        "options": options,
-    }

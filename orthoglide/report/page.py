@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import orthoglide.report.first as first
-import orthoglide.report.follows as follows
-import orthoglide.report.found as found
+import orthoglide.report.sections as sections
 from orthoglide import __version__
 from orthoglide.figures.style import Drawing
 from orthoglide.report.phrases import listed
@@ -34,7 +33,7 @@ class Section:
 
     template: str  # name under `templates/sections`, and its anchor
     title: str  # its heading; empty for the verdict at the top
-    data: Mapping[str, Any]  # what the template shows
+    data: Mapping[str, Any]  # what the template shows besides the result
 
     @property
     def folded(self) -> bool:
@@ -49,6 +48,7 @@ def page(result: Result, drawings: Sequence[Drawing], sheet: str) -> str:
     searches = result.request.searches
     return rendered(
         "page.html.j2",
+        result=result,
         title="What is wrong with this machine" if searches else "Calibration report",
         subtitle=_subtitle(result),
         sections=list(_sections(result, {d.name: d for d in drawings}, sheet)),
@@ -64,35 +64,33 @@ def _sections(result: Result, figures: Mapping[str, Drawing], sheet: str) -> Ite
     html = view_html(result.view, result.picture.svg())
     yield Section("view", "The machine in motion", {"html": html})
     if result.blunders:
-        yield Section("faults", "Faults of the data", found.faults(result))
+        yield Section("faults", "Faults of the data", sections.faults(result))
     if result.pattern:
-        yield Section("left", "What is left", found.left(result))
+        yield Section("left", "What is left", sections.left(result))
     if result.firmware is not None and result.firmware.corrections is not None:
-        early = follows.too_early(result)
-        data = follows.firmware(result.firmware, result.firmware.corrections, early)
-        yield Section("firmware", "Numbers for the firmware", data)
-    controller = {"rows": ()} if result.firmware else follows.controller(result)
-    if controller["rows"]:
+        yield Section("firmware", "Numbers for the firmware", sections.firmware(result))
+    controller = {"drives": ()} if result.firmware else sections.controller(result)
+    if controller["drives"]:
         yield Section("controller", "Numbers for the controller", controller)
-    yield Section("judged", "Before and after", found.judged(result, figures))
+    yield Section("judged", "Before and after", sections.judged(result, figures))
     if searches:
-        yield Section("causes", "Causes, and how sure they are", found.causes(result, figures))
+        yield Section("causes", "Causes, and how sure they are", sections.causes(result, figures))
     if result.located:
-        yield Section("located", "Where it is", found.located(result, figures))
+        yield Section("located", "Where it is", sections.located(result, figures))
     if result.effects:
-        apart = found.apart(result, figures)
+        apart = sections.apart(result, figures)
         yield Section("apart", "What each cause makes of the readings", apart)
     if searches:
-        yield Section("next", "What to measure next", follows.following(result, sheet))
+        yield Section("next", "What to measure next", sections.following(result, sheet))
     if result.budget:
-        yield Section("budget", "Error budget", found.budget(result))
+        yield Section("budget", "Error budget", sections.budget(result))
     if result.workspace is not None:
-        space = follows.workspace(result, result.workspace, figures)
+        space = sections.workspace(result, result.workspace, figures)
         yield Section("workspace", "The TCP over the workspace", space)
-    yield Section("values", "What was identified", follows.values(result, figures))
-    yield Section("readings", "Readings and fit, setup by setup", found.readings(result, figures))
-    yield Section("unseen", "What these readings cannot tell", follows.unseen(result, figures))
-    yield Section("method", "How this was computed", follows.method(result))
+    yield Section("values", "What was identified", sections.values(result, figures))
+    yield Section("readings", "Readings and fit, setup by setup", sections.readings(figures))
+    yield Section("unseen", "What these readings cannot tell", sections.unseen(result, figures))
+    yield Section("method", "How this was computed", sections.method(result))
 
 
 def _subtitle(result: Result) -> str:

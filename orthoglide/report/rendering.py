@@ -1,13 +1,18 @@
-"""Pages from templates: what they show is data, never markup."""
+"""Pages from templates: what they show is data, never markup, and is written out there."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from orthoglide.numerals import compact, plain, probability, signed
+from orthoglide.report.phrases import gain_words, listed, sentence
+
+_WORDS = (sentence, listed, gain_words, compact, plain, signed, probability)
+
 
 def rendered(template: str, **data: Any) -> str:
     """A template in the folder ``templates`` with the data that it names; one that is missing is an
-    error.
+    error. Filters there are the functions that put numbers and clauses into words, and ``fixed``.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -19,4 +24,9 @@ def rendered(template: str, **data: Any) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters.update({word.__name__: word for word in _WORDS}, fixed=_fixed)
     return environment.get_template(template).render(**data)
+
+
+def _fixed(value: float, decimals: int) -> str:
+    return f"{value:.{decimals}f}"

@@ -118,9 +118,9 @@ def _head(request: Request, after: Estimate) -> dict[str, Any]:
 
 def _held_out(held: HoldOut) -> dict[str, Any]:
     return {
-        "before_rms_mm": _mm(held.before_rms),
-        "after_rms_mm": _mm(held.after_rms),
-        **_mrad(before_rms=held.before_turn_rms, after_rms=held.after_turn_rms),
+        "before_rms_mm": _mm(held.before.length),
+        "after_rms_mm": _mm(held.after.length),
+        **_mrad(before_rms=held.before.turn, after_rms=held.after.turn),
     }
 
 
@@ -221,8 +221,8 @@ def _budget(item: BudgetItem, result: Result) -> dict[str, Any]:
         "unit": unit.name,
         "tolerances": number(item.tolerances, _SHORT),
         "beyond_tolerance": number(item.beyond_tolerance, _SHORT),
-        "readings_rms_mm": _mm(item.readings_rms, _SHORT),
-        **_mrad(readings_rms=item.readings_turn_rms),
+        "readings_rms_mm": _mm(item.readings.length, _SHORT),
+        **_mrad(readings_rms=item.readings.turn),
         "tcp_mean_mm": _mm(item.tcp_mean, _SHORT),
         "tcp_sigma_mm": _mm(item.tcp_sigma, _SHORT),
         "gain_mm": _mm(item.gain, _SHORT),

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.numerals import hundredths, signed
-from orthoglide.report.follows import too_early
 from orthoglide.report.phrases import (
     gain_words,
     sentence,
@@ -16,6 +15,7 @@ from orthoglide.report.phrases import (
     weak_sentences,
 )
 from orthoglide.report.rows import parameter_rows, score_rows
+from orthoglide.report.sections import too_early
 from orthoglide.report.wording import MEANINGS, headline
 from orthoglide.result.firmware import UNSEEN, Unseen
 from orthoglide.text import is_terminal, text_width
@@ -150,12 +150,12 @@ def _causes(result: Result) -> Iterator[tuple[str, str]]:
         for rival in cause.rivals:
             yield hundredths(rival.probability), f"or {rival.words}\n{rival.name}"
         for c in cause.places:
-            yield hundredths(c.probability), f"or {c.place.words}\n{c.place.name}"
+            yield hundredths(c.probability), f"or {c.place.words}\n{c.name}"
 
 
 def _located(result: Result) -> Iterator[tuple[str, str, str, str]]:
     """Each place, then what else it could be."""
     for found in result.located:
         for k, c in enumerate(found.members):
-            name = f"or {c.place.name}" if k else c.place.name
+            name = f"or {c.name}" if k else c.name
             yield name, f"{c.probability:.2f}", c.size_words, c.place.words

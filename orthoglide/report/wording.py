@@ -248,7 +248,7 @@ def located_words(found: Located) -> str:
     first, *others = found.members
     text = f"{first.place.words}, by {curve_words(first)}"
     if others:
-        named = " or ".join(f"{c.place.words}, by {c.size_words}" for c in others[:_MOST_RIVALS])
+        named = " or ".join(c.words for c in others[:_MOST_RIVALS])
         more = len(others) - _MOST_RIVALS
         rest = f", or {more} more places named below" if more > 0 else ""
         text += f" (or {named}{rest}: these readings cannot tell)"
@@ -267,8 +267,7 @@ def curve_words(curve: Curve) -> str:
 
 def alternatives(cause: Cause) -> str:
     """Rivals of a cause with their own sizes, in brackets; empty where there are none."""
-    rivals = [one.words for one in cause.rivals]
-    rivals += [f"{c.place.words}, by {c.size_words}" for c in cause.places]
+    rivals = [one.words for one in cause.others]
     same = " or ".join(one.words for one in cause.same)
     if not rivals:
         return f" (or {same}: the same to these readings and to the tool)" if same else ""

@@ -4,12 +4,7 @@ Nothing here computes a posture: what is drawn is given in metres, in the base f
 """
 
 from orthoglide.scene.drawing import drawing as drawing
-from orthoglide.scene.parts import (
-    Dial as Dial,
-    Mark as Mark,
-    Option as Option,
-    Posed as Posed,
-)
+from orthoglide.scene.parts import Dial as Dial, Mark as Mark, Option as Option, Posed as Posed
 from orthoglide.scene.view import (
     View as View,
     Way as Way,

@@ -1,0 +1,344 @@
+"""Sections of the page: what was found (faults, causes, and what they explain), and what follows
+(numbers, next readings, workspace, values, method).
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orthoglide.control import withheld
+from orthoglide.effects.words import toward
+from orthoglide.figures.causes import MOST_CURVES
+from orthoglide.figures.style import Drawing
+from orthoglide.geometry import LEGS
+from orthoglide.klipper import WHERE
+from orthoglide.numerals import ByUnit, compact, told_apart
+from orthoglide.report.embed import panels, whole
+from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
+from orthoglide.report.rows import millimetres, parameter_rows, score_rows
+from orthoglide.report.wording import effects_named, located_words
+from orthoglide.result.firmware import UNSEEN
+from orthoglide.result.unvaried import unshown
+
+if TYPE_CHECKING:
+    from orthoglide.diagnosis.rest import SetupRest
+    from orthoglide.observations import Campaign, Setup
+    from orthoglide.posterior import BudgetItem, Located
+    from orthoglide.result import Result, Workspace
+
+Data = dict[str, Any]
+Figures = Mapping[str, Drawing]
+
+_MOST_ITEMS = 12
+_MOST_SHAPES = 5  # known causes named as ruled out
+
+_FAULTS = {
+    "outlier": "a reading out of line",
+    "knocked_stand": "a stand that was knocked",
+    "zeroed": "a dial set to zero anew at each repeat",
+    "command": "a posture that is not where its command says",
+    "sign": "a dial that counted the other way",
+    "label": "a setup of another leg or direction",
+    "exchanged_labels": "two setups exchanged",
+    "shifted": "readings a row too late or too early",
+    "unit": "a wrong unit",
+    "stuck": "a dial that stuck",
+    "scatter": "visits that do not repeat",
+}
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """A figure before and after."""
+
+    what: str
+    before: str
+    after: str
+    unit: str
+
+
+def before_and_after(result: Result) -> list[BeforeAfter]:
+    """What the finding gains, at a glance."""
+    before, after = result.before, result.after
+    start = before.scores if result.improved else result.nominal
+    found = [
+        *_tiles("Readings", start.told, after.scores.told, "rms left"),
+        *_tiles("Stations left out", start.left_out, after.scores.left_out, "rms"),
+    ]
+    if (held := result.hold_out) is not None:
+        found += _tiles("Readings held out", held.before, held.after, "rms")
+    if result.tcp is not None:
+        errors = result.tcp["translation"]
+        first = errors.before if result.improved else errors.nominal
+        was, now = (ByUnit(length, math.nan) for length in (first[0], errors.after[0]))
+        found += _tiles("TCP, best shift removed", was, now, "mean error")
+    noise = after.problem.one_reading.shown
+    found += [
+        BeforeAfter("Noise of a reading", "", compact(value, 2), f"{unit}, sigma")
+        for unit, value in noise.items()
+    ]
+    return found
+
+
+def _tiles(what: str, before: ByUnit, after: ByUnit, figure: str) -> list[BeforeAfter]:
+    """A tile a unit."""
+    found = []
+    for unit, now in after.shown.items():
+        was = before.shown.get(unit, math.nan)
+        found.append(BeforeAfter(what, *told_apart(was, now), f"{unit} {figure}"))
+    return found or [BeforeAfter(what, "", "–", f"mm {figure}")]
+
+
+def faults(result: Result) -> Data:
+    """Faults of the data, each with and without."""
+    return {"rows": [(_FAULTS[b.kind], b) for b in result.blunders]}
+
+
+def left(result: Result) -> Data:
+    """The pattern of what is left."""
+    return {"rows": [(rest, _most(rest)) for rest in (*result.rest, *result.rest_of_tool)]}
+
+
+def _most(rest: SetupRest) -> str:
+    if rest.kind != "leg":
+        return f"{compact(rest.most * 1e3, 2)} {rest.unit}"
+    way = toward(LEGS[rest.axis], rest.most)
+    return f"{compact(abs(rest.most) * 1e3, 2)} mm toward {way}"
+
+
+def judged(result: Result, figures: Figures) -> Data:
+    """Figures of merit of the nominal machine, before and after."""
+    inside = result.tcp["translation"].inside if result.tcp else math.nan
+    return {
+        "tiles": before_and_after(result),
+        "rows": score_rows(result),
+        "figure": whole(figures["residuals"]),
+        "own": listed([n.replace("_", " ") + "s" for n in result.request.own]),
+        "inside": f"{inside:.0%}" if math.isfinite(inside) else "",
+        "base": effects_named(result.before),
+    }
+
+
+def causes(result: Result, figures: Figures) -> Data:
+    """Causes and places that were weighed, and how sure they are."""
+    return {
+        "added": {c.name for c in result.effects} | {f.name for f in result.located},
+        "figure": whole(figures["causes"]) if "causes" in figures else "",
+    }
+
+
+def located(result: Result, figures: Figures) -> Data:
+    """Places without a name: the curve found, what else it could be, what it resembles."""
+    places = [
+        (located_words(one), one, panels(figures[f"located-{k}"]))
+        for k, one in enumerate(result.located, start=1)
+    ]
+    return {"places": places, "most": _MOST_SHAPES}
+
+
+def budget(result: Result) -> Data:
+    """What is wrong by what mending it gains."""
+    several = {c.name for c in result.effects if len(c.explanations) > 1}
+    classes = [one for one in result.located if len(one.members) > 1]
+    several |= {one.in_machine(result.catalogue)[0] for one in classes}
+    named = {item.cause for item in result.budget if not item.rest}
+    rows = [
+        (item, result.short(item.cause) + _counted(item, named, several))
+        for item in result.budget[:_MOST_ITEMS]
+    ]
+    return {"rows": rows}
+
+
+def _counted(item: BudgetItem, named: Collection[str], several: Collection[str]) -> str:
+    """What else a row counts than its name says, behind it; of the causes and places that are
+    ``named`` the readings cannot tell which of ``several`` it is.
+    """
+    if item.rest:
+        return ": the rest of them" if item.cause in named else ""
+    return ", or what these readings cannot tell from it" if item.cause in several else ""
+
+
+def apart(result: Result, figures: Figures) -> Data:
+    """What each cause makes of the readings, rivals overlaid."""
+    every = enumerate(result.effects, start=1)
+    causes = [(cause, panels(figures[f"signatures-{k}"])) for k, cause in every]
+    return {"causes": causes, "most": MOST_CURVES}
+
+
+def readings(figures: Figures) -> Data:
+    """Readings and fit, setup by setup."""
+    return {"panels": panels(figures["readings"])}
+
+
+_WHY = "What speaks against acting on them is said at the top."
+
+
+def controller(result: Result) -> Data:
+    """Numbers for the controller; withheld where the verdict says not to act on them."""
+    spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
+    effects = result.catalogue
+    zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
+    return {
+        "drives": numbers.drives if zeros else (),
+        "withheld": _WHY if result.cautions else sentence(why) if why else "",
+        "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
+        "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
+    }
+
+
+def _kept(found: Located) -> bool:
+    """Whether a calibrated machine holds it."""
+    return found.members[0].place.of_machine
+
+
+def too_early(result: Result) -> tuple[str, str]:
+    """What to do in place of entering numbers, and why, each a clause; empty where they may be."""
+    early = "Do not enter these numbers yet"
+    if not result.stands:
+        return early, (
+            "the verdict says that something is left that nothing explains, and they would be bent "
+            "by it"
+        )
+    if result.cautions:
+        return early, "the verdict warns of what would bend them"
+    found = result.firmware.corrections if result.firmware else None
+    if found is None or not found.vain:
+        return "", ""
+    return "Keep the numbers that are there", f"by what is known the new ones are {found.vain}"
+
+
+def firmware(result: Result) -> Data:
+    """Numbers for a firmware, old and new, and what it cannot hold."""
+    return {"early": too_early(result), "where": WHERE, "heading": UNSEEN}
+
+
+_AIMS = {
+    "separate": "To tell apart what these readings cannot",
+    "narrow": "To narrow what is hardly seen",
+    "trace": "To follow what nothing explains",
+}
+_MINUS = re.compile(r"(?<=\s)-(?=\d)")
+
+
+def following(result: Result, sheet: str) -> Data:
+    """What to measure next, with the sheet as a link."""
+    suggested = result.next_measurements
+    suggestions = [
+        (_AIMS[s.aim], _reason(s.reason), s.campaign, _stations(s.campaign))
+        for s in suggested
+        if s.campaign is not None
+    ]
+    data = base64.b64encode(sheet.encode()).decode()
+    return {
+        "suggestions": suggestions,
+        "others": [_reason(s.reason) for s in suggested if s.pool is None and not s.hopeless],
+        "hopeless": [_reason(s.reason) for s in suggested if s.hopeless],
+        "legs": LEGS,
+        "link": f"data:text/csv;charset=utf-8;base64,{data}" if sheet else "",
+    }
+
+
+def _reason(text: str) -> str:
+    return sentence(_MINUS.sub("−", text))
+
+
+def _stations(sheet: Campaign) -> Iterator[tuple[Setup, str, str, int]]:
+    """Stations of a sheet, each once: its setup, the command and its side, and how often it is
+    visited.
+    """
+    every = zip(sheet.setup.tolist(), sheet.command.tolist(), sheet.approach.tolist(), strict=True)
+    visits = Counter(
+        (k, tuple(command), tuple(near), label)
+        for (k, command, near), label in zip(every, sheet.posture, strict=True)
+    )
+    for (k, command, near, _), times in visits.items():
+        side = "".join({1.0: "+", -1.0: "−"}.get(way, "·") for way in near)
+        yield sheet.setups[k], ", ".join(f"{value * 1e3:.2f}" for value in command), side, times
+
+
+def workspace(result: Result, space: Workspace, figures: Figures) -> Data:
+    """How far the TCP is off over the workspace, and how well that is known."""
+    every = panels(figures["workspace"])
+    rows = [
+        ("predicted error of a controller that knows of no error", space.nominal),
+        ("predicted error with offsets and lengths set right", space.before),
+        ("95 % radius about that, everything else allowed", space.sure_before),
+        ("95 % radius with all that was found put in, everything else allowed", space.sure),
+    ]
+    if not result.improved:  # then the base model is all that was found
+        del rows[1:3]
+    shares = result.uncertain_effects
+    return {
+        "rows": [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows],
+        "groups": [every[k : k + 3] for k in range(0, len(every), 3)],
+        "most": listed([f"{name.replace('_', ' ')} ({share:.0%})" for name, share in shares]),
+    }
+
+
+def values(result: Result, figures: Figures) -> Data:
+    """What was identified, with both kinds of sigma."""
+    fit, of = result.after, result.catalogue.effect_of
+    freed = {of(n).name for n in result.shown}
+    held = (of(n).name for n, value in result.machine.values.items() if value)
+    others = dict.fromkeys(name.replace("_", " ") for name in held if name not in freed)
+    return {
+        "rows": parameter_rows(result),
+        "figure": whole(figures["parameters"]) if "parameters" in figures else "",
+        "others": listed(others),
+        "dials": any(of(n).of_dial for n in result.shown),
+        "scale": f"{fit.sigma_scale:.2g}" if fit.sigma_scale > 1 else "",
+    }
+
+
+def unseen(result: Result, figures: Figures) -> Data:
+    """What the readings cannot tell apart, and what they would not show."""
+    figure = figures.get("correlations")
+    return {
+        "sentences": weak_sentences(result.after.weak, result.catalogue),
+        "effects": [(words, listed(members)) for words, members in unshown(result)],
+        "unexcited": [f.replace("_", " ") for f in result.unexcited],
+        "sides": sentence(one) if (one := unvaried_words(result)) else "",
+        "second_place": _has_one_place(result),
+        "owned": ",".join(result.instruments),
+        "machine": f"{Path(result.request.machine.spec.file).name or 'FILE'}"
+        f"{result.request.effects_option}",
+        "figure": whole(figure) if figure else "",
+    }
+
+
+def _has_one_place(result: Result) -> bool:
+    """Whether some leg was read by dials at a single place along it."""
+    setups = [setup for campaign in result.after.problem.campaigns for setup in campaign.setups]
+    places = {(setup.leg, round(setup.gauge, 3)) for setup in setups}
+    return 1 in Counter(leg for leg, _ in places).values()
+
+
+_METHODS = {
+    "nlp": "one nonlinear programme that carries the loop closures of every posture as constraints",
+    "posterior": "the posterior of everything that could be wrong, about its own mean",
+    "nested": "Newton steps on the parameters, every posture's loops closed at each step",
+    "reduction": "the analytic reduction of the mechanism (three spheres)",
+}
+_SOURCES = {
+    "declared": "as declared",
+    "machine": "from the machine file, or as is usual of such instruments where it has none",
+    "repeats": "from the scatter of the repeats",
+}
+
+
+def method(result: Result) -> Data:
+    """How it was computed, from which files, and how to do it again."""
+    fit = result.before
+    return {
+        "base": effects_named(fit),
+        "machine": Path(fit.problem.machine.spec.file).name or "the nominal Orthoglide",
+        "method": _METHODS[fit.method],
+        "source": _SOURCES[fit.problem.noise_source],
+    }
