@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from orthoglide.accuracy import workspace
 from orthoglide.closing import close_loop
 from orthoglide.effects import catalogue_of, relabelled
+from orthoglide.effects.places import places
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -348,6 +349,14 @@ def test_machine_files_keep_free_legs() -> None:
         assert old in text
         with pytest.raises(FileError, match=phrase):
             parse_machine_file(text.replace(old, new).replace("-140.0", "-100.0"))
+
+
+def test_places_of_legs_called_as_their_directions_have_names_of_their_own() -> None:
+    for names, about in (("abc", "aaa"), ("uvw", "uvw")):
+        found = [place.name for place in places((), freely(DELTA, names).layout.names)]
+        assert len(set(found)) == len(found)
+        turns = {f"carriage.{leg}.{axis}/travel" for leg, axis in zip(names, about, strict=True)}
+        assert turns < set(found)
 
 
 def test_free_legs_say_their_directions() -> None:

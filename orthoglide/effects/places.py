@@ -281,7 +281,9 @@ def places(
             add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
             end = ((f"lateral_{axis}", -1.0),)
             add("platform", end, letter, "approach", _travel, _COARSE, 50 * _UM)
-        for axis, letter in {"a": own, **across}.items():
+        # A leg may be called as one of its directions: then its slide is, as its frame has it, a.
+        slide = "a" if own in across.values() else own
+        for axis, letter in {"a": slide, **across}.items():
             add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
         for bar in "12":
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
