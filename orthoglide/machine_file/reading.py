@@ -74,8 +74,6 @@ def _stroke(value: Any) -> tuple[float, ...]:
         raise ValueError("is reversed: give the lower limit first")
     if low > 0:
         raise ValueError("must be counted from mechanical zero, from below 0 to above 0")
-    if high - low < 1e-3:
-        raise ValueError("is shorter than 1 mm: give it in millimetres, not metres")
     return stroke
 
 
@@ -289,6 +287,9 @@ def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
     for key in ("d", "r"):
         if values[key] >= values["L"]:
             document.fail(f"{key} is not shorter than L: are they exchanged?", "geometry_mm", key)
+    low, high = values["stroke"]
+    if high - low < min(1e-3, values["L"] / 50):  # a micro-stage moves by less than a millimetre
+        document.fail("stroke is too short: give millimetres, not metres", "geometry_mm", "stroke")
     if not layout.stroke_fits(values["L"], values["stroke"]):
         document.fail(
             "the stroke must run from below 0 to above 0 and stay within L: correct one of them",

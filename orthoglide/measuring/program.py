@@ -80,6 +80,7 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
     visits = [(leg, travel, dial) for leg in range(3) for travel in travels for dial in range(2)]
     command = [geometry.command_on_axis(leg, travel) for leg, travel, _ in visits]
     return unread(
+        geometry,
         "measure",
         setups,
         [2 * leg + dial for leg, _, dial in visits],

@@ -13,6 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS, Instrument
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
+from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.planning.detectable import Detectability, smallest_effects
 from orthoglide.planning.mixed import mixed_sheet
@@ -191,6 +192,7 @@ def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) ->
         sigma=nothing,
         line=count + 1,
         legs=machine.geometry.layout.names,
+        moves=Moves(beyond=overshoot(machine.geometry.stroke)),
     ).in_order()  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
-from orthoglide.observations.approach import OVERSHOOT
+from orthoglide.observations.approach import overshoot
 from orthoglide.observations.protocols import check_dials, dial_at, unread
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
@@ -69,10 +69,11 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
 
 def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> list[Station]:
     rho = np.round(reduction.inverse(p, geometry=geometry), _GRID)
+    beyond = overshoot(geometry.stroke)
     return [
         Station(label, rho, p, side)
         for side in sides
-        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * OVERSHOOT).all()
+        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * beyond).all()
     ]
 
 
@@ -113,6 +114,7 @@ def reading_pool(
                     rows += [(len(setups), s) for s in reach if visible(s, setup)]
                     setups.append(replace(setup, name=f"next-{setup.name}"))
     return unread(
+        geometry,
         "next",
         setups,
         [k for k, _ in rows],
