@@ -104,6 +104,8 @@ def test_a_stage_that_hardly_moves_has_a_pool():
     chosen = sheet(pool, range(0, len(pool), 7))
     assert len(chosen.moves)
     assert stage.in_stroke(chosen.moves.command).all()
+    shortest = reading_pool(og.Geometry(0.008, 0.002, 0.001, (-4e-4, 4e-4)))
+    assert len(np.unique(shortest.setup)) == len(pool.setups)  # a dial keeps on so short a leg
 
 
 def test_the_pool_is_the_same_for_every_leg(machine):

@@ -236,7 +236,7 @@ def read_machine_file(
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
     catalogue = with_places(
-        machine.catalogue, posterior.names if posterior else (), machine.geometry.stroke
+        machine.catalogue, posterior.names if posterior else (), machine.geometry
     )
     return replace(
         machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
@@ -254,7 +254,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     provenance = _plain(document.table("provenance"))
     check_travel(document, geometry, provenance)
     catalogue, named = catalogue.of_layout(geometry.layout), document.table("parameters")
-    catalogue = with_places(catalogue, named, geometry.stroke)
+    catalogue = with_places(catalogue, named, geometry)
     return MachineFile(
         name=top.get("name", ""),
         geometry=geometry,

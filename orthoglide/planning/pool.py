@@ -21,7 +21,8 @@ BARS: tuple[int, ...] = (0, 1, 2)
 """What they may touch: the leg's median line, bar 1, bar 2."""
 
 DIAL_TRAVEL = 5e-3
-"""Metres that the touched line may stray sideways at the dial, nominally, from mechanical zero."""
+"""Metres that the touched line may stray sideways at the dial, nominally, from mechanical zero; on
+a machine of less than a workshop's size in proportion."""
 
 _STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
 _SIDEWAYS = 6e-3  # metres off the axis
@@ -51,7 +52,7 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
             high * np.arange(_STEPS_UP + 1) / _STEPS_UP,
         ]
     )
-    found = []
+    found, sideways = [], _SIDEWAYS * dial_scale(geometry)
     for travel in own:
         p = np.zeros(3)
         p[leg] = travel
@@ -61,8 +62,8 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
             for side in (1, -1):
                 if axis != leg:
                     p = np.zeros(3)
-                    p[leg], p[axis] = travel, side * _SIDEWAYS
-                    label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * _SIDEWAYS * 1e3:+.6g}"
+                    p[leg], p[axis] = travel, side * sideways
+                    label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * sideways * 1e3:+.6g}"
                     found += _reached(label, p, (1,), geometry)
     return found
 
@@ -77,14 +78,20 @@ def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> 
     ]
 
 
-def visible(station: Station, setup: Setup) -> bool:
+def dial_scale(geometry: Geometry) -> float:
+    """Size of a dial with its stand: a large machine's is the same as that of others."""
+    return min(geometry.scale, 1.0)
+
+
+def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
     """Whether a dial keeps on its leg and within its travel at a station, nominally."""
-    own, p = station.command[setup.leg], station.p
-    if not p[setup.leg] + _CLEARANCE <= setup.gauge <= own - _CLEARANCE:
+    own, p, small = station.command[setup.leg], station.p, dial_scale(geometry)
+    clearance = _CLEARANCE * small
+    if not p[setup.leg] + clearance <= setup.gauge <= own - clearance:
         return False
     share = (own - setup.gauge) / (own - p[setup.leg])  # of the platform in the touched point
     aside = np.delete(p, setup.leg) * share
-    return bool(np.abs(aside).max() <= DIAL_TRAVEL)
+    return bool(np.abs(aside).max() <= DIAL_TRAVEL * small)
 
 
 def reading_pool(
@@ -111,7 +118,7 @@ def reading_pool(
             for gauge in GAUGES:
                 for bar in BARS:
                     setup = dial_at(geometry, leg, axis, gauge, bar)
-                    rows += [(len(setups), s) for s in reach if visible(s, setup)]
+                    rows += [(len(setups), s) for s in reach if visible(s, setup, geometry)]
                     setups.append(replace(setup, name=f"next-{setup.name}"))
     return unread(
         geometry,
