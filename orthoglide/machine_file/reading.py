@@ -221,11 +221,13 @@ def read_machine_file(
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
     layout, geometry = machine.geometry.layout, machine.geometry
-    near = layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ()
+    near, within = (
+        layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ((), 0.0)
+    )
     warnings = tuple(
         f"{machine.file}: by L, r and origin_mm the joint of leg {name} on the platform lies on "
-        f"the line from origin_mm to the platform's middle to within 0.05 mm of these lengths: it "
-        f"is taken to lie on that line"
+        f"the line from origin_mm to the platform's middle to within {within * 1e3:.1g} mm of "
+        f"these lengths: it is taken to lie on that line"
         for name in near
     )
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
@@ -235,9 +237,7 @@ def read_machine_file(
             f"parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
-    catalogue = with_places(
-        machine.catalogue, posterior.names if posterior else (), machine.geometry
-    )
+    catalogue = with_places(machine.catalogue, posterior.names if posterior else (), geometry)
     return replace(
         machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
     )
