@@ -26,6 +26,7 @@ LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
 
 _FAR = 4.0  # bars' lengths beyond the stroke; legs two apart no longer meet
 _LARGEST = 10.0  # metres
+_WORKSHOP = 0.15, 0.6  # metres: bars of machines whose parts are made to the same tolerances
 
 
 def vectors(values: ArrayLike, name: str) -> Array:
@@ -145,6 +146,13 @@ class Geometry:
         ``(leg, 3)``, metres.
         """
         return np.stack([leg.carriage - leg.platform for leg in self.legs])
+
+    @property
+    def scale(self) -> float:
+        """By how much its parts are made coarser than those of a machine of a workshop's size:
+        1 for bars of 150 to 600 mm, beyond them in proportion to their length.
+        """
+        return self.L / min(max(self.L, _WORKSHOP[0]), _WORKSHOP[1])
 
     @property
     def leg_names(self) -> tuple[str, str, str]:

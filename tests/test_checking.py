@@ -22,7 +22,9 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.entered import entered
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
+from orthoglide.geometry import Geometry
 from orthoglide.klipper import import_printer
+from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Readings, ToolCampaign, campaign_text
 from orthoglide.planning.owning import sheet_of
 from orthoglide.simulation import simulate
@@ -313,6 +315,20 @@ def test_a_plate_that_lies_where_it_lay_is_not_told() -> None:
     (move,) = plate_moved(0.0, (0.0, 0.0), **{"leg_length.b": 3e-4}).moves
     assert move.is_higher
     assert move.leans
+
+
+def test_a_plate_of_a_small_machine_moves_by_less() -> None:
+    """Half the thickness of paper, of bars of 31 mm."""
+    spec = MachineFile(
+        geometry=Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)),
+        instruments={"plate": Instrument(1e-7, 1e-6)},
+    )
+    stage = og.Machine(spec)
+    sheet = sheet_of(stage, "plate")
+    old = simulate(stage, sheet, seed=1)
+    new = replace(old, reading=old.reading - 5e-5)
+    (move,) = check([replace(old, name="old")], [replace(new, name="new")], stage).moves
+    assert "lies 0.05 mm higher" in move.words
 
 
 def test_two_calibrations_that_a_printer_stores_are_compared() -> None:

@@ -92,6 +92,22 @@ def test_the_pool_stays_within_stroke_dial_and_leg(machine):
     assert off_axis.max() > 1e-4
 
 
+def test_a_stage_that_hardly_moves_has_a_pool():
+    """Every step but the ends is reached from both sides, as on a long stroke."""
+    stage = og.Geometry(0.03, 0.008, 0.003, (-4e-4, 4e-4))
+    pool = reading_pool(stage)
+    sides = {}
+    for label, approach in zip(pool.posture, pool.approach[:, 0], strict=True):
+        sides.setdefault(label, set()).add(approach)
+    assert [label for label, ways in sides.items() if len(ways) == 1] == ["-0.4", "+0.4"]
+    assert len(sides) == 8
+    chosen = sheet(pool, range(0, len(pool), 7))
+    assert len(chosen.moves)
+    assert stage.in_stroke(chosen.moves.command).all()
+    shortest = reading_pool(og.Geometry(0.008, 0.002, 0.001, (-4e-4, 4e-4)))
+    assert len(np.unique(shortest.setup)) == len(pool.setups)  # a dial keeps on so short a leg
+
+
 def test_the_pool_is_the_same_for_every_leg(machine):
     pool = reading_pool(machine.geometry)
 

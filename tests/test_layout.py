@@ -1,5 +1,6 @@
 """The linear delta against three spheres and against an independent machine of six bars."""
 
+import json
 import pickle
 import re
 from dataclasses import replace
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from orthoglide.accuracy import workspace
 from orthoglide.closing import close_loop
 from orthoglide.effects import catalogue_of, relabelled
+from orthoglide.effects.places import places
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -26,12 +28,14 @@ from orthoglide.machine_file import (
 )
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.loops import Loops
-from orthoglide.observations import csv_text, read_tcp, tcp_rows
+from orthoglide.observations import csv_text, read_tcp, tcp_rows, write_campaign
 from orthoglide.parameters import Parameter
+from orthoglide.planning.owning import sheet_of
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
-from orthoglide.simulation import simulate_tcp
+from orthoglide.simulation import simulate, simulate_tcp
 from tests.rig_delta import DeltaRig, parameter_names
+from tests.test_cli import run
 
 RIG = DeltaRig()
 DELTA = Geometry(
@@ -332,6 +336,29 @@ def test_free_legs_that_touch_need_no_micrometres(
         Machine.load(file)
 
 
+def test_lengths_are_taken_for_off_by_a_share_of_the_bars() -> None:
+    stage = freely(Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)))
+    assert isinstance(stage.layout, FreeLegs)
+    assert stage.layout.touching(stage.L + 2e-6, stage.r)[0] == ("u", "v", "w")
+    assert stage.layout.touching(stage.L + 1e-5, stage.r) == ((), pytest.approx(5e-6, rel=0.01))
+
+
+def test_what_is_odd_about_the_machine_file_is_told_with_the_result(tmp_path: Path) -> None:
+    """And once in the terminal."""
+    file, sheet, out = (tmp_path / name for name in ("machine.toml", "sheet.csv", "out"))
+    text = machine_text(MachineFile(name="free", geometry=freely(Geometry())))
+    file.write_text(text.replace("L = 310.25", "L = 310.26"))
+    machine = Machine.load(file)
+    readings = simulate(machine, sheet_of(machine, "tcp"), seed=1)
+    write_campaign(readings, sheet, machine)
+    done = run("identify", sheet, "--machine", file, "--out", out)
+    assert done.exit_code == 0, done.output
+    told = "the joint of leg u on the platform lies on the line"
+    assert re.sub(r"\s+", " ", done.output).count(told) == 1
+    assert told in (out / "report.html").read_text()
+    assert sum(told in w for w in json.loads((out / "result.json").read_text())["warnings"]) == 1
+
+
 def test_machine_files_keep_free_legs() -> None:
     for geometry in (freely(Geometry()), freely(UNEVEN, ("left", "right", "back"))):
         spec = MachineFile(name="free", geometry=geometry)
@@ -348,6 +375,14 @@ def test_machine_files_keep_free_legs() -> None:
         assert old in text
         with pytest.raises(FileError, match=phrase):
             parse_machine_file(text.replace(old, new).replace("-140.0", "-100.0"))
+
+
+def test_places_of_legs_called_as_their_directions_have_names_of_their_own() -> None:
+    for names, about in (("abc", "aaa"), ("uvw", "uvw")):
+        found = [place.name for place in places((), freely(DELTA, names).layout.names)]
+        assert len(set(found)) == len(found)
+        turns = {f"carriage.{leg}.{axis}/travel" for leg, axis in zip(names, about, strict=True)}
+        assert turns < set(found)
 
 
 def test_free_legs_say_their_directions() -> None:

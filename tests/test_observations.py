@@ -20,7 +20,12 @@ import orthoglide as og
 from orthoglide import units
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
-from orthoglide.machine_file import Controller, nominal_machine_file
+from orthoglide.machine_file import (
+    Controller,
+    machine_text,
+    nominal_machine_file,
+    parse_machine_file,
+)
 from orthoglide.notes import Note
 from orthoglide.observations import (
     Campaign,
@@ -514,6 +519,25 @@ def test_every_mounting_of_a_protocol_is_begun_from_a_known_side() -> None:
             first = np.flatnonzero(sheet.setup == k)[0]
             before = sheet.moves.command[sheet.moves.order < sheet.order[first]][-1]
             assert np.array_equal(np.sign(sheet.command[first] - before), sheet.approach[first])
+
+
+@pytest.mark.parametrize("half", [0.4, 0.5])  # mm
+def test_sheets_of_a_stage_that_hardly_moves_stay_within_its_stroke(
+    half: float, tmp_path: Path
+) -> None:
+    stage = Geometry(0.03, 0.008, 0.003, (-half * 1e-3, half * 1e-3))
+    machine = replace(nominal_machine_file(), geometry=stage)
+    assert parse_machine_file(machine_text(machine)).geometry == stage
+    for kind in KINDS:
+        sheet = protocol(kind, stage)  # type: ignore[arg-type]
+        assert len(sheet.moves)
+        assert stage.in_stroke(sheet.moves.command).all()
+        path = tmp_path / f"{kind}.csv"
+        write_campaign(sheet, path)
+        found = read_campaign(path, machine, require_readings=False)
+        assert np.array_equal(found.moves.command, sheet.moves.command)
+        assert found.moves.beyond == sheet.moves.beyond < 1e-3 == protocol("sweep").moves.beyond
+        assert not [note for note in found.warnings if note.kind == "command"]
 
 
 def test_a_reading_of_a_move_is_ignored_and_said(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""Waves of some centimetres on the long rails of a linear delta, by a tracker or a level."""
+"""Waves of some centimetres on the long rails of a linear delta, by a tracker or a level; and the
+places of machines of other sizes.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,20 @@ import pytest
 
 import orthoglide as og
 from benchmarks.delta_truth import machine, measured
+from orthoglide.effects import CATALOGUE
 from orthoglide.effects.places import places
+from orthoglide.effects.plates import own_shapes
+from orthoglide.geometry import Geometry
+from orthoglide.machine_file import (
+    Dial,
+    machine_text,
+    nominal_machine_file,
+    parse_machine_file,
+)
+from orthoglide.observations import readings_from_rows
+from orthoglide.units import MM
+from tests import rig_campaigns
+from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 
 PERIOD = 0.055
@@ -61,3 +76,50 @@ def test_a_short_stroke_has_one_of_each() -> None:
     both = {p.name for p in places(stroke=(-0.14, 0.4))} - {p.name for p in places()}
     assert len(both) == 3 * (2 + 3)
     assert all(name.endswith("/waves") for name in both)
+
+
+# -- machines of other sizes -----------------------------------------------------------------------
+
+
+def test_parts_of_a_workshop_s_machines_are_made_to_the_same_tolerances() -> None:
+    assert [Geometry(L=length).scale for length in (0.15, 0.31025, 0.345, 0.6)] == [1.0] * 4
+    assert Geometry(L=1.8).scale == pytest.approx(3.0)
+    stage = Geometry(0.03, 0.008, 0.003, (-0.01, 0.006))
+    assert stage.scale == pytest.approx(0.2)
+    usual = {place.name: place.unit for place in places()}
+    for place in places(stroke=stage.stroke, scale=stage.scale):
+        assert place.unit == pytest.approx(usual[place.name] * (1.0 if place.turns else 0.2))
+    at = np.random.default_rng(0).uniform(-0.7, 0.7, (5, 2))
+    for (_, fine), (_, size) in zip(own_shapes(at, stage.scale), own_shapes(at), strict=True):
+        assert fine == pytest.approx(0.2 * size)
+    # The curve of a rail is of the same tolerance where it was found and where it is kept.
+    name = next(place.effect.name for place in places() if place.part == "rail")
+    text = machine_text(replace(nominal_machine_file(), geometry=stage))
+    kept = parse_machine_file(
+        f'{text}\n[parameters]\n"{name}.x.1" = {{value = 0.001, sigma = 0.0, unit = "mm"}}\n'
+    ).catalogue
+    assert kept[name].tolerance == pytest.approx(0.2 * 0.05)
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_the_rail_of_a_stage_with_bars_of_31_mm_is_found(seed: int) -> None:
+    """A tenth of a workshop's machine in all, readings and tolerances too."""
+    rng, leg = np.random.default_rng(seed), seed % 3
+    axis = (leg + 1 + seed % 2) % 3
+    bent = (rig_campaigns.s_curve(leg, axis, 5e-5),)
+    rig = Rig(L=0.31, errors={"joint_offset.x": 1e-3}, extra=bent).with_background(rng, 0.05)
+    rows = rig_campaigns.simulate(rig, "sweep", rng, noise=3e-6, resolution=1e-6)
+    small = [
+        {n: f"{float(v) / 10:.9g}" if n.endswith("_mm") else str(v) for n, v in row.items()}
+        for row in rows
+    ]
+    spec = replace(
+        nominal_machine_file(),
+        geometry=Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)),
+        dial=Dial(1e-7, 3e-7, 1e-4),
+        tolerance={n: e.tolerance * e.unit.si / 10 for n, e in CATALOGUE.items() if e.unit == MM},
+    )
+    verdict = og.close_loop(readings_from_rows(small, spec, name="stage"), og.Machine(spec))
+    (located,) = verdict.located
+    place = located.members[0].place
+    assert place.name == f"rail.{'xyz'[leg]}.{'xyz'[axis]}/travel"

@@ -453,6 +453,21 @@ def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
         og.identify([replace(campaign, reading=slipped)], machine)
 
 
+def test_a_slip_counts_by_the_size_of_the_machine() -> None:
+    """Of bars of 31 mm a twentieth of a millimetre: less than a workshop's machine may be off."""
+    spec = MachineFile(
+        geometry=Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)),
+        instruments={"tcp": Instrument(1e-7, 1e-6)},
+    )
+    stage = Machine(spec)
+    sheet = og.simulate(stage, sheet_of(stage, "tcp"), seed=1)
+    assert isinstance(sheet, ToolCampaign)
+    read = sheet.reading.copy()
+    read[7] += 6e-5
+    with pytest.raises(InputError, match=r": 0\.06\d* mm off what all others say"):
+        og.identify([replace(sheet, reading=read)], stage)
+
+
 KINDS = ("tcp", "plate", "distance", "ballbar", "incline")
 
 

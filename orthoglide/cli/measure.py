@@ -83,9 +83,9 @@ def _tell(end: End, out: Path, options: dict[str, Path | None]) -> None:
 
     word = "Settled" if end.settled else "Not settled"
     given = "".join(f" {o} {click.format_filename(p)}" for o, p in options.items() if p)
-    name = click.format_filename(out)
+    name, found = click.format_filename(out), summary(end.verdict, said="machine")
     say(
-        f"{word} after {end.readings} readings: {end.reason}.\n\n{summary(end.verdict)}\n\n"
+        f"{word} after {end.readings} readings: {end.reason}.\n\n{found}\n\n"
         f"The report: orthoglide close-loop {name}{given} --out {click.format_filename(out.stem)}",
         needed=True,
     )

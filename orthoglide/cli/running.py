@@ -91,7 +91,7 @@ def execute(
         from orthoglide.report import result_text, summary
         from orthoglide.report.wording import MEANINGS
 
-        told = "" if quiet or as_json else summary(result, command == "diagnose")
+        told = "" if quiet or as_json else summary(result, command == "diagnose", "machine")
         line = f"Verdict {result.word}: {MEANINGS[result.word]}."
         if as_json and out is None:
             step(Step("suggesting"))

@@ -18,7 +18,7 @@ from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Kernel, Level
 from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
-from orthoglide.geometry import LEGS
+from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
 
@@ -247,6 +247,7 @@ def places(
     sessions: Sequence[Session] = (),
     names: LegNames = Orthoglide.names,
     stroke: Range = (-_LENGTH, _LENGTH),
+    scale: float = 1.0,
 ) -> tuple[Place, ...]:
     """All places of a machine.
 
@@ -254,6 +255,7 @@ def places(
         sessions: of each leg, and of the campaign; none where time was not recorded.
         names: of legs and directions.
         stroke: travel limits of the machine, metres.
+        scale: of its size, that of a workshop being 1.
     """
     half = (stroke[1] - stroke[0]) / 2
     found: list[Place] = []
@@ -281,7 +283,9 @@ def places(
             add("rail", sideways, letter, "approach", _travel, _COARSE, 50 * _UM)
             end = ((f"lateral_{axis}", -1.0),)
             add("platform", end, letter, "approach", _travel, _COARSE, 50 * _UM)
-        for axis, letter in {"a": own, **across}.items():
+        # A leg may be called as one of its directions: then its slide is, as its frame has it, a.
+        slide = "a" if own in across.values() else own
+        for axis, letter in {"a": slide, **across}.items():
             add("carriage", ((f"turn_{axis}", 1.0),), letter, "travel", _travel, _COARSE, 1e-3)
         for bar in "12":
             add("bar", ((f"stretch{bar}", 1.0),), bar, "approach", _travel, _COARSE, 50 * _UM)
@@ -298,11 +302,16 @@ def places(
             for part, joints, way in moving:
                 unit = (100 if whole else 50) * _UM
                 found.append(Place(part, leg, joints, way, "time", 0, variable, kernel, unit, span))
-    return tuple(replace(place, names=names) for place in found)
+    return tuple(_sized(replace(place, names=names), scale) for place in found)
+
+
+def _sized(place: Place, scale: float) -> Place:
+    """What to expect of it on a machine of some size; parts of any size turn by the same angles."""
+    return place if place.turns else replace(place, unit=place.unit * scale)
 
 
 def dial_places(
-    setup: str, leg: int, time: Range | None, reading: Range, turns: bool
+    setup: str, leg: int, time: Range | None, reading: Range, turns: bool, scale: float = 1.0
 ) -> tuple[Place, ...]:
     """Places of one mounting of a dial: its creep, its curve, and its reversal error.
 
@@ -313,6 +322,7 @@ def dial_places(
         reading: smallest and largest predicted reading, metres: a curve by what was measured
             would fit its own noise.
         turns: whether its plunger came both ways.
+        scale: of the machine's size, for which dials are chosen.
     """
     every: tuple[tuple[Against, Functions, float, Range | None], ...] = (
         ("time", _CREEP, 20 * _UM, time),
@@ -320,29 +330,27 @@ def dial_places(
         ("approach", Level(), 10 * _UM, reading if turns else None),
     )
     return tuple(
-        Place("dial", leg, (), "", against, 0, _none, kernel, unit, span, setup)
+        Place("dial", leg, (), "", against, 0, _none, kernel, unit * scale, span, setup)
         for against, kernel, unit, span in every
         if span is not None
     )
 
 
-def all_dials(reading: Range) -> Place:
+def all_dials(reading: Range, scale: float = 1.0) -> Place:
     """Dials of one make, which read by the way that their plungers came, all by as much, over some
-    range of readings, metres.
+    range of readings, metres, on a machine of some size.
     """
-    return Place("dial", -1, (), "", "approach", 0, _none, Level(), 10 * _UM, reading)
+    return Place("dial", -1, (), "", "approach", 0, _none, Level(), 10 * _UM * scale, reading)
 
 
 def _none(c: LegConditions) -> Any:
     raise TypeError("this place is a function of no variable of the leg")
 
 
-def with_places(catalogue: Catalogue, names: Iterable[str], stroke: Range) -> Catalogue:
-    """A catalogue with the places to which some of the parameters belong, on a machine of some
-    stroke, metres.
-    """
+def with_places(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
+    """A catalogue with the places of a machine to which some of the parameters belong."""
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    every = places((), catalogue.legs, stroke)
+    every = places((), catalogue.legs, geometry.stroke, geometry.scale)
     return catalogue.with_effects(p.effect for p in every if p.effect.name in wanted)

@@ -82,7 +82,7 @@ def _lobe(part: str, value: float) -> int:
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
 
 
-def own_shapes(place: Array) -> list[tuple[Array, float]]:
+def own_shapes(place: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
     """Shapes of degree 2 to 4 that no effect names, each ``(n,)`` with its standard deviation.
 
     No plate is flat but for a bowl and three lobes, and what is left of it is no cause in the
@@ -90,6 +90,7 @@ def own_shapes(place: Array) -> list[tuple[Array, float]]:
 
     Args:
         place: on the plate over its radius ``(n, 2)``.
+        scale: of the machine's size, that of a workshop being 1.
     """
     x, y = place.T
     square = x**2 + y**2
@@ -105,7 +106,7 @@ def own_shapes(place: Array) -> list[tuple[Array, float]]:
         ),
     }
     return [
-        (shape, FLAT / 2 ** (degree - 1))
+        (shape, scale * FLAT / 2 ** (degree - 1))
         for degree, shapes in by_degree.items()
         for shape in shapes
     ]

@@ -168,7 +168,8 @@ def _least(problem: Problem, name: tuple[int, int], alone: bool) -> float:
     if not isinstance(points, ToolCampaign):
         return 0.0
     instrument = points.setups[points.setup[name[1]]].instrument
-    return instrument.slip_alone if alone else instrument.slip
+    scale = 1.0 if instrument.angular else problem.machine.geometry.scale
+    return scale * (instrument.slip_alone if alone else instrument.slip)
 
 
 def _said(problem: Problem, name: tuple[int, int], rest: Array) -> str:

@@ -37,10 +37,12 @@ _TURNED = (
 
 
 def notes(estimate: Estimate) -> tuple[Note, ...]:
-    """Notes of a fit: what was noticed on reading, lack of fit, bounds, tolerances, the check."""
+    """Notes of a fit: what was noticed on reading the machine's file and the readings, lack of fit,
+    bounds, tolerances, the check.
+    """
     problem, scores = estimate.problem, estimate.scores
     given = [f.points for f in problem.factors]
-    found: list[Note] = []
+    found = [Note(text, "machine") for text in problem.machine.warnings]
     for points in given:
         file = f"{source(points)}: " if len(given) > 1 else ""
         found += [Note(file + text, "campaign") for text in points.warnings]

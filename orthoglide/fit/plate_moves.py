@@ -20,7 +20,8 @@ from orthoglide.numerals import plain
 
 _SIGMAS = 3.0
 _LEAST = 1e-4
-"""A difference below is not worth a sentence, metres: paper is as thick."""
+"""A difference below is not worth a sentence on a machine of a workshop's size, metres: paper is as
+thick."""
 
 _FEWEST = 4  # touches, of which a plane leaves one
 
@@ -34,16 +35,20 @@ class PlateMove:
     rise: float  # by how much more its rim is, where it is most, metres
     toward: float  # where that is, degrees from x toward y
     sigma: tuple[float, float]  # of both, from the noise of the touches, metres
+    least: float = _LEAST  # that is worth a sentence, metres
 
     @property
     def is_higher(self) -> bool:
         """Whether its height differs beyond its uncertainty, by what matters."""
-        return _tells(self.higher, self.sigma[0])
+        return self._tells(self.higher, self.sigma[0])
 
     @property
     def leans(self) -> bool:
         """Whether its slopes do."""
-        return _tells(self.rise, self.sigma[1])
+        return self._tells(self.rise, self.sigma[1])
+
+    def _tells(self, size: float, sigma: float) -> bool:
+        return abs(size) > max(self.least, _SIGMAS * sigma)
 
     @property
     def words(self) -> str:
@@ -59,10 +64,6 @@ class PlateMove:
                 f"y is 90)"
             )
         return f"at equal commands the plate of {self.setup} {' and '.join(said)}"
-
-
-def _tells(size: float, sigma: float) -> bool:
-    return abs(size) > max(_LEAST, _SIGMAS * sigma)
 
 
 def plate_moves(
@@ -82,7 +83,8 @@ def plate_moves(
     values = problem.values(first, x)
     # The last of a visit is the state that it leaves.
     old, new = (dict(_touches(problem, values, names)) for names in (before, after))
-    found = (_move(setup, old[setup], new[setup]) for setup in old if setup in new)
+    least = _LEAST * problem.machine.geometry.scale
+    found = (_move(setup, old[setup], new[setup], least) for setup in old if setup in new)
     return tuple(move for move in found if move.is_higher or move.leans)
 
 
@@ -101,8 +103,8 @@ def _touches(
                 yield setup.name, np.column_stack([place[:, :2], height, factor.sigma])[rows]
 
 
-def _move(setup: str, old: Array, new: Array) -> PlateMove:
-    """From touches ``(m, 4)`` of both visits."""
+def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:
+    """From touches ``(m, 4)`` of both visits; ``least`` is worth a sentence, metres."""
     places = np.concatenate([old, new])[:, :2]
     middle = places.mean(axis=0)
     radius = float(np.hypot(*(places - middle).T).max())
@@ -112,9 +114,8 @@ def _move(setup: str, old: Array, new: Array) -> PlateMove:
     along = apart[1:] / max(rise, 1e-12)
     sigma = float(np.sqrt(along @ covariance[1:, 1:] @ along))
     toward = float(np.degrees(np.arctan2(along[1], along[0]))) % 360
-    return PlateMove(
-        setup, float(apart[0]), rise, toward, (float(np.sqrt(covariance[0, 0])), sigma)
-    )
+    both = float(np.sqrt(covariance[0, 0])), sigma
+    return PlateMove(setup, float(apart[0]), rise, toward, both, least)
 
 
 def _plane(touches: Array, middle: Array, radius: float) -> tuple[Array, Array]:

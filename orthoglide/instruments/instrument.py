@@ -70,7 +70,8 @@ class Instrument(ABC):
             none are.
         repeatability: standard deviation of one reading where nothing is known.
         slip: how far off a reading must be to be called a slip, where more than two are; more than
-            a bed's bumps, a part's pillars or a rail that rolls its carriage in waves move it.
+            a bed's bumps, a part's pillars or a rail that rolls its carriage in waves move it. A
+            length is that of a machine of a workshop's size.
         slip_alone: the same of one reading or two.
         angular: whether it reads radians; metres otherwise.
         axes: base axes along or about which it reads; none where it has no direction.

@@ -14,10 +14,10 @@ from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
 from orthoglide.parameters import MEMBERS
 from orthoglide.text import brief
 
-_TOUCHING = 5e-5
-"""Metres by which lengths of a machine may be off: where the circles of bars and platform touch to
-within that, they touch. Of what is missing, or too much, the place beside the line of their
-centres would be the root: a millimetre of 0.02 mm."""
+_TOUCHING = 1.6e-4
+"""Share of the bars' length by which lengths of a machine may be off: where the circles of bars and
+platform touch to within that, they touch. Of what is missing, or too much, the place beside the
+line of their centres would be the root: with bars of 300 mm a millimetre of 0.02 mm."""
 
 _EXACT = 1e-7  # metres: nearer than that they were meant to touch
 _SQUARE = 1e-6
@@ -126,12 +126,12 @@ class FreeLegs:
     def _leg(self, given: FreeLeg, L: float, r: float) -> Leg:
         carriage, middle = np.array(given.origin), -np.array(self.tool)
         (a, b, c), apart, radius, along = self._circles(given, L, r)
-        if abs(c) > r or not -radius <= along <= radius + _TOUCHING:
+        if abs(c) > r or not -radius <= along <= radius + _TOUCHING * L:
             raise InputError(
                 f"leg {given.name}: bars of {L * 1e3:g} mm do not reach from its origin to a joint "
                 f"{r * 1e3:g} mm from the platform's middle across its link: correct one of them"
             )
-        touches = along > radius - _TOUCHING
+        touches = along > radius - _TOUCHING * L
         along, across = (apart - L, 0.0) if touches else (along, np.sqrt(radius**2 - along**2))
         # In the leg's plane (a, b): toward the carriage, and to either side of that.
         places = [
@@ -157,18 +157,21 @@ class FreeLegs:
         along = (apart**2 + radius**2 - L**2) / (2 * apart) if apart > 0 else np.inf
         return place, apart, radius, along
 
-    def touching(self, L: float, r: float) -> tuple[str, ...]:
-        """Names of legs whose circles of bars and platform almost touch, and are taken to.
+    def touching(self, L: float, r: float) -> tuple[tuple[str, ...], float]:
+        """Names of legs whose circles of bars and platform almost touch, and are taken to; and the
+        metres to within which they are.
 
         Args:
             L: length of the bars, metres.
             r: radius of the platform, metres.
         """
         circles = ((given.name, self._circles(given, L, r)) for given in self.free)
-        return tuple(
+        within = _TOUCHING * L
+        names = tuple(
             name for name, (_, _, radius, along) in circles
-            if _EXACT < abs(along - radius) < _TOUCHING
+            if _EXACT < abs(along - radius) < within
         )  # fmt: skip
+        return names, within
 
     def zero(self, L: float) -> float:
         """Travel counts from mechanical zero."""

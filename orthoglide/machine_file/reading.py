@@ -74,8 +74,6 @@ def _stroke(value: Any) -> tuple[float, ...]:
         raise ValueError("is reversed: give the lower limit first")
     if low > 0:
         raise ValueError("must be counted from mechanical zero, from below 0 to above 0")
-    if high - low < 1e-3:
-        raise ValueError("is shorter than 1 mm: give it in millimetres, not metres")
     return stroke
 
 
@@ -223,11 +221,13 @@ def read_machine_file(
     digest = files.sha256(content)
     posterior = read_posterior(path, digest)
     layout, geometry = machine.geometry.layout, machine.geometry
-    near = layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ()
+    near, within = (
+        layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ((), 0.0)
+    )
     warnings = tuple(
         f"{machine.file}: by L, r and origin_mm the joint of leg {name} on the platform lies on "
-        f"the line from origin_mm to the platform's middle to within 0.05 mm of these lengths: it "
-        f"is taken to lie on that line"
+        f"the line from origin_mm to the platform's middle to within {within * 1e3:.1g} mm of "
+        f"these lengths: it is taken to lie on that line"
         for name in near
     )
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
@@ -237,9 +237,7 @@ def read_machine_file(
             f"parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
-    catalogue = with_places(
-        machine.catalogue, posterior.names if posterior else (), machine.geometry.stroke
-    )
+    catalogue = with_places(machine.catalogue, posterior.names if posterior else (), geometry)
     return replace(
         machine, sha256=digest, posterior=posterior, warnings=warnings, catalogue=catalogue
     )
@@ -256,7 +254,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
     provenance = _plain(document.table("provenance"))
     check_travel(document, geometry, provenance)
     catalogue, named = catalogue.of_layout(geometry.layout), document.table("parameters")
-    catalogue = with_places(catalogue, named, geometry.stroke)
+    catalogue = with_places(catalogue, named, geometry)
     return MachineFile(
         name=top.get("name", ""),
         geometry=geometry,
@@ -289,6 +287,9 @@ def _geometry(document: Document, values: dict[str, Any]) -> Geometry:
     for key in ("d", "r"):
         if values[key] >= values["L"]:
             document.fail(f"{key} is not shorter than L: are they exchanged?", "geometry_mm", key)
+    low, high = values["stroke"]
+    if high - low < min(1e-3, values["L"] / 50):  # a micro-stage moves by less than a millimetre
+        document.fail("stroke is too short: give millimetres, not metres", "geometry_mm", "stroke")
     if not layout.stroke_fits(values["L"], values["stroke"]):
         document.fail(
             "the stroke must run from below 0 to above 0 and stay within L: correct one of them",

@@ -20,6 +20,7 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import check_dials, dial_at, unread
 from orthoglide.planning import next_measurements, next_sheet
+from orthoglide.planning.pool import dial_scale
 
 SETTLED = (
     "The verdict is settled when nothing significant is left, no cause that may stand out is open "
@@ -41,7 +42,8 @@ and where more is to be seen. The first two together find every effect from a fi
 size at which a sweep sheet does, or less (``orthoglide.planning.smallest_effects``)."""
 
 _CLEARANCE = 8e-3
-"""Metres that a dial keeps from the ends of its leg, over the whole stroke."""
+"""Metres that a dial keeps from the ends of its leg, over the whole stroke; on a machine of less
+than a workshop's size in proportion."""
 
 _BELIEVED = 90  # readings after which it is believed that nothing is wrong
 _OPEN = (0.05, 0.9)  # probability of a cause that may stand out or not
@@ -71,7 +73,8 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
     check_dials(geometry)
     share, bar = _DIALS[number % len(_DIALS)]
     low, high = geometry.stroke
-    ends = (high + _CLEARANCE) / geometry.L, 1 + (low - _CLEARANCE) / geometry.L
+    clearance = _CLEARANCE * dial_scale(geometry)
+    ends = (high + clearance) / geometry.L, 1 + (low - clearance) / geometry.L
     share = round(float(np.clip(share, *ends)), 3)
     part = _INNER[number % len(_INNER)]
     travels = [part * high, high, part * high, 0.0, part * low, low, part * low, 0.0]
@@ -80,6 +83,7 @@ def opening(machine: Machine, number: int = 0) -> Campaign:
     visits = [(leg, travel, dial) for leg in range(3) for travel in travels for dial in range(2)]
     command = [geometry.command_on_axis(leg, travel) for leg, travel, _ in visits]
     return unread(
+        geometry,
         "measure",
         setups,
         [2 * leg + dial for leg, _, dial in visits],

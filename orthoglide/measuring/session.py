@@ -16,7 +16,6 @@ from orthoglide.measuring.expected import Expected
 from orthoglide.measuring.program import MOST, SETTLED, Next, following, opening
 from orthoglide.measuring.record import AGAIN, SKIPPED, Record
 from orthoglide.observations import Campaign, Moves
-from orthoglide.observations.approach import OVERSHOOT
 from orthoglide.observations.writing import Row, command_columns
 from orthoglide.report.sheet import counted, dial_words, mounted_together
 from orthoglide.text import shown
@@ -242,7 +241,7 @@ class Session:
 
     def _again(self, sheet: Campaign, row: int) -> None:
         """Lead the machine back, so that it comes to the next place from the side it should."""
-        back = sheet.command[row] - OVERSHOOT * sheet.approach[row]
+        back = sheet.command[row] - sheet.moves.beyond * sheet.approach[row]
         alone = replace(sheet.subset([row]), command=back[None], moves=Moves())
         told = {"kind": "move", "posture": AGAIN, "repeat": ""}
         self._move(self.record.plan(alone)[0] | told)

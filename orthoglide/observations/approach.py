@@ -20,8 +20,8 @@ SIDES_UNTOLD = "the side that places are come to from is not told (approach_* is
 TELL_SIDES = "fill it in, or leave these columns out of a file that was gone through row by row"
 """What is lacking where nobody knows how a place was come to, and what to do, as clauses."""
 
-OVERSHOOT = 1e-3
-"""How far beyond a command the machine goes to reach it from a side, metres."""
+_OVERSHOOT = 1e-3  # metres
+_SHARE = 4  # of the way to the nearer end: sheets go there in as many steps, or fewer
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,8 @@ class Moves:
     order: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     # line in the file (m,), header line 1
     line: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    # how far moves that are planned go beyond a command to reach it from a side, metres
+    beyond: float = _OVERSHOOT
 
     def __post_init__(self) -> None:
         for values in (self.command, self.order, self.line):
@@ -43,10 +45,22 @@ class Moves:
         return len(self.order)
 
     def same_as(self, other: Moves) -> bool:
-        """Whether both are exactly the same moves; lines aside."""
+        """Whether both are exactly the same moves; lines and plans aside."""
         return np.array_equal(self.command, other.command) and np.array_equal(
             self.order, other.order
         )
+
+
+def overshoot(stroke: tuple[float, float]) -> float:
+    """How far beyond a command a machine goes to reach it from a side, metres.
+
+    On a short stroke it is less than elsewhere: else there would be no room for it.
+
+    Args:
+        stroke: travel limits of the machine, metres.
+    """
+    low, high = stroke
+    return min(_OVERSHOOT, min(-low, high) / _SHARE)
 
 
 def derive_approach(
@@ -151,7 +165,9 @@ def impossible_approach(
     return wrong[m:]
 
 
-def planned_moves(command: Array, approach: Array, begins: ArrayLike) -> tuple[Moves, Ints]:
+def planned_moves(
+    command: Array, approach: Array, begins: ArrayLike, beyond: float
+) -> tuple[Moves, Ints]:
     """Moves that let commands, gone through in their order, be reached as they ask for.
 
     A command that the one before does not lead to from the side asked for is preceded by a move
@@ -159,15 +175,16 @@ def planned_moves(command: Array, approach: Array, begins: ArrayLike) -> tuple[M
     while the dial was mounted.
 
     Args:
-        command: commands ``(n, 3)``, metres, with room for an `OVERSHOOT` within the stroke.
+        command: commands ``(n, 3)``, metres, with room for an `overshoot` within the stroke.
         approach: directions to be reached from ``(n, 3)``; 0: either.
         begins: whether a row is the first of a mounting ``(n,)``.
+        beyond: that overshoot, metres.
 
     Returns:
         The moves, and the place of each row in the sequence of all ``(n,)``.
     """
     before, direction = np.full(3, np.nan), np.zeros(3)
-    beyond: list[Array] = []
+    gone: list[Array] = []
     places: list[int] = []
     order: list[int] = []
     for row, first in enumerate(np.asarray(begins, dtype=bool).tolist()):
@@ -175,10 +192,10 @@ def planned_moves(command: Array, approach: Array, begins: ArrayLike) -> tuple[M
         reached = np.where(np.abs(step) > MOVED, np.sign(step), direction)
         if first or ((reached != approach[row]) & (approach[row] != 0)).any():
             places.append(len(order) + len(places))
-            beyond.append(command[row] - OVERSHOOT * approach[row])
+            gone.append(command[row] - beyond * approach[row])
             reached = approach[row]
         order.append(len(order) + len(places))
         before, direction = command[row], reached
     place = np.array(places, dtype=np.int64)
-    moves = Moves(np.round(np.array(beyond).reshape(-1, 3), 9), place, place + 2)
+    moves = Moves(np.round(np.array(gone).reshape(-1, 3), 9), place, place + 2, beyond)
     return moves, np.array(order, dtype=np.int64)

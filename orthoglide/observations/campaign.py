@@ -140,7 +140,7 @@ class Campaign(Recorded):
         begins = np.zeros(len(self), dtype=bool)
         begins[np.unique(self.setup, return_index=True)[1]] = True
         begins[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
-        moves, order = planned_moves(self.command, self.approach, begins)
+        moves, order = planned_moves(self.command, self.approach, begins, self.moves.beyond)
         return replace(self, moves=moves, order=order, line=order + 2)
 
     def relabelled(self) -> Campaign:

@@ -29,7 +29,8 @@ STROKE_SLACK = 1e-6
 """How far a command may lie beyond the stroke, metres."""
 
 HARDLY = 1e-3
-"""An axis that moves by no more than this hardly moves, metres."""
+"""An axis that moves by no more than this hardly moves, metres; on a stroke of less than ten times
+as much, a tenth of that counts."""
 
 DIAL_RANGE = 20e-3
 """More than any dial shows besides what the command itself moves, metres."""
@@ -129,8 +130,17 @@ def check_campaign(campaign: Campaign, machine: MachineFile, fail: Fail) -> tupl
 def _motion(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
     if np.ptp(campaign.command, axis=0).max() <= MOVED:
         return  # one posture throughout: its own check says it better
-    if np.ptp(campaign.command, axis=0).max() <= HARDLY:
-        fail("no axis moves by more than 1 mm: give the commands in millimetres, not metres", 0)
+    if np.ptp(campaign.command, axis=0).max() <= (least := _hardly(machine)):
+        fail(
+            f"no axis moves by more than {least * 1e3:g} mm: give the commands in millimetres, not "
+            f"metres",
+            0,
+        )
+
+
+def _hardly(machine: MachineFile) -> float:
+    low, high = machine.geometry.stroke
+    return min(HARDLY, (high - low) / 10)
 
 
 def _gauges(campaign: Campaign, machine: MachineFile, fail: Fail) -> None:
@@ -239,7 +249,7 @@ def _approaches(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
 def _still_legs(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
     for leg in np.unique(campaign.leg):
         span = np.ptp(campaign.command[campaign.leg == leg, leg])
-        if span <= HARDLY:
+        if span <= _hardly(machine):
             yield Note(
                 f"leg {LEGS[leg]} moves by only {span * 1e3:.3g} mm along its own axis in its "
                 "setups: they say little about its length and axis",

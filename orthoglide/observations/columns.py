@@ -12,7 +12,7 @@ from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations.approach import Ints, Moves, derive_approach
+from orthoglide.observations.approach import Ints, Moves, derive_approach, overshoot
 from orthoglide.observations.checks import check_commands, check_sequence
 from orthoglide.observations.table import (
     DIRECTION,
@@ -163,7 +163,8 @@ def recorded(
         order = np.array(table.values("order", ROW_COLUMNS["order"]))
     check_sequence(command, order, table.lines, table.fail)
     gone = np.asarray(moved, dtype=bool)
-    moves = Moves(command[gone], order[gone], np.array(table.lines)[gone])
+    beyond = overshoot(machine.geometry.stroke)
+    moves = Moves(command[gone], order[gone], np.array(table.lines)[gone], beyond)
     command, order = command[~gone], order[~gone]
     read = table.part(np.flatnonzero(~gone).tolist())
     approach = by_leg(APPROACHED, machine.geometry.leg_names)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.observations.approach import derive_approach
+from orthoglide.observations.approach import Moves, derive_approach, overshoot
 from orthoglide.observations.campaign import Campaign, Setup
 
 Kind = Literal["standard", "sweep", "two-gauges"]
@@ -99,6 +99,7 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     mounting = visit // (REPEATS * len(postures))
     command = [geometry.command_on_axis(leg, travel) for leg, _, _, (_, travel) in visits]
     sheet = unread(
+        geometry,
         kind,
         setups,
         2 * mounting + np.arange(len(visit)) % 2,
@@ -117,6 +118,7 @@ def dial_at(geometry: Geometry, leg: int, axis: int, share: float, bar: int = 0)
 
 
 def unread(
+    geometry: Geometry,
     name: str,
     setups: Sequence[Setup],
     setup: ArrayLike,
@@ -131,6 +133,7 @@ def unread(
     """A campaign whose rows, to be gone through in their order, have no readings yet.
 
     Args:
+        geometry: whose stroke counts, for the moves.
         name: of the campaign.
         setups: the mountings.
         setup: index into them ``(n,)``.
@@ -158,6 +161,7 @@ def unread(
         reading=nothing,
         sigma=nothing,
         line=order + 2,
+        moves=Moves(beyond=overshoot(geometry.stroke)),
     )
 
 

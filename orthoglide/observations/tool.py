@@ -140,7 +140,7 @@ class ToolCampaign(Recorded):
         )  # fmt: skip
         told = ~(self.touching | self.paired)
         approach = approach[first[visit.reshape(-1)]] * told[:, None]
-        moves, order = planned_moves(self.command, approach, begins & told)
+        moves, order = planned_moves(self.command, approach, begins & told, self.moves.beyond)
         approach[self.touching] = -1.0
         return replace(
             self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),

@@ -18,6 +18,7 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS, Instrument
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
+from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.planning.detectable import Detectability, as_expected, smallest_effects
 from orthoglide.threads import on_one_thread
@@ -200,6 +201,7 @@ def tool_sheet(machine: Machine, instrument: Instrument, longer: float = 0.0) ->
         sigma=nothing,
         line=count + 1,
         legs=machine.geometry.layout.names,
+        moves=Moves(beyond=overshoot(machine.geometry.stroke)),
     ).in_order()  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.observations import Campaign, Setup
-from orthoglide.observations.approach import OVERSHOOT
+from orthoglide.observations.approach import overshoot
 from orthoglide.observations.protocols import check_dials, dial_at, unread
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
@@ -21,7 +21,8 @@ BARS: tuple[int, ...] = (0, 1, 2)
 """What they may touch: the leg's median line, bar 1, bar 2."""
 
 DIAL_TRAVEL = 5e-3
-"""Metres that the touched line may stray sideways at the dial, nominally, from mechanical zero."""
+"""Metres that the touched line may stray sideways at the dial, nominally, from mechanical zero; on
+a machine of less than a workshop's size in proportion."""
 
 _STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
 _SIDEWAYS = 6e-3  # metres off the axis
@@ -51,7 +52,7 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
             high * np.arange(_STEPS_UP + 1) / _STEPS_UP,
         ]
     )
-    found = []
+    found, sideways = [], _SIDEWAYS * dial_scale(geometry)
     for travel in own:
         p = np.zeros(3)
         p[leg] = travel
@@ -61,29 +62,36 @@ def stations(leg: int, geometry: Geometry) -> list[Station]:
             for side in (1, -1):
                 if axis != leg:
                     p = np.zeros(3)
-                    p[leg], p[axis] = travel, side * _SIDEWAYS
-                    label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * _SIDEWAYS * 1e3:+.6g}"
+                    p[leg], p[axis] = travel, side * sideways
+                    label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * sideways * 1e3:+.6g}"
                     found += _reached(label, p, (1,), geometry)
     return found
 
 
 def _reached(label: str, p: Array, sides: Sequence[int], geometry: Geometry) -> list[Station]:
     rho = np.round(reduction.inverse(p, geometry=geometry), _GRID)
+    beyond = overshoot(geometry.stroke)
     return [
         Station(label, rho, p, side)
         for side in sides
-        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * OVERSHOOT).all()
+        if geometry.in_stroke(rho).all() and geometry.in_stroke(rho - side * beyond).all()
     ]
 
 
-def visible(station: Station, setup: Setup) -> bool:
+def dial_scale(geometry: Geometry) -> float:
+    """Size of a dial with its stand: a large machine's is the same as that of others."""
+    return min(geometry.scale, 1.0)
+
+
+def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
     """Whether a dial keeps on its leg and within its travel at a station, nominally."""
-    own, p = station.command[setup.leg], station.p
-    if not p[setup.leg] + _CLEARANCE <= setup.gauge <= own - _CLEARANCE:
+    own, p, small = station.command[setup.leg], station.p, dial_scale(geometry)
+    clearance = _CLEARANCE * small
+    if not p[setup.leg] + clearance <= setup.gauge <= own - clearance:
         return False
     share = (own - setup.gauge) / (own - p[setup.leg])  # of the platform in the touched point
     aside = np.delete(p, setup.leg) * share
-    return bool(np.abs(aside).max() <= DIAL_TRAVEL)
+    return bool(np.abs(aside).max() <= DIAL_TRAVEL * small)
 
 
 def reading_pool(
@@ -110,9 +118,10 @@ def reading_pool(
             for gauge in GAUGES:
                 for bar in BARS:
                     setup = dial_at(geometry, leg, axis, gauge, bar)
-                    rows += [(len(setups), s) for s in reach if visible(s, setup)]
+                    rows += [(len(setups), s) for s in reach if visible(s, setup, geometry)]
                     setups.append(replace(setup, name=f"next-{setup.name}"))
     return unread(
+        geometry,
         "next",
         setups,
         [k for k, _ in rows],

@@ -58,7 +58,8 @@ def places_of(problem: Problem) -> tuple[Place, ...]:
             if len(time) and np.isfinite(time).all() and np.ptp(time) > 0:
                 sessions.append(Session(float(time.min()), float(time.max()), leg))
     machine = problem.machine
-    found = places(sessions, machine.catalogue.legs, machine.geometry.stroke)
+    geometry = machine.geometry
+    found = places(sessions, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):  # no other reading parts it from the carriage
         found = tuple(p for p in found if not p.moves_lines)
     approach = np.concatenate([f.conditions().approach for f in problem.factors])
@@ -107,7 +108,7 @@ def plates(problem: Problem) -> tuple[Array, Array]:
     for k, factor, number, setup in problem.mounted:
         if setup.instrument.touches:
             at = np.flatnonzero(factor.setup == number)
-            for shape, size in own_shapes(factor.place[at]):
+            for shape, size in own_shapes(factor.place[at], problem.machine.geometry.scale):
                 column = np.zeros((len(problem.measured), 1))
                 column[problem.factor_rows[k].start + at, 0] = shape * size
                 columns.append(column)
@@ -140,6 +141,7 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
     """
     columns, found = [np.zeros((len(value), 0))], list[Place]()
     ways, turning = np.zeros(len(value)), 0
+    scale = problem.machine.geometry.scale
     for campaign, part in zip(problem.campaigns, problem.rows, strict=True):
         for k, setup in enumerate(campaign.setups):
             rows = part.start + np.flatnonzero(campaign.setup == k)
@@ -152,7 +154,7 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
             side = _side(campaign, rows - part.start, shown, problem.measured[rows] - shown)
             range_ = (float(shown.min()), float(shown.max()))
             turns = bool((side > 0).any() and (side < 0).any())
-            for place in dial_places(name, setup.leg, span, range_, turns):
+            for place in dial_places(name, setup.leg, span, range_, turns, scale):
                 low, high = place.span or (0.0, 1.0)
                 by = time if place.against == "time" else shown
                 functions = place.kernel.functions(2 * (by - low) / (high - low) - 1)
@@ -165,7 +167,7 @@ def curves_of_dials(problem: Problem, value: Array) -> tuple[Array, tuple[Place,
                 found.append(place)
     if turning > 1:
         read = value[ways != 0]
-        found.append(all_dials((float(read.min()), float(read.max()))))
+        found.append(all_dials((float(read.min()), float(read.max())), scale))
         columns.append((ways * found[-1].unit)[:, None])
     return np.hstack(columns), tuple(found)
 

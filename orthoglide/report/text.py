@@ -31,8 +31,10 @@ if TYPE_CHECKING:
 _MOST = 3  # of what may be looked at
 
 
-def summary(result: Result, ranked: bool = False) -> str:
-    """What a person wants to see at the end of a run, ``ranked`` with all causes tried."""
+def summary(result: Result, ranked: bool = False, said: str = "") -> str:
+    """What a person wants to see at the end of a run, ``ranked`` with all causes tried; without
+    warnings of a kind that was ``said`` before.
+    """
     from rich.text import Text
 
     parts: list[Text | Table] = [
@@ -45,7 +47,8 @@ def summary(result: Result, ranked: bool = False) -> str:
     remarks = [f"The search ended: {result.stopped}."] if searches else []
     remarks += [] if searches else weak_sentences(result.after.weak, result.catalogue)
     hidden = (unshown_words(result), unvaried_words(result))
-    remarks += [*result.pattern, *(sentence(w) for w in (*hidden, *result.warnings) if w)]
+    told = (*hidden, *(w for w in result.warnings if w.kind != said))
+    remarks += [*result.pattern, *(sentence(w) for w in told if w)]
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
