@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
-from orthoglide.diagnosis.command_faults import change_of, command_faults
+from orthoglide.diagnosis.command_faults import MENDS, change_of, command_faults
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, likeliest, untouched
 from orthoglide.diagnosis.misreadings import (
     FACTORS,
@@ -25,6 +25,7 @@ from orthoglide.diagnosis.misreadings import (
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.diagnosis.turns import turned
 from orthoglide.fit import Problem
 from orthoglide.units import MISTAKEN
 
@@ -38,7 +39,7 @@ _APART = 3.0  # log Bayes factor between the best fault and the next one of othe
 _REPEATS = 4  # degrees of freedom from which the scatter of a setup says something of its unit
 _LARGEST = 10.0  # log Bayes factor that the scatter may add
 _QUIETER = 0.5  # of the variance of others, that a setup in a larger unit may have at most
-_MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
+_OUTLIER = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
 _PLAIN = 8.0  # log Bayes factor that the digits of a unit must give where the fit is not asked
 _AS_OTHERS = 10.0  # times that the variance of a setup, once in its unit, may differ from others
@@ -62,7 +63,7 @@ def fit_fault(
     free = untouched(means.problem, known)
     other = [f for f in known if f.kind != "outlier"]
     slipped = [s for s in untouched(means.problem, other) if s not in free]
-    hypotheses = misreadings(means, free, slipped)
+    hypotheses = misreadings(means, free, slipped) + turned(means, free + slipped)
     commands = command_faults(means, known)  # beside effects they are left to `joint_fault`
     for _ in range(_EFFECTS + 1):
         misread = _misread(means, hypotheses, setups, known)
@@ -107,13 +108,13 @@ def _misread(
     setups: Sequence[Scatter],
     known: Sequence[Fault],
 ) -> list[Fault]:
-    """A sign, a unit, a label, an exchange: readings that fit once they are changed back."""
+    """A sign, a unit, a label, an exchange, turns: readings that fit once they are changed back."""
     if not hypotheses:
         return []
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
     after = means.residual[:, None] + shown
     evidence = means.evidence(np.sum(after**2, axis=0)) - np.log(len(hypotheses))
-    evidence += [digits(means.problem, h.fault) for h in hypotheses]
+    evidence += [digits(means.problem, h.fault) + h.fault.evidence for h in hypotheses]
     found = []
     for k in np.flatnonzero(evidence >= EVIDENCE):
         fault, bonus = hypotheses[k].fault, 0.0
@@ -123,6 +124,9 @@ def _misread(
             continue
         # Wrong readings lead the fit far from where it belongs.
         left = np.array([np.sum(after[:, k] ** 2), _anew(means, hypotheses[k], known)])
+        # Whole turns bend to much, and are exact: beside effects they are left to `joint_fault`.
+        if fault.kind == "turns" and left[1] > MENDS * means.dof:
+            continue
         bonus += float(np.diff(means.evidence(left))[0])
         found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
@@ -215,7 +219,7 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     least = _SPOILT * problem.step[rows]
     witnessed = np.bincount(problem.place)[problem.place][rows] > 1
     needed = np.where(witnessed, least, np.maximum(least, _ALONE))
-    sure = visible & (np.abs(size) >= needed) & (after <= _MENDS * means.dof)
+    sure = visible & (np.abs(size) >= needed) & (after <= _OUTLIER * means.dof)
     return [
         Fault(
             "outlier",

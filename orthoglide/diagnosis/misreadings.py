@@ -178,6 +178,8 @@ def restored(problem: Problem, fault: Fault) -> Problem:
     if fault.kind == "exchanged_labels":
         a, b = (in_order(problem, s) for s in fault.setups)
         measured[a], measured[b] = problem.measured[b], problem.measured[a]
+    elif fault.kind == "turns":
+        measured[fault.rows] -= np.array(fault.sizes)
     else:
         measured[fault.rows] *= fault.size
     return problem.with_readings(measured)
