@@ -394,6 +394,27 @@ def test_unit(factor, said, machine):
     assert said in blunder.message
 
 
+@pytest.mark.parametrize(
+    ("protocol", "setup", "errors"),
+    [
+        ("sweep", "yz-0.5", {"axis_tilt.y.z": 2e-3}),
+        ("sweep", "xy-0.5", {"rail_bow.x.z": 1.2e-4}),
+        ("standard", "xy-0.5", {"axis_tilt.y.z": 2e-3}),
+    ],
+    ids=["beside a tilt", "beside a bow", "few readings"],
+)
+@pytest.mark.parametrize("step", [1e-4, 5e-4])
+def test_a_dial_in_inches(step, protocol, setup, errors, machine):
+    """Hundredths were told, or effects that there are not."""
+    rows = rows_of(protocol, seed=2, **errors)
+    spoilt, touched = rc.wrong_unit(rows, setup, 1 / 25.4)
+    for k in touched:
+        spoilt[k]["reading_mm"] = round(round(spoilt[k]["reading_mm"] / step) * step, 4)
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.setups) == ("unit", (setup,))
+    assert "multiplied by 25.4, so they seem to be in inches" in blunder.message
+
+
 @pytest.mark.parametrize("turn", [1.0, 0.5])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
 def test_who_reads_the_large_hand_alone(errors, turn, machine, nominal):

@@ -51,7 +51,7 @@ class Fault:
     # was told than is written, metres
     commands: tuple[tuple[int, float], ...] = ()
     # of dials set to zero anew, each of `datums` less that of the first repeat; of whole turns,
-    # what each of its rows shows too much, metres
+    # what each of its rows shows too much, metres; factors of units that fit nearly alike
     sizes: tuple[float, ...] = ()
 
     @property
@@ -188,10 +188,11 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"them {up} by one, and measure the one that is lost again"
             )
         case "unit":
-            factor = min(MISTAKEN, key=lambda f: abs(np.log(f / fault.size)))
+            factors = fault.sizes or (fault.size,)
+            by = " or ".join(f"{factor:.4g}" for factor in factors)
             return (
-                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
-                f"be {MISTAKEN[factor]}: put this setup into millimetres"
+                f"the readings fit once they are multiplied by {by}, so they seem to be "
+                f"{', or '.join(MISTAKEN[f] for f in factors)}: put this setup into millimetres"
             )
         case "turns":
             return _turned(fault)

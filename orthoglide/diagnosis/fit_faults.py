@@ -21,6 +21,7 @@ from orthoglide.diagnosis.misreadings import (
     digits,
     factor_fits,
     misreadings,
+    restored,
 )
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
@@ -41,7 +42,7 @@ _LARGEST = 10.0  # log Bayes factor that the scatter may add
 _QUIETER = 0.5  # of the variance of others, that a setup in a larger unit may have at most
 _OUTLIER = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
-_PLAIN = 8.0  # log Bayes factor that the digits of a unit must give where the fit is not asked
+_PLAIN = 6.0  # log Bayes factor that the digits of a unit must give where the fit is not asked
 _AS_OTHERS = 10.0  # times that the variance of a setup, once in its unit, may differ from others
 _SMALL = 20.0  # factor of a unit beyond which no better dial explains its digits and its scatter
 _VISIBLE = 0.2  # of its square, that the fit leaves of a fault
@@ -175,13 +176,34 @@ def unit_faults(problem: Problem, setups: Sequence[Scatter], known: Sequence[Fau
         if scatter.dof < _REPEATS:
             continue
         ratio = max(scatter.chi2 / scatter.dof / scale, 1e-300)
+        likely = []
         for factor in (f for f in MISTAKEN if f > _SMALL):
             fault = Fault("unit", scatter.rows, (s,), factor)
-            told = digits(problem, fault)
-            if told < _PLAIN or not 1 / _AS_OTHERS < ratio * factor**2 < _AS_OTHERS:
+            told, own = digits(problem, fault), ratio * factor**2
+            if told < _PLAIN or not 1 / _AS_OTHERS < own < _AS_OTHERS:
                 continue
-            found.append(replace(fault, evidence=told + _unlike(scatter, ratio)))
+            odds = told + _unlike(scatter, ratio) - _unlike(scatter, own)
+            likely.append(replace(fault, evidence=odds))
+        found += _likeliest_unit(problem, likely, known)
     return found
+
+
+def _likeliest_unit(problem: Problem, units: list[Fault], known: Sequence[Fault]) -> list[Fault]:
+    """Of units that a setup may be in the one that fits best, effects beside it, and with it those
+    that are nearly as likely; none where there are none.
+    """
+    if len(units) < 2:
+        return units
+    weighed = []
+    for fault in units:
+        after = StationMeans.anew(restored(problem, fault), known)
+        if after is not None:
+            (beside,) = after.explained(after.residual[:, None])
+            fit = -after.dof / 2 * np.log(max(beside.left, after.dof) / after.dof)
+            weighed.append(replace(fault, evidence=fault.evidence + float(fit)))
+    ranked = sorted(weighed, key=lambda f: -f.evidence)
+    near = [f.size for f in ranked if ranked[0].evidence - f.evidence < _APART]
+    return [replace(f, sizes=tuple(near)) for f in ranked[:1]]
 
 
 def _mended(means: StationMeans, fault: Fault, after: np.ndarray) -> bool:
