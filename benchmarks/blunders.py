@@ -58,9 +58,10 @@ FAULTS = {
     "label": (0.0, 1.0),
     "exchanged_labels": (0.0, 1.0),
     "unit": (1e-3, 1 / 25.4, 0.1, 10.0),
+    "turns": (1.0, 0.5),
     "stuck": (0.0,),
 }
-"""Sizes in mm; factors of a unit; 0 and 1 as in ``TITLES``."""
+"""Sizes in mm, of a hand what one turn shows; factors of a unit; 0 and 1 as in ``TITLES``."""
 TITLES = {
     "exchanged_labels": {0.0: "one leg's two dials", 1.0: "different legs"},
     "label": {0.0: "direction", 1.0: "leg"},
@@ -193,6 +194,8 @@ def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.
         return rc.wrong_unit(rows, own, case.size), own
     if case.name == "label":
         return rc.wrong_label(rows, own, "leg" if case.size else "direction"), own
+    if case.name == "turns":
+        return rc.whole_turns(rows, own, case.size), own
     if case.name == "stuck":
         return rc.stuck_dial(rows, own, after), own
     leg = own[0]
@@ -316,7 +319,7 @@ def _line(kind: str, size: float, own: Sequence[Outcome]) -> str:
     )
 
 
-MM = ("outlier", "knocked_stand", "command")
+MM = ("outlier", "knocked_stand", "command", "turns")
 
 
 def _unseen(own: Sequence[Outcome]) -> str:

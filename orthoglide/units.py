@@ -33,11 +33,14 @@ NOISE = (1e-9, 1e-3)
 
 MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
 
+INCH = 25.4
+"""In millimetres."""
+
 MISTAKEN = {
     1e3: "in metres instead of millimetres",
     1e-3: "in micrometres instead of millimetres",
-    25.4: "in inches instead of millimetres",
-    1 / 25.4: "in millimetres taken for inches",
+    INCH: "in inches instead of millimetres",
+    1 / INCH: "in millimetres taken for inches",
     10.0: "in centimetres, or with the decimal point one place off",
     0.1: "with the decimal point one place off",
     100.0: "in hundredths, or with the decimal point two places off",

@@ -394,6 +394,60 @@ def test_unit(factor, said, machine):
     assert said in blunder.message
 
 
+@pytest.mark.parametrize(
+    ("protocol", "setup", "errors"),
+    [
+        ("sweep", "yz-0.5", {"axis_tilt.y.z": 2e-3}),
+        ("sweep", "xy-0.5", {"rail_bow.x.z": 1.2e-4}),
+        ("standard", "xy-0.5", {"axis_tilt.y.z": 2e-3}),
+    ],
+    ids=["beside a tilt", "beside a bow", "few readings"],
+)
+@pytest.mark.parametrize("step", [1e-4, 5e-4])
+def test_a_dial_in_inches(step, protocol, setup, errors, machine):
+    """Hundredths were told, or effects that there are not."""
+    rows = rows_of(protocol, seed=2, **errors)
+    spoilt, touched = rc.wrong_unit(rows, setup, 1 / 25.4)
+    for k in touched:
+        spoilt[k]["reading_mm"] = round(round(spoilt[k]["reading_mm"] / step) * step, 4)
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.setups) == ("unit", (setup,))
+    assert "multiplied by 25.4, so they seem to be in inches" in blunder.message
+
+
+@pytest.mark.parametrize("turn", [1.0, 0.5])
+@pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
+def test_who_reads_the_large_hand_alone(errors, turn, machine, nominal):
+    """It was told of a rail that leaves its line, by half a millimetre."""
+    spoilt, touched = rc.whole_turns(rows_of(seed=3, **errors), "zx-0.5", turn)
+    assert touched
+    (blunder,) = found_in(spoilt, machine if turn == 1 else nominal)
+    assert (blunder.kind, blunder.setups) == ("turns", ("zx-0.5",))
+    assert [row for _, row in blunder.rows] == touched
+    assert f"a hand that shows {turn:g} mm by each: read the small hand" in blunder.message
+
+
+def test_who_reads_the_large_hand_of_every_dial_alone(machine):
+    """Three rails and wrong zeros were told."""
+    spoilt, off = rows_of(seed=1, **{"axis_tilt.y.z": 2e-3}), []
+    for setup in dict.fromkeys(row["setup"] for row in spoilt):
+        spoilt, touched = rc.whole_turns(spoilt, setup, 1.0)
+        off += touched
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.setups) == ("turns", ("xz-0.5", "yx-0.5"))
+    assert [row for _, row in blunder.rows] == sorted(off)
+
+
+@pytest.mark.parametrize("errors", [{}, {"rail_bow.x.z": 1.2e-4}], ids=["alone", "beside a bow"])
+def test_a_posture_a_turn_off_in_one_dial(errors, machine):
+    """It was told as a wrong command."""
+    spoilt, touched = rc.a_turn_off(rows_of(seed=2, **errors), "zx-0.5", "+20")
+    (blunder,) = found_in(spoilt, machine)
+    assert (blunder.kind, blunder.setups) == ("turns", ("zx-0.5",))
+    assert [row for _, row in blunder.rows] == touched
+    assert "readings are +1 mm off the setup's others" in blunder.message
+
+
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_stuck_dial(protocol, machine):
     spoilt, touched = rc.stuck_dial(rows_of(protocol), "yz-0.5")

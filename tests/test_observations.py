@@ -367,6 +367,22 @@ def test_a_leg_that_hardly_moves_is_a_warning(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("gauge", "said"),
+    [("186.125", True), ("108.6", True), ("155.125", False), ("186.4", False)],
+    ids=["half", "a quarter", "as is meant", "elsewhere"],
+)
+def test_dials_counted_from_beyond_r_are_a_warning(gauge: str, said: bool, tmp_path: Path) -> None:
+    """The readings fitted, with a zero that was wrong."""
+    rows = [list(row) for row in good_rows()]
+    place = rows[0].index("gauge_mm")
+    for row in rows[1:]:
+        row[place] = gauge
+    campaign = read_campaign(write(tmp_path / "c.csv", as_text(rows)))
+    told = [w for w in campaign.warnings if "take r away unless the dials" in w]
+    assert len(told) == said
+
+
+@pytest.mark.parametrize(
     ("readings", "said"), [(["3.20"], True), (["3.20", "3.21"], True), (["3.20", "3.22"], False)]
 )
 def test_a_dial_that_stands_still_is_a_warning(

@@ -2,8 +2,8 @@
 
 Data faults, changes between campaigns and causes of the machine compete on the same readings. What
 repeats contradict is no cause that depends on the posture (`repeat_faults`); a command, a sign, a
-unit, labels, a stuck dial or a change must explain the readings better than the best effect of the
-catalogue (`fit_faults`, `command_faults`, `joint_faults`, `stuck_faults`).
+unit, labels, whole turns, a stuck dial or a change must explain the readings better than the best
+effect of the catalogue (`fit_faults`, `command_faults`, `joint_faults`, `stuck_faults`).
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ _DOUBTED = ("command", *MEANINGS)
 class Blunder:
     """A fault of the data."""
 
-    # outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, shifted, unit, stuck
-    # or scatter
+    # outlier, knocked_stand, zeroed, command, sign, label, exchanged_labels, shifted, unit, turns,
+    # stuck or scatter
     kind: Kind
     # campaign and row within it; of a knocked stand the rows after the knock, of dials set to zero
     # anew at each repeat those after the first
@@ -149,17 +149,33 @@ def examine(estimate: Estimate) -> Findings:
         if isinstance(item, Changes):
             changes += item.changes
         else:
-            if item.kind == "shifted":  # slips at its ends were this
-                found = [f for f in found if f.kind != "outlier" or f.setups != item.setups]
-            found.append(item)
+            found = _with(estimate.problem, found, item)
             changes = []  # found anew: what a fault does was not theirs to explain
         stale = True
     if _slips(found) < _MOST and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
-        found += [beside] if beside is not None else []
+        found = _with(estimate.problem, found, beside) if beside is not None else found
     found = _limited(found) + scatter_faults(estimate.problem, slips, found)
     last = means.signatures.estimate
     return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
+
+
+def _with(problem: Problem, faults: Sequence[Fault], fault: Fault) -> list[Fault]:
+    """Faults with one more, without the slips that were part of it."""
+    return [f for f in faults if not _was(problem, f, fault)] + [fault]
+
+
+def _was(problem: Problem, slip: Fault, fault: Fault) -> bool:
+    """Whether a slip was part of a fault found later: at an end of shifted readings,
+    or a visit that is off by other turns than the rest of its station.
+    """
+    if slip.kind != "outlier" or fault.kind not in ("shifted", "turns"):
+        return False
+    if fault.kind == "shifted":
+        return slip.setups == fault.setups
+    off = np.zeros(len(problem.measured))
+    off[fault.rows] = fault.sizes
+    return bool(np.ptp(off[problem.station == problem.station[slip.rows[0]]]) > 0)
 
 
 def _slips(faults: Sequence[Fault]) -> int:

@@ -107,7 +107,7 @@ def _likely(means: StationMeans, posture: Rows, known: Sequence[Fault]) -> tuple
     """
     found: dict[tuple[int, int], Fault] = {}
     count = 1
-    for base in (means, StationMeans.of(_begun(means), known)):
+    for base in (means, StationMeans.of(begun(means), known)):
         scores = _Scores.of(base, posture)
         count = max(scores.gain.size, 1)
         evidence = base.evidence(base.chi2 - scores.gain, 1) - np.log(count)
@@ -119,7 +119,7 @@ def _likely(means: StationMeans, posture: Rows, known: Sequence[Fault]) -> tuple
     return list(found.values()), count
 
 
-def _begun(means: StationMeans) -> Signatures:
+def begun(means: StationMeans) -> Signatures:
     """Everything about the machine where the fit started."""
     estimate, problem = means.signatures.estimate, means.problem
     at = linearise(problem, problem.start)
@@ -132,7 +132,7 @@ def commands_beside(means: StationMeans, known: Sequence[Fault], before: float) 
     best alone leave a chi2 ``before``; rows of known faults take no part.
     """
     problem, posture = means.problem, _free(means.problem, known)
-    base = _begun(means)
+    base = begun(means)
     scores = _Scores.of(StationMeans.of(base, known), posture)
     ranked = []
     for place in np.argsort(-scores.gain.max(axis=1))[:_ASIDE].tolist():

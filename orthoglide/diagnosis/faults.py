@@ -18,7 +18,7 @@ from orthoglide.units import MISTAKEN
 
 Kind = Literal[
     "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "shifted",
-    "unit", "stuck", "scatter",
+    "unit", "turns", "stuck", "scatter",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
 Same = Callable[["Fault", "Fault"], bool]
@@ -42,14 +42,16 @@ class Fault:
     # after the knock, of dials set to zero anew those after the first repeat
     rows: Rows
     setups: tuple[int, ...]  # numbered over all campaigns
-    # of an outlier or a knock, metres; a unit's factor; rows by which readings stand too late
+    # of an outlier or a knock, metres; a unit's factor; rows by which readings stand too late; what
+    # one turn of the hand shows, metres
     size: float = 0.0
     evidence: float = 0.0  # log Bayes factor in its favour, the number of its like discounted
     label: tuple[int, int] = (0, 0)  # of a wrong label the leg and axis that fit
     # of a wrong command the drives that it may be of, the likeliest first, and how much more each
     # was told than is written, metres
     commands: tuple[tuple[int, float], ...] = ()
-    # of dials set to zero anew, each of `datums` less that of the first repeat, metres
+    # of dials set to zero anew, each of `datums` less that of the first repeat; of whole turns,
+    # what each of its rows shows too much, metres; factors of units that fit nearly alike
     sizes: tuple[float, ...] = ()
 
     @property
@@ -186,11 +188,14 @@ def _clause(problem: Problem, fault: Fault) -> str:
                 f"them {up} by one, and measure the one that is lost again"
             )
         case "unit":
-            factor = min(MISTAKEN, key=lambda f: abs(np.log(f / fault.size)))
+            factors = fault.sizes or (fault.size,)
+            by = " or ".join(f"{factor:.4g}" for factor in factors)
             return (
-                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
-                f"be {MISTAKEN[factor]}: put this setup into millimetres"
+                f"the readings fit once they are multiplied by {by}, so they seem to be "
+                f"{', or '.join(MISTAKEN[f] for f in factors)}: put this setup into millimetres"
             )
+        case "turns":
+            return _turned(fault)
         case "scatter":
             return (
                 f"visits to the same posture scatter by {fault.size * 1e3:.2g} mm, which is no "
@@ -225,6 +230,18 @@ def _mislabelled(problem: Problem, fault: Fault) -> str:
         "the readings of these two fit once they are exchanged, so the two dials or their "
         "columns were mixed up: check which dial stood where and exchange the setups' "
         "labels"
+    )
+
+
+def _turned(fault: Fault) -> str:
+    """By how much readings are off, and which hand tells."""
+    ends = sorted({min(fault.sizes), max(fault.sizes)})
+    by = " to ".join(f"{size * 1e3:+.3g}" for size in ends)
+    count = len(fault.rows)
+    return (
+        f"{f'these {count} readings are' if count > 1 else 'this reading is'} {by} mm off the "
+        f"setup's others, in whole turns of a hand that shows {fault.size * 1e3:.3g} mm by each: "
+        f"read the small hand, which counts them, and correct or drop these rows"
     )
 
 

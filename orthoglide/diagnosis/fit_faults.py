@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.diagnosis.changes import Changes, likeliest_changes
-from orthoglide.diagnosis.command_faults import change_of, command_faults
+from orthoglide.diagnosis.command_faults import MENDS, change_of, command_faults
 from orthoglide.diagnosis.faults import EVIDENCE, Fault, likeliest, untouched
 from orthoglide.diagnosis.misreadings import (
     FACTORS,
@@ -21,10 +21,12 @@ from orthoglide.diagnosis.misreadings import (
     digits,
     factor_fits,
     misreadings,
+    restored,
 )
 from orthoglide.diagnosis.repeat_faults import noise_scale
 from orthoglide.diagnosis.scatter import Scatter
 from orthoglide.diagnosis.station_means import StationMeans
+from orthoglide.diagnosis.turns import turned
 from orthoglide.fit import Problem
 from orthoglide.units import MISTAKEN
 
@@ -38,9 +40,9 @@ _APART = 3.0  # log Bayes factor between the best fault and the next one of othe
 _REPEATS = 4  # degrees of freedom from which the scatter of a setup says something of its unit
 _LARGEST = 10.0  # log Bayes factor that the scatter may add
 _QUIETER = 0.5  # of the variance of others, that a setup in a larger unit may have at most
-_MENDS = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
+_OUTLIER = 2.0  # chi2 a degree of freedom that an outlier without repeats may leave
 _ALONE = 3e-4  # metres that an outlier must reach where its posture was visited only once
-_PLAIN = 8.0  # log Bayes factor that the digits of a unit must give where the fit is not asked
+_PLAIN = 6.0  # log Bayes factor that the digits of a unit must give where the fit is not asked
 _AS_OTHERS = 10.0  # times that the variance of a setup, once in its unit, may differ from others
 _SMALL = 20.0  # factor of a unit beyond which no better dial explains its digits and its scatter
 _VISIBLE = 0.2  # of its square, that the fit leaves of a fault
@@ -62,7 +64,7 @@ def fit_fault(
     free = untouched(means.problem, known)
     other = [f for f in known if f.kind != "outlier"]
     slipped = [s for s in untouched(means.problem, other) if s not in free]
-    hypotheses = misreadings(means, free, slipped)
+    hypotheses = misreadings(means, free, slipped) + turned(means, free + slipped)
     commands = command_faults(means, known)  # beside effects they are left to `joint_fault`
     for _ in range(_EFFECTS + 1):
         misread = _misread(means, hypotheses, setups, known)
@@ -107,13 +109,13 @@ def _misread(
     setups: Sequence[Scatter],
     known: Sequence[Fault],
 ) -> list[Fault]:
-    """A sign, a unit, a label, an exchange: readings that fit once they are changed back."""
+    """A sign, a unit, a label, an exchange, turns: readings that fit once they are changed back."""
     if not hypotheses:
         return []
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
     after = means.residual[:, None] + shown
     evidence = means.evidence(np.sum(after**2, axis=0)) - np.log(len(hypotheses))
-    evidence += [digits(means.problem, h.fault) for h in hypotheses]
+    evidence += [digits(means.problem, h.fault) + h.fault.evidence for h in hypotheses]
     found = []
     for k in np.flatnonzero(evidence >= EVIDENCE):
         fault, bonus = hypotheses[k].fault, 0.0
@@ -123,6 +125,9 @@ def _misread(
             continue
         # Wrong readings lead the fit far from where it belongs.
         left = np.array([np.sum(after[:, k] ** 2), _anew(means, hypotheses[k], known)])
+        # Whole turns bend to much, and are exact: beside effects they are left to `joint_fault`.
+        if fault.kind == "turns" and left[1] > MENDS * means.dof:
+            continue
         bonus += float(np.diff(means.evidence(left))[0])
         found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
@@ -171,13 +176,34 @@ def unit_faults(problem: Problem, setups: Sequence[Scatter], known: Sequence[Fau
         if scatter.dof < _REPEATS:
             continue
         ratio = max(scatter.chi2 / scatter.dof / scale, 1e-300)
+        likely = []
         for factor in (f for f in MISTAKEN if f > _SMALL):
             fault = Fault("unit", scatter.rows, (s,), factor)
-            told = digits(problem, fault)
-            if told < _PLAIN or not 1 / _AS_OTHERS < ratio * factor**2 < _AS_OTHERS:
+            told, own = digits(problem, fault), ratio * factor**2
+            if told < _PLAIN or not 1 / _AS_OTHERS < own < _AS_OTHERS:
                 continue
-            found.append(replace(fault, evidence=told + _unlike(scatter, ratio)))
+            odds = told + _unlike(scatter, ratio) - _unlike(scatter, own)
+            likely.append(replace(fault, evidence=odds))
+        found += _likeliest_unit(problem, likely, known)
     return found
+
+
+def _likeliest_unit(problem: Problem, units: list[Fault], known: Sequence[Fault]) -> list[Fault]:
+    """Of units that a setup may be in the one that fits best, effects beside it, and with it those
+    that are nearly as likely; none where there are none.
+    """
+    if len(units) < 2:
+        return units
+    weighed = []
+    for fault in units:
+        after = StationMeans.anew(restored(problem, fault), known)
+        if after is not None:
+            (beside,) = after.explained(after.residual[:, None])
+            fit = -after.dof / 2 * np.log(max(beside.left, after.dof) / after.dof)
+            weighed.append(replace(fault, evidence=fault.evidence + float(fit)))
+    ranked = sorted(weighed, key=lambda f: -f.evidence)
+    near = [f.size for f in ranked if ranked[0].evidence - f.evidence < _APART]
+    return [replace(f, sizes=tuple(near)) for f in ranked[:1]]
 
 
 def _mended(means: StationMeans, fault: Fault, after: np.ndarray) -> bool:
@@ -215,7 +241,7 @@ def _single(means: StationMeans, setups: list[int]) -> list[Fault]:
     least = _SPOILT * problem.step[rows]
     witnessed = np.bincount(problem.place)[problem.place][rows] > 1
     needed = np.where(witnessed, least, np.maximum(least, _ALONE))
-    sure = visible & (np.abs(size) >= needed) & (after <= _MENDS * means.dof)
+    sure = visible & (np.abs(size) >= needed) & (after <= _OUTLIER * means.dof)
     return [
         Fault(
             "outlier",

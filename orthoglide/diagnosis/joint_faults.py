@@ -1,4 +1,4 @@
-"""A sign, a unit or labels weighed together with the causes of the machine beside them.
+"""A sign, a unit, labels or turns weighed together with the causes of the machine beside them.
 
 One at a time, a fault of the data loses against a real error of the machine, and the error, in a
 model of wrong readings, takes another shape. Here each hypothesis is scored with its own best
@@ -27,6 +27,7 @@ from orthoglide.diagnosis.misreadings import (
     only,
 )
 from orthoglide.diagnosis.station_means import Explained, StationMeans
+from orthoglide.diagnosis.turns import turned
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import with_free
 from orthoglide.geometry import LEGS
@@ -35,14 +36,15 @@ _MARGIN = 12.0  # log Bayes factor, the hypotheses' number discounted, over the 
 _SPREAD = 2.5  # standard deviations of chi2 by which a fault and its effects may exceed noise
 _SHARE = 0.5  # of what the best effects alone leave, that a fault and its effects may leave
 _REFITS = 8  # hypotheses that are identified anew
+_TURNS = 3  # of whole turns, which bend to much
 _SIGMAS = 30.0  # of the station means, by which readings must swing past fit and effects
 _FEWEST = 6.0  # degrees of freedom of station means: fewer tell nothing of two effects and a fault
 _APART = 6.0  # log Bayes factor between the best fault and the next one of other setups
 
 
 def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
-    """The sign, unit or exchange that fits with one or two effects where no effects fit alone;
-    setups of known faults take no part.
+    """The sign, unit, exchange or whole turns that fit with one or two effects where no effects fit
+    alone; setups of known faults take no part.
     """
     problem = means.problem
     if not (problem.campaigns and means.signatures.candidates) or means.dof < _FEWEST:
@@ -55,10 +57,12 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
     bare_left = min(bare.left, means.chi2 - float(gains.max()))
     bare_score = max(bare.score, float(evidences.max()) - means.chi2 / 2)
     hypotheses = misreadings(means, untouched(problem, known))
+    turns = turned(means, untouched(problem, [f for f in known if f.kind != "outlier"]))
     if _is_noise(means, bare_left):
         return None
     nothing = np.zeros(len(problem.measured))
-    likely = [(len(hypotheses), h) for h in _ranked(means, hypotheses)]
+    likely = [(len(hypotheses), h) for h in _ranked(means, hypotheses)[:_REFITS]]
+    likely += [(len(turns), h) for h in _ranked(means, turns)[:_TURNS]]
     places = len(LEGS) * (int(postures(problem).max()) + 1)
     likely += [(places, Misreading(f, nothing)) for f in commands_beside(means, known, bare_left)]
     faults = []
@@ -78,12 +82,13 @@ def joint_fault(means: StationMeans, known: Sequence[Fault]) -> Fault | None:
 
 
 def _ranked(means: StationMeans, hypotheses: Sequence[Misreading]) -> list[Misreading]:
-    """The likeliest signs, units and labels, each with its own best effects."""
+    """Signs, units, labels or turns, each with its own best effects, the likeliest first."""
     if not hypotheses:
         return []
     shown = np.stack([means.shown(h.change) for h in hypotheses], axis=-1)
     scores = [e.score for e in means.explained(means.residual[:, None] + shown)]
-    return [hypotheses[k] for k in np.argsort(-np.array(scores))[:_REFITS]]
+    scores = [s + h.fault.evidence for s, h in zip(scores, hypotheses, strict=True)]
+    return [hypotheses[k] for k in np.argsort(-np.array(scores))]
 
 
 def _same(one: Fault, other: Fault) -> bool:
@@ -132,7 +137,7 @@ def _identified(
 def _says_so(before: StationMeans, after: StationMeans, hypothesis: Misreading) -> bool:
     """Whether the readings themselves say the factor, beside the effects."""
     kind, rows = hypothesis.fault.kind, hypothesis.fault.rows
-    if kind == "command":
+    if kind in ("command", "turns"):
         return True
     if kind in LABELS:
         return hypothesis.leaves_none(before.problem, after)

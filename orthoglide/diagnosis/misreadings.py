@@ -19,7 +19,7 @@ from orthoglide.fit.factors import SILENT
 from orthoglide.fit.noise import OFF_GRID, on_grid
 from orthoglide.geometry import Array
 from orthoglide.observations import Setup
-from orthoglide.units import MISTAKEN
+from orthoglide.units import INCH, MISTAKEN
 
 LABELS = ("label", "exchanged_labels")
 """Faults of what the setups are called."""
@@ -27,6 +27,7 @@ LABELS = ("label", "exchanged_labels")
 FACTORS = ("sign", "unit")
 """Faults that multiply what was read."""
 
+_INCHES = 1e-7  # step in which inches are read, taken for millimetres, metres
 _DIGITS = 10.0  # log Bayes factor that the digits may add or take at most
 _FACTOR = 0.15  # relative error of a fault's factor that the readings themselves may give
 
@@ -178,6 +179,8 @@ def restored(problem: Problem, fault: Fault) -> Problem:
     if fault.kind == "exchanged_labels":
         a, b = (in_order(problem, s) for s in fault.setups)
         measured[a], measured[b] = problem.measured[b], problem.measured[a]
+    elif fault.kind == "turns":
+        measured[fault.rows] -= np.array(fault.sizes)
     else:
         measured[fault.rows] *= fault.size
     return problem.with_readings(measured)
@@ -212,7 +215,8 @@ def digits(problem: Problem, fault: Fault) -> float:
     if not on_grid(np.delete(problem.of_dials("reading"), rows), step):
         return 0.0
     decimal = abs(np.log10(factor) - round(float(np.log10(factor)))) < 1e-9
-    if not on_grid(readings * factor, step) or (on_grid(readings, step) and factor > 1):
+    own = on_grid(readings * factor, step) or (factor == INCH and on_grid(readings, _INCHES))
+    if not own or (on_grid(readings, step) and factor > 1):
         # A point put elsewhere moves the grid along; a conversion may have been rounded again.
         return -_DIGITS if decimal else 0.0
     values = len(np.unique(readings)) - 1

@@ -34,7 +34,7 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
         share = float(np.sum(base.fitted[run] ** 2))
         if share < 1 and np.sqrt(2) * np.linalg.norm(residual[run]) < least * (1 - share):
             continue
-        if np.ptp(_left_by_others(base, run)) < least:
+        if np.ptp(left_by_others(base, run)) < least:
             continue
         repeats = max(_by_repeats(setups[setup], run, scale), 0.0)
         fit, missed = _by_fit(base, means, run)
@@ -55,7 +55,7 @@ def _runs(problem: Problem, setup: int) -> Iterator[Rows]:
             yield run
 
 
-def _left_by_others(base: Signatures, run: Rows, effects: Sequence[int] = ()) -> Array:
+def left_by_others(base: Signatures, run: Rows, effects: Sequence[int] = ()) -> Array:
     """What a fit without a run's readings leaves of them, metres: how far the dial should move. It
     has some effects besides, their tolerances as a prior.
     """
@@ -88,14 +88,14 @@ def _by_fit(base: Signatures, means: StationMeans, run: Rows) -> tuple[float, fl
     undo what the others see at every station, and every effect is improbable.
     """
     if not any(c.size == 1 for c in base.candidates):
-        return 0.0, float(np.ptp(_left_by_others(base, run)))
+        return 0.0, float(np.ptp(left_by_others(base, run)))
     others = StationMeans.of(base, [Fault("stuck", run, (), 0.0)])
     cost = float(np.log(len(base.candidates)))
     tried = []
     for size in _SIZES:
         wide = replace(base, tolerance=size * base.tolerance)
         scored = (_explained(means, size, cost), _explained(others, size, cost))
-        tried.append((*scored, float(np.ptp(_left_by_others(wide, run, scored[1].places)))))
+        tried.append((*scored, float(np.ptp(left_by_others(wide, run, scored[1].places)))))
     works = max(one.score for one, _, _ in tried)
     _, stuck, missed = max(tried, key=lambda item: item[1].score)
     # Where the others are not explained themselves, they are no better witnesses than that.

@@ -41,6 +41,12 @@ STILL = 2 - 1e-6
 NO_READING = 1e-8
 """Readings all below this are a simulated perfect machine's zeros, metres."""
 
+_USUAL = (0.5, 0.25)
+"""Where dials stand, in lengths of the leg, whose owner measures from the tool's centre too."""
+
+_RULED = 1e-4
+"""How well a place is measured with a ruler or a drawing, metres."""
+
 _SHOWN = 5  # lines named in a warning
 
 
@@ -257,6 +263,19 @@ def _still_legs(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
             )
 
 
+def _gauges_with_r(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
+    length, r = machine.geometry.L, machine.geometry.r
+    beyond = campaign.gauge[:, None] - np.multiply(_USUAL, length)
+    if r > _RULED and (np.abs(beyond - r) <= _RULED).any(axis=1).all():
+        places = " and ".join(f"{place * 1e3:g}" for place in np.unique(campaign.gauge))
+        yield Note(
+            f"gauge_mm is {places} mm, which is half or a quarter of L with r = {r * 1e3:g} mm "
+            "added: it is counted with r removed, as commands are; take r away unless the dials "
+            "do stand there",
+            "gauge",
+        )
+
+
 def _still_dial(campaign: Campaign, machine: MachineFile) -> Iterator[Note]:
     read = np.isfinite(campaign.reading)
     if not read.any():
@@ -287,4 +306,4 @@ def _partly_recorded(campaign: Campaign, machine: MachineFile) -> Iterator[Note]
             yield Note(text, column, tuple(campaign.line[np.isnan(values)].tolist()))
 
 
-_NOTICES = (_approaches, _still_legs, _still_dial, _partly_recorded)
+_NOTICES = (_approaches, _still_legs, _gauges_with_r, _still_dial, _partly_recorded)

@@ -49,6 +49,7 @@ _FAULTS = {
     "exchanged_labels": "two setups exchanged",
     "shifted": "readings a row too late or too early",
     "unit": "a wrong unit",
+    "turns": "readings whole turns of the hand off",
     "stuck": "a dial that stuck",
     "scatter": "visits that do not repeat",
 }
