@@ -16,12 +16,7 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.effects.places import places
 from orthoglide.effects.plates import own_shapes
 from orthoglide.geometry import Geometry
-from orthoglide.machine_file import (
-    Dial,
-    machine_text,
-    nominal_machine_file,
-    parse_machine_file,
-)
+from orthoglide.machine_file import Dial, machine_text, nominal_machine_file, parse_machine_file
 from orthoglide.observations import readings_from_rows
 from orthoglide.units import MM
 from tests import rig_campaigns
