@@ -258,7 +258,7 @@ def test_exchanged_dials_of_one_direction(one, seed, machine):
     [
         ("sweep", 1, {"rail_bow.x.z": 1.2e-4}),
         ("sweep", -1, {}),
-        ("two-gauges", -1, {"rail_bow.x.z": 1.2e-4}),
+        pytest.param("two-gauges", -1, {"rail_bow.x.z": 1.2e-4}, marks=pytest.mark.thorough),
     ],
     ids=["late beside a bow", "early", "early beside a bow"],
 )
@@ -300,7 +300,9 @@ def posture_of(rows: list[rc.Row], leg: str, label: str) -> int:
 
 @pytest.mark.parametrize("mm", [0.3, 1.0, -10.0])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
-@pytest.mark.parametrize("protocol", ["sweep", "two-gauges"])
+@pytest.mark.parametrize(
+    "protocol", ["sweep", pytest.param("two-gauges", marks=pytest.mark.thorough)]
+)
 def test_a_command_that_is_not_the_one_written(protocol, errors, mm, machine, nominal):
     """It was told of dials that show 85 % less, or of a drive."""
     rows = rows_of(protocol, seed=2, **errors)
@@ -527,6 +529,7 @@ def test_several_faults(machine):
     assert found["sign"].setups == ("yz-0.5",)
 
 
+@pytest.mark.thorough
 def test_a_machine_that_looks_like_exchanged_labels_is_told_as_that(machine):
     """One drive that goes with another's command shows as two dials that changed places."""
     drawn = draw(Case("outside", "cross_coupling", "fine-sweep", 12.0, 1), 2027)

@@ -530,9 +530,10 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mistake", "said"),
     [
-        ("none", ""), ("x", "sign about x"), ("degrees", "as degrees"),
+        ("none", ""), ("x", "sign about x"),
         *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            ("both", "with the opposite sign: look"), ("exchanged", "with x and y exchanged"))),
+            ("degrees", "as degrees"), ("both", "with the opposite sign: look"),
+            ("exchanged", "with x and y exchanged"))),
     ],
 )  # fmt: skip
 def test_a_level_that_means_something_else(mistake: str, said: str) -> None:

@@ -67,7 +67,9 @@ def test_dials_of_one_make_lag_together(size: float) -> None:
     assert "lost motion" not in action.words
 
 
-@pytest.mark.parametrize("seed", [2, 5, 6])
+@pytest.mark.parametrize(
+    "seed", [2, *(pytest.param(k, marks=pytest.mark.thorough) for k in (5, 6))]
+)
 def test_moves_too_small_to_go_by_their_sign(seed: int) -> None:
     """Twelve dials, some postures between which one of them moves by a micrometre: the way it came
     changed with each fit, and *unexplained* it was.

@@ -56,7 +56,8 @@ def test_one_shuffled_setup_is_set_aside() -> None:
 
 
 @pytest.mark.parametrize(
-    ("drives", "protocol"), [((0, 1), "sweep"), ((1, 2), "standard"), ((0, 2), "standard")]
+    ("drives", "protocol"),
+    [pytest.param((0, 1), "sweep", marks=pytest.mark.thorough), ((1, 2), "standard")],
 )
 def test_commands_in_each_others_columns_are_refused(
     drives: tuple[int, int], protocol: str

@@ -289,7 +289,7 @@ def test_points_in_millimetres_are_said_to_be_far() -> None:
         og.compensate(og.Machine.nominal(), [[-12, 24, 24]])
 
 
-@pytest.mark.parametrize("kind", [str, Path])
+@pytest.mark.parametrize("kind", [pytest.param(str, marks=pytest.mark.thorough), Path])
 def test_campaigns_are_read_where_paths_are_given(
     kind: Callable[[Path], Any],
     machine: og.Machine,

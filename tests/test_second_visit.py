@@ -230,7 +230,11 @@ def test_what_the_first_sheet_did_not_see_is_no_change(tmp_path: Path) -> None:
     assert again.values["parallelogram_width.x"] == pytest.approx(1.5e-4, abs=4e-5)
 
 
-@pytest.mark.parametrize("curve", [s_curve(1, 0, 1e-4), drive_step(0, 1.5e-4, at=-0.01)])
+@pytest.mark.parametrize(
+    "curve",
+    [pytest.param(s_curve(1, 0, 1e-4), marks=pytest.mark.thorough),
+     drive_step(0, 1.5e-4, at=-0.01)],
+)  # fmt: skip
 def test_a_located_curve_that_was_mended_is_what_changed(curve: Any) -> None:
     """Tilts and bows of other legs were told at ten to twenty sigma, each to be put right."""
     states = [
@@ -285,6 +289,7 @@ def test_a_cause_that_was_one_of_several_is_told_by_how_much_it_changed(tmp_path
     assert not any("expect" in one.confirm for a in again.actions for one in a.options)
 
 
+@pytest.mark.thorough
 def test_what_did_not_change_says_what_there_was_before() -> None:
     """Where both visits leave the zeros of all legs open together: one was 4.5 sigmas off."""
     record = second_visit.run((1, "two-gauges", 29), 4040)
