@@ -124,7 +124,11 @@ def test_knocked_stand(protocol, step, machine, nominal):
         assert [row for _, row in blunder.rows] == touched
 
 
-@pytest.mark.parametrize("setups", [["yz-0.5"], []], ids=["one", "all"])
+@pytest.mark.parametrize(
+    "setups",
+    [["yz-0.5"], pytest.param([], marks=pytest.mark.thorough)],
+    ids=["one", "all"],
+)
 def test_a_dial_set_to_zero_anew_at_each_repeat(setups, machine, nominal):
     """Three data were a creeping stand and a bent rail, and of all dials noise."""
     rng, rows = np.random.default_rng(4), rows_of("sweep", seed=2)

@@ -741,6 +741,7 @@ def test_a_trackers_frame_is_turned_to_the_machine_found(
     assert found.scores.chi2 < 1.0
 
 
+@pytest.mark.thorough
 def test_intervals_of_readings_ten_times_as_noisy_as_declared_hold_the_truth(
     tracked: tuple[Machine, ToolCampaign],
 ) -> None:
