@@ -159,7 +159,7 @@ def test_from_files_and_results_to_words_and_a_page(
     assert "<svg" in page
     assert re.search(r"changed by 1\.\d+ mm inward", page)
     assert "changed by as much as was advised" in page
-    assert "Confirm what was put right" not in page
+    assert "Confirm what was put right" in page
     assert "changed by as much as was advised" in " ".join(plain.stdout.split())
     assert "it must read" in page
     assert "The report of new<" in page

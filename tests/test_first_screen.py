@@ -471,6 +471,16 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     assert "gains 0.1 mm on average, whichever of these it is" in screen(verdict)
 
 
+def test_a_cause_that_may_be_a_place_instead_names_it_on_the_first_screen() -> None:
+    """It was ambiguous, and nobody was told with what."""
+    curve = lost("reversal").located[0].members[0]
+    chosen = explained("backlash.y", 2e-4, CATALOGUE, 0.6)
+    verdict = made_up("ambiguous", Cause(chosen, (), (), (curve,)))
+    del verdict.__dict__["picture"]
+    assert "drive y goes wrong along its axis by the way gone since" in screen(verdict).lower()
+    assert len(verdict.picture.options) == 2
+
+
 def test_the_gain_of_a_class_of_places_counts_all_that_the_machine_has() -> None:
     """The most probable may be a dial's, or lost motion, which is no part of the machine."""
     from orthoglide.effects.places import places

@@ -18,7 +18,7 @@ from orthoglide.result.actions import loses
 if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError
     from orthoglide.fit import Change
-    from orthoglide.posterior import Cause, Explanation, Located
+    from orthoglide.posterior import Cause, Curve, Explanation, Located
     from orthoglide.result import Result
 
 Data = dict[str, Any]
@@ -114,7 +114,7 @@ def _of_cause(cause: Cause, option: Iterator[int]) -> Claim:
         tuple(_statement(e, e.probability, next(option)) for e in part)
         for part in (cause.same, cause.rivals)
     )
-    return Claim(first, same, rivals)
+    return Claim(first, same, (*rivals, *(_of_curve(c, next(option)) for c in cause.places)))
 
 
 def _statement(one: Explanation, probability: float, option: int) -> Statement:
@@ -127,15 +127,13 @@ def _statement(one: Explanation, probability: float, option: int) -> Statement:
 
 
 def _of_place(found: Located, option: Iterator[int]) -> Claim:
-    several = tuple(
-        Statement(
-            sentence(f"{c.place.words}, by {curve_words(c)}"),
-            sure_words(c.probability),
-            next(option),
-        )
-        for c in found.members
-    )
-    return Claim(several[0], (), several[1:])
+    first, *others = (_of_curve(c, next(option)) for c in found.members)
+    return Claim(first, (), tuple(others))
+
+
+def _of_curve(curve: Curve, option: int) -> Statement:
+    words = sentence(f"{curve.place.words}, by {curve_words(curve)}")
+    return Statement(words, sure_words(curve.probability), option)
 
 
 def _of_change(change: Change, option: Iterator[int]) -> Claim:

@@ -28,6 +28,7 @@ _DIAL_TURNS = (
     "readings"
 )
 _PLAIN = "for which nothing is changed on the machine"
+_BETTER = 0.5  # of what it was before: a zero that is off by less now was put right
 _INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
 _MEND = "Look, confirm and put right, then measure again"
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
@@ -126,8 +127,8 @@ def _zeros(result: Result) -> Iterator[Action]:
 def _found(
     result: Result, kind: Literal["confirm", "mend"], zeros: bool = False
 ) -> Iterator[Action]:
-    """Causes, places and changes found, each with what to look at and what it gains; none of a
-    drive's zero that is better than before, or that new ``zeros`` to be entered correct.
+    """Causes, places and changes found, each with what to look at and what it gains; new ``zeros``
+    to be entered correct what changed of a drive's zero too.
     """
     found = [item for item in result.budget if not item.rest]
     gains = {item.cause: (item.gain, item.gain_sigma) for item in found}
@@ -145,19 +146,18 @@ def _found(
             yield Action(kind, f"{what[kind]}{lost}", options=options)
     of = result.catalogue.effect_of
     for change in result.moved:
-        better = abs(change.after) < abs(change.before)
-        if kind == "mend" and (zeros or better) and of(change.parameter).controller == "zero":
-            continue
         again = _AGAIN.format(change.files[1])
+        of_zero = zeros and of(change.parameter).controller == "zero"
         if kind == "confirm" or change.vague:
             yield Action("confirm", what["confirm"], options=suspects(change))
-        elif better:
+        elif abs(change.after) < (_BETTER if of_zero else 1.0) * abs(change.before):
             words = f"Confirm what was put right; {again}"
             yield Action("confirm", words, options=suspects(change))
         else:
             gain = (math.nan, math.nan)
             gain = gain if loses(change) else gains.get(change.parameter, gain)
-            words = f"Look, confirm and put back, or correct for it; {again}"
+            by = " by the new zeros, never both" if of_zero else ""
+            words = f"Look, confirm and put back, or correct for it{by}; {again}"
             yield Action(kind, words, *gain, options=suspects(change))
 
 

@@ -49,6 +49,7 @@ def picture(result: Result) -> Picture:
     for cause in result.effects:
         first.append(len(options))
         options += [option(machine, one.words, one.values) for one in cause.explanations]
+        options += [_placed(machine, curve) for curve in cause.places]
     for found in result.located:
         first.append(len(options))
         options += [_placed(machine, curve) for curve in found.members]
