@@ -27,6 +27,7 @@ from orthoglide.judging import HoldOut
 from orthoglide.numerals import ByUnit
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import report_files, summary
+from orthoglide.report.phrases import dealt_with
 from orthoglide.report.sections import before_and_after
 from orthoglide.report.wording import evidence, headline
 from tests.test_report import RIG, browsed, check_page, check_timeless, opened, words
@@ -225,6 +226,11 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
+    left_out = len(verdict_of("explained").after.problem.measured) // 4
+    (known,) = verdict_of("faulty").blunders
+    many = replace(known, kind="label", rows=tuple((0, k) for k in range(left_out)))
+    told = dealt_with(replace(verdict_of("faulty"), blunders=(many,)))
+    assert re.search(rf"{left_out} of \d+ readings do not count", told)
 
 
 @pytest.mark.parametrize("which", CASES)

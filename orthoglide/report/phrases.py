@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _FEW = 2.0  # degrees of freedom
 _SOUND = 0.05  # probability of what the base leaves, from which nothing more is told
+_MANY = 0.1  # share of the readings
 _KNOWN = 0.1  # of a gain, by which it may be off without a word
 
 NOTHING_SHOWN = (
@@ -130,6 +131,23 @@ def sentence(text: str) -> str:
     first = text.partition(" ")[0]
     capital = text if "_" in first or "." in first else text[:1].upper() + text[1:]
     return capital if capital.endswith("?") else f"{capital}."
+
+
+def dealt_with(result: Result) -> str:
+    """How many faults of the data there were, and how many readings do not count for them: what
+    these alone would show is in no verdict, and a reader of the first lines must know.
+    """
+    if not (count := len(result.blunders)):
+        return ""
+    faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
+    aside = {row for one in result.blunders if one.sets_aside for row in one.rows}
+    every = len(result.after.problem.measured) + len(aside)
+    if len(aside) < _MANY * every:
+        return f"{faults}."
+    return (
+        f"{faults}: {len(aside)} of {every} readings do not count, and nothing is said of what "
+        f"they alone would show."
+    )
 
 
 def listed(parts: Iterable[str]) -> str:

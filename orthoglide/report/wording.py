@@ -10,7 +10,14 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact, decimals_for, probability, signed, told_apart
-from orthoglide.report.phrases import NOTHING_SHOWN, a_little, listed, none_left_over, sentence
+from orthoglide.report.phrases import (
+    NOTHING_SHOWN,
+    a_little,
+    dealt_with,
+    listed,
+    none_left_over,
+    sentence,
+)
 
 if TYPE_CHECKING:
     from orthoglide.fit import Change, Estimate, Scores
@@ -100,14 +107,8 @@ def _to_enter(result: Result) -> str:
 
 def evidence(result: Result) -> str:
     """What speaks for the claim of a closed loop, and what had to be dealt with first."""
-    said = [_weighed(result)]
-    # Faults of the data belong to the verdict: a reader of the first lines must know.
-    count = len(result.blunders)
-    if count:
-        faults = f"{count} fault{'s' if count > 1 else ''}"
-        said.append(f"{faults} in the data had to be dealt with first.")
-    said.append(_changed([c for c in result.changed if c not in result.moved]))
-    return " ".join(said).strip()
+    changed = _changed([c for c in result.changed if c not in result.moved])
+    return " ".join(text for text in (_weighed(result), dealt_with(result), changed) if text)
 
 
 def _changed(changes: Iterable[Change]) -> str:
