@@ -422,10 +422,14 @@ def test_a_dial_in_inches(step, protocol, setup, errors, machine):
 
 
 @pytest.mark.parametrize("turn", [1.0, 0.5])
-@pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
-def test_who_reads_the_large_hand_alone(errors, turn, machine, nominal):
+@pytest.mark.parametrize(
+    ("protocol", "errors"),
+    [("sweep", {}), ("sweep", {"axis_tilt.y.z": 2e-3}), ("standard", {"axis_tilt.y.z": 2e-3})],
+    ids=["alone", "beside a tilt", "few readings beside a tilt"],
+)
+def test_who_reads_the_large_hand_alone(protocol, errors, turn, machine, nominal):
     """It was told of a rail that leaves its line, by half a millimetre."""
-    spoilt, touched = rc.whole_turns(rows_of(seed=3, **errors), "zx-0.5", turn)
+    spoilt, touched = rc.whole_turns(rows_of(protocol, seed=3, **errors), "zx-0.5", turn)
     assert touched
     (blunder,) = found_in(spoilt, machine if turn == 1 else nominal)
     assert (blunder.kind, blunder.setups) == ("turns", ("zx-0.5",))

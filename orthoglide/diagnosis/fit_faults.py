@@ -71,6 +71,8 @@ def fit_fault(
         best = likeliest(misread + _single(means, free) + commands, _APART)
         rival, place = means.best_effect
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
+            if best.kind == "turns" and not _exact(means, best, known):
+                return changes
             likelier = changes and _are_changes(changes, best, means, hypotheses)
             return changes if likelier else best
         commands = []
@@ -99,6 +101,14 @@ def _are_changes(
     return found.weight > found.about.evidence(readings) - tried
 
 
+def _exact(means: StationMeans, fault: Fault, known: Sequence[Fault]) -> bool:
+    """Whether whole turns, which bend to much, leave no more than noise; beside effects they are
+    left to `joint_fault`.
+    """
+    after = StationMeans.anew(restored(means.problem, fault), known)
+    return after is not None and after.chi2 <= MENDS * after.dof
+
+
 def _lacking(means: StationMeans) -> bool:
     return means.chi2 >= _LACK * means.dof * means.floor
 
@@ -125,9 +135,6 @@ def _misread(
             continue
         # Wrong readings lead the fit far from where it belongs.
         left = np.array([np.sum(after[:, k] ** 2), _anew(means, hypotheses[k], known)])
-        # Whole turns bend to much, and are exact: beside effects they are left to `joint_fault`.
-        if fault.kind == "turns" and left[1] > MENDS * means.dof:
-            continue
         bonus += float(np.diff(means.evidence(left))[0])
         found.append(replace(fault, evidence=float(evidence[k] + bonus)))
     return found
