@@ -226,7 +226,7 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("Drive x has 0.056 mm of lost motion.")
     assert faults.endswith("1 fault in the data had to be dealt with first.")
-    left_out = len(verdict_of("explained").after.problem.measured) // 4
+    left_out = len(verdict_of("faulty").after.problem.measured) // 4
     (known,) = verdict_of("faulty").blunders
     many = replace(known, kind="label", rows=tuple((0, k) for k in range(left_out)))
     told = dealt_with(replace(verdict_of("faulty"), blunders=(many,)))
