@@ -404,6 +404,9 @@ def test_the_check_tells_a_zero_entered_the_wrong_way(sign: tuple[int, int, int]
     assert new == pytest.approx(old - np.array(sign) * fitted, abs=1e-9)
     proved(exported, counting, Rig(errors=errors))
     assert list(exported["checks"]) == ["x", "y", "z"]
+    for check in exported["checks"].values():  # as one that counts from its new zeros shows it: old
+        assert np.array(check["shown_at_zero_mm"]) == pytest.approx(new * 1e3, abs=1e-6)
+    assert "one that counts from its new zeros shows" in " ".join(numbers.text().split())
     assert "moved the wrong way it would read" in " ".join(numbers.text().split())
     assert exported["rule"].startswith("new zero = old zero - sign x offset: what the controller")
     assert "come to both" not in numbers.text()

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
+from orthoglide.control import COUNTING
 from orthoglide.difference import COLUMNS
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
@@ -69,6 +70,7 @@ def _data(found: Check) -> dict[str, Any]:
         "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
         f"out; {zeros} once the zeros are right.",
         "cautions": found.told.cautions,
-        "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their signs",
+        "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their signs; "
+        f"{COUNTING}",
         "checks": [sentence(str(check)[:-1]) for check in numbers.checks],
     }

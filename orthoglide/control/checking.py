@@ -13,6 +13,13 @@ from orthoglide.observations import Campaign, protocol
 
 Shown = tuple[float, float, float]
 
+COUNTING = (
+    "in brackets is what a controller shows that goes on counting as before; one that counts from "
+    "its new zeros shows these numbers less its new zeros and more its old ones, and then they "
+    "prove too that the zeros were entered"
+)
+"""What positions are told in."""
+
 
 @dataclass(frozen=True)
 class ZeroCheck:

@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import not_withheld
-from orthoglide.control.checking import ZeroCheck, check_zeros
+from orthoglide.control.checking import COUNTING, ZeroCheck, check_zeros
 from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
 from orthoglide.effects import OF_DRIVES
 from orthoglide.effects.wording import by_effect
@@ -209,11 +209,9 @@ class ControllerNumbers(Framed):
             rule=_fill(self.rule),
             worked=_fill(f"Worked: {self.drives[0].worked(self.names)}"),
             table="\n".join(map(_line, self.drives)),
-            checks=_CHECKS.format(
-                legs=", ".join(self.names.legs),
-                checks="\n".join(_fill(f"- {c}") for c in self.checks)
-                or (_NONE if self.names == ORTHOGLIDE.names else _fill(_UNDIALLED)),
-            ),
+            checks="\n".join(map(_fill, (_CHECKS, *(f"- {c}" for c in self.checks))))
+            if self.checks
+            else (_NONE if self.names == ORTHOGLIDE.names else _fill(_UNDIALLED)),
             alone=_fill(_ALONE.format(alone=", ".join(alone), whole=whole, **shape))
             if self.calibrated
             else "",
@@ -313,18 +311,17 @@ def _rest(names: tuple[str, ...]) -> str:
     )
 
 
-_NONE = "- no zero moves by what a dial on a leg shows."
+_NONE = "Check of the signs: no zero moves by what a dial on a leg shows."
 _UNDIALLED = (
-    "- no dial is set against the legs of this machine: enter them with the tool well clear, then "
-    "read the tool again as for the calibration. A zero with the wrong sign doubles what was off."
+    "Check of the signs: no dial is set against the legs of this machine: enter them with the tool "
+    "well clear, then read the tool again as for the calibration. A zero with the wrong sign "
+    "doubles what was off."
 )
 _NOMINAL = (
     "The machine file holds no calibration: these are its nominal numbers, and nothing is known of "
     "how far the real machine is off. Give the calibrated.toml of a result."
 )
-_CHECKS = """Check of the signs. Enter the three new zeros and nothing else; the numbers in brackets
-are what the controller shows for {legs}.
-{checks}"""
+_CHECKS = f"Check of the signs. Enter the three new zeros and nothing else; {COUNTING}."
 
 _ALONE = (
     "Zeros only. For a controller that takes nothing but zeros these are best: {alone}. Mean error "

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orthoglide.control import withheld
+from orthoglide.control import COUNTING, withheld
 from orthoglide.effects.words import toward
 from orthoglide.figures.causes import MOST_CURVES
 from orthoglide.figures.style import Drawing
@@ -189,6 +189,7 @@ def controller(result: Result) -> Data:
     return {
         "drives": numbers.drives if zeros else (),
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
+        "counting": COUNTING,
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
     }
