@@ -11,7 +11,7 @@ from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.significance import Left, left_over
 from orthoglide.diagnosis.tool_faults import check_repeats
 from orthoglide.effects import Effect
-from orthoglide.errors import NumericsError
+from orthoglide.errors import NumericsError, check_list
 from orthoglide.fit import (
     Estimate,
     Frame,
@@ -155,6 +155,7 @@ def close_loop(
         NumericsError: where the base model cannot be identified.
     """
     machine = Machine.of(machine, effects)
+    check_list("own", own)
     several, points = sorted_out(campaigns, machine)
     judges = None if tcp is None else points_of(tcp, machine)
     held = () if holdout is None else readings_of(holdout, machine)

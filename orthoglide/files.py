@@ -31,6 +31,12 @@ Commit = Callable[[], AbstractContextManager[None]]
 """Surrounds the moment at which files appear: what is entered last may still refuse."""
 
 
+def inside(path: str | os.PathLike[str], name: str) -> Path:
+    """The file of a result where its folder is given; any other path as it is."""
+    given = path_of(path)
+    return given / name if given.is_dir() else given
+
+
 def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     """A file's content, or that of a pipe, read once.
 

@@ -309,6 +309,16 @@ def ran(rig: Path) -> Path:
     return rig
 
 
+def test_the_folder_of_a_result_stands_for_its_files(rig: Path) -> None:
+    done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "made")
+    assert "The same numbers again" in done("rerun", "made")
+    asked = ("forward", "310.25", "310.25", "310.25", "--machine")
+    assert done(*asked, "made") == done(*asked, "made/calibrated.toml")
+    assert og.Machine.load("made").values == og.Machine.load("made/calibrated.toml").values
+    with pytest.raises(og.InputError, match="own is a list of names"):
+        og.close_loop("rig-2.csv", own="joint_offset")
+
+
 def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
     shown = done("rerun", "out/result.json", "--out", "again")
     for name in ("rig-2.csv", "rig-1.csv", "rig-2.tcp.csv", "machine.toml"):

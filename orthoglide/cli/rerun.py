@@ -45,8 +45,10 @@ def rerun(
     Tells which of the files that were read have changed since. Exit code 0 where the numbers are
     the same, 3 where they are not.
     """
+    from orthoglide.files import inside
     from orthoglide.request import read_result, request_of
 
+    result = inside(result, "result.json")
     old = read_result(result)
     with progress(quiet) as step:
         step(Step("reading"))

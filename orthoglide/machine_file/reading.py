@@ -207,7 +207,7 @@ def read_machine_file(
     """Reads a machine file.
 
     Args:
-        path: the file (TOML, UTF-8).
+        path: the file (TOML, UTF-8), or the folder of a result with its ``calibrated.toml``.
         catalogue: the effects that it may name.
 
     Returns:
@@ -216,6 +216,7 @@ def read_machine_file(
     Raises:
         FileError: naming the line and what would be right, or a covariance of another file.
     """
+    path = files.inside(path, "calibrated.toml")
     content = files.read_bytes(path, files.TEXT)
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from orthoglide.effects import Effect
 from orthoglide.errors import InputError
+from orthoglide.files import inside
 from orthoglide.fit import Source, readings_of
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
@@ -62,7 +63,7 @@ def _as_run(state: State, effects: tuple[Effect, ...]) -> State:
             f"{path} is a machine file, which has no readings: give the result.json beside "
             f"it, or the campaign"
         )
-    path = path / "result.json" if path.is_dir() else path
+    path = inside(path, "result.json")
     return request_of(read_result(path), str(path), effects) if path.suffix == ".json" else state
 
 
