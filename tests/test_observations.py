@@ -916,3 +916,18 @@ def test_a_minus_as_this_package_prints_it_is_one(tmp_path: Path) -> None:
     one, other = (og.read_campaign(path) for path in (plain, printed))
     assert np.array_equal(one.reading, other.reading)
     assert np.array_equal(one.command, other.command)
+
+
+def test_a_spreadsheets_own_first_line_and_files_of_another_kind(tmp_path: Path) -> None:
+    text, machine = campaign_text(protocol("standard")), og.Machine.nominal()
+    (tmp_path / "s.csv").write_text("sep=;\n" + text.replace(",", ";"))
+    (tmp_path / "plain.csv").write_text(text)
+    first, second = (
+        read_campaign(tmp_path / name, require_readings=False) for name in ("s.csv", "plain.csv")
+    )
+    np.testing.assert_array_equal(first.command, second.command)
+    machine.save(tmp_path / "machine.toml")
+    (tmp_path / "result.json").write_text('{\n "schema": 2\n}\n')
+    for name in ("machine.toml", "result.json"):
+        with pytest.raises(og.FileError, match=f"{name}: is no CSV, but a result or a machine"):
+            og.identify(tmp_path / name)

@@ -19,6 +19,7 @@ from orthoglide.numerals import MINUS
 from orthoglide.text import brief, cell_text, shown, unseen
 
 _DELIMITERS = ",;\t"
+_SEPARATOR = re.compile(rf"sep=([{_DELIMITERS}])")
 _MOST_COLUMNS = 200
 _LONGEST_LABEL = 100
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
@@ -109,7 +110,12 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     content = files.read_bytes(path)
     text = files.decode(content, path)
     header = next((line for line in text.splitlines() if line.strip()), "")
-    delimiter = max(_DELIMITERS, key=header.count)
+    if header.lstrip()[:1] in ("{", "[") or header.startswith("schema"):
+        raise FileError("is no CSV, but a result or a machine file: give the campaign's own file",
+                        file=shown(path))  # fmt: skip
+    if told := _SEPARATOR.fullmatch(header):  # as a spreadsheet begins a file, for itself
+        text = text.replace(header, "", 1)
+    delimiter = told[1] if told else max(_DELIMITERS, key=header.count)
     names, rows, lines = _cells(text, delimiter, shown(path))
     if delimiter != ",":
         rows = [[_decimal_point(cell) for cell in row] for row in rows]
