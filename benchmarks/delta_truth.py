@@ -38,10 +38,10 @@ from benchmarks.delta_table import UNSEEN, tables
 from orthoglide.closing import Verdict, close_loop
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.effects import catalogue_of
+from orthoglide.effects.printers import of_printers
 from orthoglide.errors import OrthoglideError
 from orthoglide.fit import identify
 from orthoglide.geometry import Geometry
-from orthoglide.klipper.importing import of_printers
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument, MachineFile

@@ -30,7 +30,7 @@ from orthoglide.fit.doubts import check_slips
 from orthoglide.fit.earlier import vague
 from orthoglide.fit.exchanged import check_columns
 from orthoglide.fit.instrument_frame import turned_to
-from orthoglide.fit.loud import loud_dials
+from orthoglide.fit.loud import is_misdeclared
 from orthoglide.fit.meant import check_meant
 from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
@@ -202,7 +202,7 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
         found = replace(found, causes=())
     if _missing(left):  # a place is missing, and others may stand in for it
         found = replace(found, located=())
-    elif any(loud_dials(known.after)):  # scatter that was not reckoned with passes for any curve
+    elif is_misdeclared(known.after):  # scatter that was not reckoned with passes for any curve
         kept = tuple(one for one in found.located if not one.in_repeats)
         found = replace(found, located=kept)
     word = _word(found, left)

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import orthoglide as og
+from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.fit import tempered
 from orthoglide.fit.tool import ToolReadings
@@ -18,7 +19,6 @@ from orthoglide.fit.tool_noise import roughness
 from orthoglide.geometry import Geometry, moved_onto
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.klipper import import_printer
-from orthoglide.klipper.importing import of_printers
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller, Instrument, MachineFile

@@ -24,6 +24,7 @@ _ALIKE = 0.01  # the same of all other setups, from which single ones are not to
 _FEW = 2  # setups that are named: more of them are no single dials
 _FEWEST = 10.0  # degrees of freedom
 _TIMES = 1.2  # the noise declared: less is not worth a word
+_SEVERAL = 2.0  # times what was declared, rounding aside: then it was no estimate of this dial
 
 
 @dataclass(frozen=True)
@@ -65,16 +66,32 @@ def loud_dials(estimate: Estimate) -> Iterator[Note]:
         )
 
 
+def is_misdeclared(estimate: Estimate) -> bool:
+    """Whether dials that are loud scatter by several times what was declared of one, its rounding
+    aside: what a curve takes up of such repeats may be scatter that was not reckoned with.
+    """
+    told = _declared(estimate.problem)
+    if told is None or not any(loud_dials(estimate)):
+        return False
+    return _scatter(_repeats(estimate)) > _SEVERAL * told
+
+
+def _declared(problem: Problem) -> float | None:
+    """What was told of one dial's scatter, metres."""
+    if problem.noise.source == "machine":
+        return problem.machine.spec.dial.repeatability
+    return problem.noise.declared if problem.noise.source == "declared" else None
+
+
 def _told(problem: Problem) -> tuple[str, str] | None:
     """What was declared of the dials' noise, and where to correct it, as clauses."""
-    repeatability, source_of = problem.machine.spec.dial.repeatability, problem.noise.source
-    if source_of == "machine" and repeatability is not None:
-        figure = f"the machine file says {compact(repeatability * 1e3, 2)}"
-        return figure, "correct repeatability under [dial_mm]"
-    if source_of == "declared" and problem.campaigns:
-        figure = f"{compact(problem.noise.declared * 1e3, 2)} was declared"
-        return figure, "correct what was declared"
-    return None
+    declared = _declared(problem)
+    if declared is None or not problem.campaigns:
+        return None
+    figure = compact(declared * 1e3, 2)
+    if problem.noise.source == "machine":
+        return f"the machine file says {figure}", "correct repeatability under [dial_mm]"
+    return f"{figure} was declared", "correct what was declared"
 
 
 def _repeats(estimate: Estimate) -> list[_Repeats]:
@@ -108,8 +125,13 @@ def _is_loud(several: Sequence[_Repeats], chance: float = _CHANCE, times: float 
 
 
 def _size(several: Sequence[_Repeats]) -> str:
-    """Standard deviation of one reading but for its rounding, millimetres."""
+    """The same in words, millimetres."""
+    return compact(_scatter(several) * 1e3, 2)
+
+
+def _scatter(several: Sequence[_Repeats]) -> float:
+    """Standard deviation of one reading but for its rounding, metres."""
     count, step = [len(one.apart) for one in several], np.array([one.step for one in several])
     total = [total_variance(np.mean(one.apart**2) / 2, one.step) for one in several]
     mean = float(np.average(total - step**2 / 12, weights=count))
-    return compact(np.sqrt(max(mean, 0.0)) * 1e3, 2)
+    return float(np.sqrt(max(mean, 0.0)))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide.effects import Catalogue, catalogue_of
+from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Distance, Probe
@@ -24,18 +25,9 @@ from orthoglide.machine_file import TOWERS, Firmware, Instrument, MachineFile, P
 from orthoglide.notes import Note
 from orthoglide.observations import ToolCampaign
 from orthoglide.text import shown
-from orthoglide.units import to_si
 
 ASSUMED = "assumed_mm"
 """Key of a machine file's provenance: what the firmware does not store, millimetres."""
-
-_OF_PRINTERS = {
-    "joint_offset": 2.0, "leg_length": 0.05, "axis_offset": 1.0, "axis_tilt": 3e-3,
-    "rail_tilt": 3e-3, "rail_bow": 0.1, "mount_tilt": 1e-2,
-    "bar_mismatch": 0.05, "parallelogram_width": 0.3, "encoder_scale": 1e-3, "backlash": 0.05,
-}  # fmt: skip
-"""What to expect of a printer bolted together from extrusions, wider than of a careful machine:
-standard deviations in the effects' own units; rods of one set are as even as anybody's."""
 
 PLATFORM, WIDTH, DROP = 0.032, 0.050, 0.040
 """What the firmware does not store, metres: radius of the platform, distance of an arm's two rods,
@@ -270,8 +262,3 @@ def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> It
             "since, probe it again",
             "mesh",
         )
-
-
-def of_printers(catalogue: Catalogue) -> dict[str, float]:
-    """Standard deviation to expect of the effects of a printer, SI; others keep their own."""
-    return {n: to_si(v, catalogue[n].unit.si) for n, v in _OF_PRINTERS.items()}
