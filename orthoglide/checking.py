@@ -41,7 +41,7 @@ class Check(Framed):
         gone: places that were located in the old state and are not in the new one; where there are
             any, or new ones, each state speaks for itself, as no parameter is what changed.
         come: places that are located in the new state alone.
-        entered: how zeros that the old state's result advises were entered, a clause each.
+        entered: how zeros that the old readings ask for were entered, a clause each.
     """
 
     old: tuple[str, ...]
@@ -186,7 +186,7 @@ def check(
     changes = tuple(_changes(differences, changed, none))
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
-    told = () if was is None else tuple(entered(was.machine, differences))
+    told = () if was is None or was.firmware else tuple(entered(was.machine, differences))
     return Check(old_names, new_names, verdict, differences, changes, moves, gone, come, told)
 
 
@@ -264,9 +264,13 @@ def _told_apart(
     called = {name: now[kind] for kind, name in then.items() if kind in now}
 
     def renamed(one: Readings) -> Readings:
-        if not isinstance(one, ToolCampaign) or not {s.name for s in one.setups} <= called.keys():
+        if not isinstance(one, ToolCampaign):
             return one
-        return replace(one, setups=tuple(replace(s, name=called[s.name]) for s in one.setups))
+        names = [called.get(s.name, s.name) for s in one.setups]
+        if len(set(names)) < len(names):
+            return one
+        setups = zip(one.setups, names, strict=True)
+        return replace(one, setups=tuple(replace(s, name=name) for s, name in setups))
 
     old = [renamed(one) for one in old]
     names = [c.name for c in (*old, *new)]
@@ -282,9 +286,9 @@ def _told_apart(
 
 def _only_ones(side: Sequence[Readings]) -> dict[str, str]:
     """Names of setups at the tool by their kind, where there is one of it."""
-    setups = [s for c in side if isinstance(c, ToolCampaign) for s in c.setups]
-    count = Counter(s.kind for s in setups)
-    return {s.kind: s.name for s in setups if count[s.kind] == 1}
+    named = {(s.kind, s.name) for c in side if isinstance(c, ToolCampaign) for s in c.setups}
+    count = Counter(kind for kind, _ in named)
+    return {kind: name for kind, name in named if count[kind] == 1}
 
 
 def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:

@@ -1,4 +1,4 @@
-"""How the zeros that an earlier result advised were entered, by what changed since."""
+"""How the zeros that earlier readings ask for were entered, by what changed since."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from orthoglide.accuracy import best_zeros
 from orthoglide.difference import CHANGED, Difference
 from orthoglide.machine import Machine
 
-_NEAR = 0.05  # of what was advised: people enter two digits
-_CLEAR = 3.0  # times that what was advised must be, for the ways to look different
+_NEAR = 0.05  # of what was asked for: people enter two digits
+_CLEAR = 3.0  # times that what was asked for must be, for the ways to look different
+_ASKED = "as much as the readings before ask for"
 _WAYS = {
-    1.0: "as much as was advised: {} entered",
-    2.0: "twice as much as was advised: {} entered twice, or added to what had been entered before",
+    1.0: f"{_ASKED}: {{}} entered",
+    2.0: f"twice {_ASKED}: {{}} entered twice, or added to what had been entered before",
     -1.0: (
-        "as much as was advised, but the other way: {} entered with the other sign. If that is how "
-        "the controller counts, enter new zeros with the other sign too; if it was a slip, as told"
+        f"{_ASKED}, but the other way: {{}} entered with the other sign. If that is how the "
+        f"controller counts, enter new zeros with the other sign too; if it was a slip, as told"
     ),
 }
 
 
 def entered(was: Machine, differences: Iterable[Difference]) -> Iterator[str]:
-    """A clause for each way in which drives' zeros changed that was advised, or the wrong one.
+    """A clause for each way in which drives' zeros changed as they should have, or should not.
 
     Args:
         was: the machine as the old state's readings have it.

@@ -77,9 +77,15 @@ def test_zeros_that_were_entered_are_seen_and_nothing_else(machine: og.Machine) 
 @pytest.mark.parametrize(
     ("times", "told"),
     [
-        (1.0, "zeros of drives x, z changed by as much as was advised: they were entered"),
-        (2.0, "changed by twice as much as was advised: they were entered twice"),
-        (-1.0, "changed by as much as was advised, but the other way: they were entered with the"),
+        (
+            1.0,
+            "drives x, z changed by as much as the readings before ask for: they were entered",
+        ),
+        (2.0, "changed by twice as much as the readings before ask for: they were entered twice"),
+        (
+            -1.0,
+            "as the readings before ask for, but the other way: they were entered with the other",
+        ),
         (0.5, ""),
     ],
 )
@@ -158,9 +164,9 @@ def test_from_files_and_results_to_words_and_a_page(
     assert "Joint offset of leg x changed from" in page
     assert "<svg" in page
     assert re.search(r"changed by 1\.\d+ mm inward", page)
-    assert "changed by as much as was advised" in page
+    assert "changed by as much as the readings before ask for" in page
     assert "Confirm what was put right" in page
-    assert "changed by as much as was advised" in " ".join(plain.stdout.split())
+    assert "changed by as much as the readings before ask for" in " ".join(plain.stdout.split())
     assert "it must read" in page
     assert "The report of new<" in page
     seen = opened(page, 390, tmp_path)  # its table was wider than a phone

@@ -28,7 +28,7 @@ _OPEN = 3.0
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
     """Campaigns between which something may have changed: name, file, and first row. Files of the
-    tool that have no setup in common are of one visit.
+    tool that have no setup in common are no visits that could be told apart.
     """
     if problem.campaigns:
         read = [(c.name, c.file) for c in problem.campaigns]

@@ -239,7 +239,9 @@ def _at_edges(campaign: Campaign, sigma: Array, common: Array, resolution: Array
     scatter = np.sqrt(np.maximum(sigma**2 + common**2 - resolution**2 / 12, 0.0))
     chance = _RANGE * (visits[station] - 1) * scatter / resolution
     again = visits[station] > 1
-    if np.mean(apart[again] > 0.5 * resolution[again]) > _OFTENER + np.mean(chance[again]):
+    if again.any() and np.mean(apart[again] > 0.5 * resolution[again]) > _OFTENER + np.mean(
+        chance[again]
+    ):
         return sigma
     edge = (apart > 0.5 * resolution) & (apart < 1.5 * resolution) & (resolution > _QUIET * sigma)
     return np.where(edge, np.maximum(sigma, resolution / 2), sigma)

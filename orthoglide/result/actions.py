@@ -28,7 +28,6 @@ _DIAL_TURNS = (
     "readings"
 )
 _PLAIN = "for which nothing is changed on the machine"
-_BETTER = 0.5  # of what it was before: a zero that is off by less now was put right
 _INSTEAD = "in place of new zeros and never with them, for a gain beyond theirs"
 _MEND = "Look, confirm and put right, then measure again"
 _WORTH = 0.02  # of the tool's error now: a setting that gains less is not worth a line
@@ -150,8 +149,9 @@ def _found(
         of_zero = zeros and of(change.parameter).controller == "zero"
         if kind == "confirm" or change.vague:
             yield Action("confirm", what["confirm"], options=suspects(change))
-        elif abs(change.after) < (_BETTER if of_zero else 1.0) * abs(change.before):
-            words = f"Confirm what was put right; {again}"
+        elif abs(change.after) < abs(change.before):
+            rest = ", what is left of it by the new zeros" * of_zero
+            words = f"Confirm what was put right{rest}; {again}"
             yield Action("confirm", words, options=suspects(change))
         else:
             gain = (math.nan, math.nan)
