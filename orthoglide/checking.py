@@ -186,7 +186,7 @@ def check(
     changes = tuple(_changes(differences, changed, none))
     after_all = together.after
     moves = plate_moves(after_all.problem, after_all.x, old_names, new_names)
-    told = () if was is None or was.firmware else tuple(entered(was.machine, differences))
+    told = () if was is None or machine.spec.printer else tuple(entered(was.machine, differences))
     return Check(old_names, new_names, verdict, differences, changes, moves, gone, come, told)
 
 

@@ -150,7 +150,7 @@ def _found(
         if kind == "confirm" or change.vague:
             yield Action("confirm", what["confirm"], options=suspects(change))
         elif abs(change.after) < abs(change.before):
-            rest = ", what is left of it by the new zeros" * of_zero
+            rest = " (new zeros correct what is left of it)" * of_zero
             words = f"Confirm what was put right{rest}; {again}"
             yield Action("confirm", words, options=suspects(change))
         else:
