@@ -18,8 +18,8 @@ from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
 from orthoglide import units
 from orthoglide.checking import Check, Difference, check
+from orthoglide.checking.entered import entered
 from orthoglide.effects import CATALOGUE
-from orthoglide.entered import entered
 from orthoglide.errors import InputError
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.geometry import Geometry

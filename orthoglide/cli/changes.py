@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from orthoglide import __version__
+from orthoglide.checking import COLUMNS
 from orthoglide.control import COUNTING
-from orthoglide.difference import COLUMNS
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import plain
 from orthoglide.report.first import MOST

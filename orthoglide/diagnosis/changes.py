@@ -1,7 +1,7 @@
 """Changes between campaigns: a parameter with one value before a file and another from it on.
 
-Campaigns are those of dials, in their order; without dials the files of the tool, where each reads
-the same setups as the others.
+Campaigns are those of dials, in their order; without dials visits with instruments at the tool, of
+one file or of several.
 
 All that stays is open beside what may have changed (`fit.changed`), and beside faults of the data
 that the changes found are weighed against.
@@ -27,19 +27,26 @@ _OPEN = 3.0
 
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
-    """Campaigns between which something may have changed: name, file, and first row. Files of the
-    tool that have no setup in common are no visits that could be told apart.
+    """Campaigns from which on something may have changed: name, file, and first row.
+
+    Files of the tool are of one visit until one of their setups comes again; visits that have no
+    setup in common could not be told apart.
     """
     if problem.campaigns:
-        read = [(c.name, c.file) for c in problem.campaigns]
-    elif set[str].intersection(*(set(f.setup_names) for f in problem.factors)):
-        read = [(f.name, f.points.file) for f in problem.points]
+        read = {k: (c.name, c.file) for k, c in enumerate(problem.campaigns)}
     else:
-        return ()
-    return tuple(
-        (name, file or name, rows.start)
-        for (name, file), rows in zip(read, problem.factor_rows, strict=False)
-    )
+        read, seen = {}, list[set[str]]()
+        for k, factor in enumerate(problem.points):
+            setups = set(factor.setup_names)
+            if seen and seen[-1].isdisjoint(setups):
+                seen[-1] |= setups
+            else:
+                seen.append(setups)
+                read[k] = factor.name, factor.points.file
+        if not seen or not set.intersection(*seen):
+            return ()
+    rows = problem.factor_rows
+    return tuple((name, file or name, rows[k].start) for k, (name, file) in read.items())
 
 
 @dataclass(frozen=True)

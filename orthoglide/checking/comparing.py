@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.checking.difference import COLUMNS, Difference
+from orthoglide.checking.entered import entered
+from orthoglide.checking.sides import of_all, of_one, told_apart
 from orthoglide.closing import Verdict, run
 from orthoglide.diagnosis.changes import visits
-from orthoglide.difference import COLUMNS, Difference
 from orthoglide.effects.wording import parameter_words
-from orthoglide.entered import entered
 from orthoglide.fit import Change, Estimate, Problem, account_for_changes, assemble, solve
 from orthoglide.fit.plate_moves import PlateMove, plate_moves
 from orthoglide.fit.problem import Unknown
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Campaign, Readings, ToolCampaign
 from orthoglide.posterior import Located
 from orthoglide.progress import Progress, Step, silent
-from orthoglide.request import Request, State, states_of
+from orthoglide.request import State, states_of
 from orthoglide.threads import on_one_thread
 
 
@@ -164,16 +163,16 @@ def check(
     progress = progress or silent
     old, new = (s.request if isinstance(s, Verdict) else s for s in (old, new))
     machine, *sides = states_of(old, new, None if machine is None else Machine.of(machine))
-    before, after = _told_apart(*sides)
-    request, past = _of_all(machine, before, after, noise, seed)
+    before, after = told_apart(*sides)
+    request, past = of_all(machine, before, after, noise, seed)
     together = run(request, progress)
     # A change that is one of several leaves open what there was before: not so the new readings.
-    verdict = run(_of_one(request, after), progress)
+    verdict = run(of_one(request, after), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = not past and len(visits(together.before.problem)) > 1
     was, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
     if not jointly or together.changed or together.word in ("located", "unexplained"):
-        was = run(_of_one(request, before), progress)
+        was = run(of_one(request, before), progress)
         gone, come = _unlike(was, verdict), _unlike(verdict, was)
         jointly = jointly and not gone and not come
     progress(Step("comparing"))
@@ -226,69 +225,6 @@ def _words(located: Located) -> str:
     first, *others = located.members
     more = f" (or {len(others)} other place{'s' * (len(others) > 1)})" if others else ""
     return f"{first.words}{more}"
-
-
-def _of_all(
-    machine: Machine,
-    before: Sequence[Readings],
-    after: Sequence[Readings],
-    noise: float | None,
-    seed: int,
-) -> tuple[Request, bool]:
-    """The request of both states, and whether it lacks readings of the old one: a fit has the dials
-    first and takes the tool's readings for those of the last state.
-    """
-    dials = tuple(r for r in (*before, *after) if isinstance(r, Campaign))
-    tool = [r for r in (*before, *after) if isinstance(r, ToolCampaign)]
-    past = [r for r in before if r in tool and any(d in after for d in dials)]
-    points = tuple(r for r in tool if r not in past)
-    request = Request("close-loop", dials, machine, (), noise, seed, points=points)
-    return request, bool(past)
-
-
-def _of_one(request: Request, side: Sequence[Readings]) -> Request:
-    """The request of one state alone."""
-    dials = tuple(r for r in side if isinstance(r, Campaign))
-    return replace(
-        request, campaigns=dials, points=tuple(r for r in side if isinstance(r, ToolCampaign))
-    )
-
-
-def _told_apart(
-    old: Sequence[Readings], new: Sequence[Readings]
-) -> tuple[list[Readings], list[Readings]]:
-    """The campaigns of both sides, no two of one name; an instrument at the tool that is the only
-    one of its kind at both visits has one name at both.
-    """
-    now, then = (_only_ones(side) for side in (new, old))
-    called = {name: now[kind] for kind, name in then.items() if kind in now}
-
-    def renamed(one: Readings) -> Readings:
-        if not isinstance(one, ToolCampaign):
-            return one
-        names = [called.get(s.name, s.name) for s in one.setups]
-        if len(set(names)) < len(names):
-            return one
-        setups = zip(one.setups, names, strict=True)
-        return replace(one, setups=tuple(replace(s, name=name) for s, name in setups))
-
-    old = [renamed(one) for one in old]
-    names = [c.name for c in (*old, *new)]
-    if len(set(names)) == len(names):
-        return list(old), list(new)
-    sides = ((old, "old"), (new, "new"))
-    before, after = (
-        [replace(c, name=f"{side}-{k}-{c.name}") for k, c in enumerate(several, start=1)]
-        for several, side in sides
-    )
-    return before, after
-
-
-def _only_ones(side: Sequence[Readings]) -> dict[str, str]:
-    """Names of setups at the tool by their kind, where there is one of it."""
-    named = {(s.kind, s.name) for c in side if isinstance(c, ToolCampaign) for s in c.setups}
-    count = Counter(kind for kind, _ in named)
-    return {kind: name for kind, name in named if count[kind] == 1}
 
 
 def _of_both(together: Verdict, later: Collection[str]) -> Iterator[Difference]:

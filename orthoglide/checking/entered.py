@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from orthoglide.accuracy import best_zeros
-from orthoglide.difference import CHANGED, Difference
+from orthoglide.checking.difference import CHANGED, Difference
 from orthoglide.machine import Machine
 
 _NEAR = 0.05  # of what was asked for: people enter two digits
