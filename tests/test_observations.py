@@ -920,14 +920,16 @@ def test_a_minus_as_this_package_prints_it_is_one(tmp_path: Path) -> None:
 
 def test_a_spreadsheets_own_first_line_and_files_of_another_kind(tmp_path: Path) -> None:
     text, machine = campaign_text(protocol("standard")), og.Machine.nominal()
-    (tmp_path / "s.csv").write_text("sep=;\n" + text.replace(",", ";"))
     (tmp_path / "plain.csv").write_text(text)
-    first, second = (
-        read_campaign(tmp_path / name, require_readings=False) for name in ("s.csv", "plain.csv")
-    )
-    np.testing.assert_array_equal(first.command, second.command)
+    plain = read_campaign(tmp_path / "plain.csv", require_readings=False)
+    for first in ("sep=;", '"SEP=;"'):
+        (tmp_path / "s.csv").write_text(first + "\n" + text.replace(",", ";"))
+        read = read_campaign(tmp_path / "s.csv", require_readings=False)
+        np.testing.assert_array_equal(read.command, plain.command)
     machine.save(tmp_path / "machine.toml")
+    commented = "# of our machine\n" + (tmp_path / "machine.toml").read_text()
+    (tmp_path / "commented.toml").write_text(commented)
     (tmp_path / "result.json").write_text('{\n "schema": 2\n}\n')
-    for name in ("machine.toml", "result.json"):
+    for name in ("machine.toml", "commented.toml", "result.json"):
         with pytest.raises(og.FileError, match=f"{name}: is no CSV, but a result or a machine"):
             og.identify(tmp_path / name)

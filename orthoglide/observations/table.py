@@ -19,7 +19,8 @@ from orthoglide.numerals import MINUS
 from orthoglide.text import brief, cell_text, shown, unseen
 
 _DELIMITERS = ",;\t"
-_SEPARATOR = re.compile(rf"sep=([{_DELIMITERS}])")
+_SEPARATOR = re.compile(rf'"?sep=([{_DELIMITERS}])"?', re.IGNORECASE)
+_SCHEMA = re.compile(r"^schema\b", re.MULTILINE)  # of machine files, after any comments
 _MOST_COLUMNS = 200
 _LONGEST_LABEL = 100
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
@@ -110,7 +111,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     content = files.read_bytes(path)
     text = files.decode(content, path)
     header = next((line for line in text.splitlines() if line.strip()), "")
-    if header.lstrip()[:1] in ("{", "[") or header.startswith("schema"):
+    if header.lstrip()[:1] in ("{", "[") or _SCHEMA.search(text):
         raise FileError("is no CSV, but a result or a machine file: give the campaign's own file",
                         file=shown(path))  # fmt: skip
     if told := _SEPARATOR.fullmatch(header):  # as a spreadsheet begins a file, for itself
