@@ -206,7 +206,7 @@ def test_steps_gain_what_they_promise(readings):
 def test_rivals_are_as_far_apart_as_least_squares_says(readings):
     rng = np.random.default_rng(3)
     predicted = rng.normal(0, 2e-5, (len(readings.campaign), 2))
-    both = readings.with_columns(np.hstack([readings.columns, predicted]))
+    both = replace(readings, columns=np.hstack([readings.columns, predicted]))
     spread = np.stack([np.diag([1.0, 2.0, 0.5]), np.diag([0.3, 0.1, 4.0])])
     pairs = np.array([[0, 1], [1, 0]])
     rows = some_rows(readings)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.diagnosis.changes import Change, Changes, separated, visits
-from orthoglide.diagnosis.commands import all_put_right, put_right
+from orthoglide.diagnosis.command_faults import all_put_right, put_right
 from orthoglide.diagnosis.faults import DATUMS, Fault, Kind, Rows, message, parts, places, steps
 from orthoglide.diagnosis.fit_faults import fit_fault, unit_faults
 from orthoglide.diagnosis.joint_faults import joint_fault
@@ -82,8 +82,12 @@ class Blunder:
         """Whether a part of the machine that goes wrong in its own way may look like it: like one
         wrong command only where few postures are read.
         """
-        few = self.kind != "command" or _postures(problem) <= _FEW
-        return self.kind in _DOUBTED and few and self.fault is not None
+        if self.kind == "command":  # different commands of the mounting that has most
+            read = np.column_stack([problem.setup_of_row, problem.of_dials("command")])
+            each = np.bincount(np.unique(read, axis=0)[:, 0].astype(np.intp))
+            if each.max() > _FEW:
+                return False
+        return self.kind in _DOUBTED and self.fault is not None
 
     def both_ways(self, problem: Problem, others: Sequence[Blunder]) -> tuple[Problem, Problem]:
         """The same readings as they stand and put right, those of other faults without weight.
@@ -155,42 +159,31 @@ def examine(estimate: Estimate) -> Findings:
     if _slips(found) < _MOST and not any(f.kind in MEANINGS for f in found):
         beside = joint_fault(means, found)
         found = _with(estimate.problem, found, beside) if beside is not None else found
-    found = _limited(found) + scatter_faults(estimate.problem, slips, found)
+    limited = [f for k, f in enumerate(found) if f.kind == "zeroed" or _slips(found[:k]) < _MOST]
+    found = limited + scatter_faults(estimate.problem, slips, found)
     last = means.signatures.estimate
     return Findings(_reported(base, found), tuple(c.measured(last) for c in changes))
 
 
 def _with(problem: Problem, faults: Sequence[Fault], fault: Fault) -> list[Fault]:
-    """Faults with one more, without the slips that were part of it."""
-    return [f for f in faults if not _was(problem, f, fault)] + [fault]
-
-
-def _was(problem: Problem, slip: Fault, fault: Fault) -> bool:
-    """Whether a slip was part of a fault found later: at an end of shifted readings,
+    """Faults with one more, without the slips that were part of it: at an end of shifted readings,
     or a visit that is off by other turns than the rest of its station.
     """
-    if slip.kind != "outlier" or fault.kind not in ("shifted", "turns"):
-        return False
-    if fault.kind == "shifted":
-        return slip.setups == fault.setups
     off = np.zeros(len(problem.measured))
-    off[fault.rows] = fault.sizes
-    return bool(np.ptp(off[problem.station == problem.station[slip.rows[0]]]) > 0)
+    if fault.kind == "turns":
+        off[fault.rows] = fault.sizes
+
+    def was(slip: Fault) -> bool:
+        if fault.kind == "shifted":
+            return slip.setups == fault.setups
+        return bool(np.ptp(off[problem.station == problem.station[slip.rows[0]]]) > 0)
+
+    return [f for f in faults if f.kind != "outlier" or not was(f)] + [fault]
 
 
 def _slips(faults: Sequence[Fault]) -> int:
     """How many are slips: a dial that is set to zero anew is no mistake."""
     return sum(f.kind != "zeroed" for f in faults)
-
-
-def _limited(faults: Sequence[Fault]) -> list[Fault]:
-    return [f for k, f in enumerate(faults) if f.kind == "zeroed" or _slips(faults[:k]) < _MOST]
-
-
-def _postures(problem: Problem) -> int:
-    """Different commands of the mounting that has most."""
-    read = np.column_stack([problem.setup_of_row, problem.of_dials("command")])
-    return int(np.bincount(np.unique(read, axis=0)[:, 0].astype(np.intp)).max())
 
 
 def _muted(problem: Problem, faults: Sequence[Fault]) -> Problem:

@@ -39,12 +39,9 @@ def candidates(
         )
         for candidate in (*single, *_whole(effect, mine)):
             # The same parameters under two names would be one cause twice.
-            found.setdefault(_content(candidate), candidate)
+            each = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
+            found.setdefault(repr(sorted(each)), candidate)
     return tuple(found.values())
-
-
-def _content(candidate: Candidate) -> str:
-    return repr(sorted(sorted((str(n), w) for n, w in c.items()) for c in candidate.weights))
 
 
 def _of_dials(effect: Effect, names: list[Parameter], catalogue: Catalogue) -> list[Candidate]:

@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from orthoglide.diagnosis.commands import all_put_right, postures, slopes
-from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows
+from orthoglide.diagnosis.faults import EVIDENCE, Fault, Rows, campaign_of
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit import Problem, with_free
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import LEGS, Array
+from orthoglide.observations import Campaign
+from orthoglide.observations.arrays import numbered
 
 MENDS = 1.5
 """Chi2 a degree of freedom that a wrong command may leave: small errors of everything stay."""
@@ -39,6 +40,55 @@ _ROUNDS = 5  # of finding its size
 _SETTLED = 2e-6  # metres, of a step
 _SHARE = 0.5  # of chi2, that it may leave whatever its size
 _APART = 3.0  # log Bayes factor from which one drive is likelier than another
+_STEP = 1e-5  # metres, of a difference quotient
+
+
+def postures(problem: Problem) -> Rows:
+    """Posture of each reading ``(n,)``: one for each campaign and command; -1 where no dial is."""
+    campaigns = problem.campaigns
+    number = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
+    found = np.full(len(problem.measured), -1)
+    found[: len(number)] = numbered(np.column_stack([number, problem.of_dials("command")]))
+    return found
+
+
+def slopes(problem: Problem, x: Array, value: Array) -> Array:
+    """Derivative of every reading by its own command ``(n, 3)``.
+
+    Args:
+        problem: with dials.
+        x: its unknowns ``(P,)``, SI.
+        value: the readings there ``(n,)``, metres.
+    """
+    found = np.zeros((len(value), len(LEGS)))
+    for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.rows, strict=True)):
+        values = problem.values(k, x)
+        for drive in range(len(LEGS)):
+            moved = replace(campaign, command=campaign.command + _STEP * np.eye(3)[drive])
+            read = problem.machine.model.readings(values, moved)
+            found[rows, drive] = (read - value[rows]) / _STEP
+    return found
+
+
+def put_right(campaign: Campaign, rows: Rows, drive: int, size: float) -> Campaign:
+    """The campaign with another command in some rows, metres, and the approach that follows."""
+    command = campaign.command.copy()
+    command[rows, drive] += size
+    moved = replace(campaign, command=command)
+    derived = campaign.approach == campaign.derived_approach
+    approach = np.where(derived, moved.derived_approach, campaign.approach)
+    return replace(moved, approach=approach)
+
+
+def all_put_right(problem: Problem, faults: Sequence[Fault]) -> Problem:
+    """The problem with the likeliest commands in the rows of faults of that kind."""
+    campaigns = list(problem.campaigns)
+    for fault in faults:
+        for drive, size in fault.commands[:1]:
+            k = campaign_of(problem, fault.rows)
+            within = fault.rows - problem.rows[k].start
+            campaigns[k] = put_right(campaigns[k], within, drive, size)
+    return replace(problem, campaigns=tuple(campaigns))
 
 
 @dataclass(frozen=True)
@@ -170,7 +220,10 @@ def settled(
     ((drive, size),) = fault.commands
     own = np.full(len(problem.measured), -1)
     own[fault.rows] = 0
-    least, most = _limits(problem, fault)
+    # Where a machine can have been.
+    geometry, written = problem.machine.geometry, problem.of_dials("command")[fault.rows[0], drive]
+    travel = float(written - geometry.zero[drive])
+    least, most = geometry.stroke[0] - _BEYOND - travel, geometry.stroke[1] + _BEYOND - travel
     last = np.inf
     for k in range(_ROUNDS):
         size = float(np.clip(size, least, most))
@@ -225,12 +278,3 @@ def _free(problem: Problem, known: Sequence[Fault]) -> Rows:
             posture[fault.rows] = -1
     counts = np.bincount(posture + 1)
     return np.asarray(np.where(counts[posture + 1] > 1, posture, -1))
-
-
-def _limits(problem: Problem, fault: Fault) -> tuple[float, float]:
-    """Least and largest size at which a machine can be where a fault says that it was."""
-    ((drive, _),) = fault.commands
-    geometry = problem.machine.geometry
-    written = problem.of_dials("command")[fault.rows[0], drive]
-    travel = float(written - geometry.zero[drive])
-    return geometry.stroke[0] - _BEYOND - travel, geometry.stroke[1] + _BEYOND - travel

@@ -33,13 +33,15 @@ class Scoring:
     @classmethod
     def of(cls, signatures: Signatures, chosen: Sequence[Candidate]) -> Scoring:
         """Prepare candidates of a fit's signatures."""
-        parts = [_decomposed(signatures.of(candidate)) for candidate in chosen]
-        return cls(
-            tuple(chosen),
-            tuple(p[0] for p in parts),
-            tuple(p[1] for p in parts),
-            np.array([p[2] for p in parts]),
-        )
+        basis, shrink, occam = list[Array](), list[Array](), list[float]()
+        for candidate in chosen:
+            left, singular, _ = np.linalg.svd(signatures.of(candidate), full_matrices=False)
+            kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
+            square = singular[kept] ** 2
+            basis.append(left[:, kept])
+            shrink.append(square / (square + 1))
+            occam.append(float(np.sum(np.log1p(square))))
+        return cls(tuple(chosen), tuple(basis), tuple(shrink), np.array(occam))
 
     def gains(self, residuals: Array) -> Array:
         """Fall of chi2 ``(C, ...)`` for residuals ``(m, ...)``."""
@@ -54,13 +56,6 @@ class Scoring:
         """Log Bayes factors against no effect ``(C, ...)`` for residuals ``(m, ...)``."""
         gains = self.gains(residuals)
         return (gains - self.occam.reshape(-1, *[1] * (gains.ndim - 1))) / 2
-
-
-def _decomposed(signature: Array) -> tuple[Array, Array, float]:
-    left, singular, _ = np.linalg.svd(signature, full_matrices=False)
-    kept = singular > 1e-9 * max(float(singular.max(initial=0.0)), 1e-300)
-    square = singular[kept] ** 2
-    return left[:, kept], square / (square + 1), float(np.sum(np.log1p(square)))
 
 
 def best_pairs(scoring: Scoring, residuals: Array) -> list[tuple[float, tuple[int, int]]]:

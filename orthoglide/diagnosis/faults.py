@@ -277,18 +277,13 @@ def _commanded(problem: Problem, fault: Fault) -> str:
         f"the readings of this posture fit with {', or with '.join(said)}: look up the command, "
         f"and correct or drop these rows"
     )
-    alone = [LEGS[d] for d, s in fault.commands if _is_alone(problem, fault.rows, d, s)]
+    # It may be the drive where no other posture has it near, and it is off by little.
+    others = np.delete(problem.of_dials("command"), fault.rows, axis=0) - written
+    far = (np.abs(others) > _NEAR).all(axis=0)
+    alone = [LEGS[drive] for drive, size in fault.commands if abs(size) <= _NEAR and far[drive]]
     if not alone:
         return text
     return f"{text}; or drive {' or '.join(alone)} is off at this place alone: measure it again"
-
-
-def _is_alone(problem: Problem, rows: Rows, drive: int, size: float) -> bool:
-    """Whether it may be the drive: no other posture has it near, and it is off by little."""
-    if abs(size) > _NEAR:
-        return False
-    command = problem.of_dials("command")[:, drive]
-    return bool((np.abs(np.delete(command, rows) - command[rows[0]]) > _NEAR).all())
 
 
 def _listed(lines: Sequence[int]) -> str:

@@ -71,8 +71,10 @@ def fit_fault(
         best = likeliest(misread + _single(means, free) + commands, _APART)
         rival, place = means.best_effect
         if best is not None and best.evidence >= max(EVIDENCE, rival + MARGIN):
-            if best.kind == "turns" and not _exact(means, best, known):
-                return changes
+            if best.kind == "turns":  # which bend to much: they may leave no more than noise
+                after = StationMeans.anew(restored(means.problem, best), known)
+                if after is None or after.chi2 > MENDS * after.dof:
+                    return changes  # beside effects they are left to `joint_fault`
             likelier = changes and _are_changes(changes, best, means, hypotheses)
             return changes if likelier else best
         commands = []
@@ -99,14 +101,6 @@ def _are_changes(
             readings = one.change
     tried = np.log(max(len(hypotheses), 1))
     return found.weight > found.about.evidence(readings) - tried
-
-
-def _exact(means: StationMeans, fault: Fault, known: Sequence[Fault]) -> bool:
-    """Whether whole turns, which bend to much, leave no more than noise; beside effects they are
-    left to `joint_fault`.
-    """
-    after = StationMeans.anew(restored(means.problem, fault), known)
-    return after is not None and after.chi2 <= MENDS * after.dof
 
 
 def _lacking(means: StationMeans) -> bool:
@@ -147,7 +141,7 @@ def _anew(means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]) -
     fault = hypothesis.fault
     if fault.kind in FACTORS and not factor_fits(means, fault.rows, fault.size):
         return means.chi2
-    after = StationMeans.anew(hypothesis.corrected(means.problem), known)
+    after = StationMeans.anew(restored(means.problem, fault), known)
     if after is None or (fault.kind in LABELS and not hypothesis.leaves_none(means.problem, after)):
         return means.chi2
     return after.chi2

@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.diagnosis.command_faults import MENDS, commands_beside, told
-from orthoglide.diagnosis.commands import postures
+from orthoglide.diagnosis.command_faults import MENDS, commands_beside, postures, told
 from orthoglide.diagnosis.faults import Fault, likeliest, same_place, untouched
 from orthoglide.diagnosis.misreadings import (
     LABELS,
@@ -25,6 +24,7 @@ from orthoglide.diagnosis.misreadings import (
     factor_fits,
     misreadings,
     only,
+    restored,
 )
 from orthoglide.diagnosis.station_means import Explained, StationMeans
 from orthoglide.diagnosis.turns import turned
@@ -122,7 +122,7 @@ def _identified(
     means: StationMeans, hypothesis: Misreading, known: Sequence[Fault]
 ) -> Explained | None:
     """What is left once the fault is taken back and all is identified anew, if it is noise."""
-    after = StationMeans.anew(hypothesis.corrected(means.problem), known)
+    after = StationMeans.anew(restored(means.problem, hypothesis.fault), known)
     if after is None or not after.signatures.candidates:
         return None
     (explained,) = after.explained(after.residual[:, None])
@@ -131,17 +131,13 @@ def _identified(
         return None
     for place in explained.places:
         after = after.beside(place)
-    return explained if _says_so(means, after, hypothesis) else None
-
-
-def _says_so(before: StationMeans, after: StationMeans, hypothesis: Misreading) -> bool:
-    """Whether the readings themselves say the factor, beside the effects."""
-    kind, rows = hypothesis.fault.kind, hypothesis.fault.rows
-    if kind in ("command", "turns"):
-        return True
+    # The readings themselves have to say the factor, beside the effects.
+    kind, rows, says = hypothesis.fault.kind, hypothesis.fault.rows, True
     if kind in LABELS:
-        return hypothesis.leaves_none(before.problem, after)
-    shown = after.shown(only(rows, after.problem.measured))
-    # Readings made small lose their say, and whatever troubled the setup is gone with them.
-    least = _SIGMAS if kind == "unit" else 0.0
-    return float(np.linalg.norm(shown)) >= least and factor_fits(after, rows, 1.0)
+        says = hypothesis.leaves_none(means.problem, after)
+    elif kind not in ("command", "turns"):
+        shown = after.shown(only(rows, after.problem.measured))
+        # Readings made small lose their say, and whatever troubled the setup is gone with them.
+        least = _SIGMAS if kind == "unit" else 0.0
+        says = float(np.linalg.norm(shown)) >= least and factor_fits(after, rows, 1.0)
+    return explained if says else None

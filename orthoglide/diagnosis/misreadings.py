@@ -11,7 +11,7 @@ from itertools import combinations, permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.diagnosis.commands import all_put_right
+from orthoglide.diagnosis.command_faults import all_put_right
 from orthoglide.diagnosis.faults import Fault, Kind, Rows, campaign_of, in_order
 from orthoglide.diagnosis.station_means import StationMeans
 from orthoglide.fit import Problem
@@ -40,10 +40,6 @@ class Misreading:
     change: Array  # what the residual changes by once it is put right, (n,) metres
     # setups by number as they should be labelled; none where the readings are changed
     labels: Mapping[int, Setup] = field(default_factory=dict)
-
-    def corrected(self, problem: Problem) -> Problem:
-        """The problem with the fault taken back."""
-        return restored(problem, self.fault)
 
     def leaves_none(self, before: Problem, after: StationMeans) -> bool:
         """Whether labels, once put right, leave nothing of what they did before.
@@ -155,22 +151,17 @@ def _taken(problem: Problem, setup: int, leg: int, axis: int) -> bool:
     return False
 
 
-def _labelled(problem: Problem, labels: Mapping[int, Setup]) -> Problem:
-    """The problem with other labels of some setups, numbered over all campaigns."""
-    numbers = iter(range(len(problem.setups)))
-    campaigns = tuple(
-        replace(c, setups=tuple(labels.get(next(numbers), s) for s in c.setups))
-        for c in problem.campaigns
-    )
-    return replace(problem, campaigns=campaigns)
-
-
 def restored(problem: Problem, fault: Fault) -> Problem:
     """The problem with the meaning of some readings, or their command, put right."""
     if fault.commands:
         return all_put_right(problem, [fault])
     if labels := _labels(problem, fault):
-        return _labelled(problem, labels)
+        numbers = iter(range(len(problem.setups)))
+        campaigns = tuple(
+            replace(c, setups=tuple(labels.get(next(numbers), s) for s in c.setups))
+            for c in problem.campaigns
+        )
+        return replace(problem, campaigns=campaigns)
     measured = problem.measured.copy()
     if fault.kind == "shifted":
         moved, lost = _shifted(fault.rows, int(fault.size))

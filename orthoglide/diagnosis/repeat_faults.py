@@ -253,7 +253,11 @@ class Slips:
         outliers = sum(kind == "outlier" for kind, _ in found)
         if noisy or outliers > max(2, len(scatter.rows) // 6):
             return []  # a setup that scatters as a whole is no handful of slips
-        faults = [self._set_anew()] if self.zeroed else []
+        faults = []
+        if self.zeroed:
+            sizes = tuple(np.cumsum(self._past(found[1:]).datums).tolist())
+            rows, evidence = scatter.rows[scatter.starts[0] :], self._anew_evidence
+            faults.append(Fault("zeroed", rows, (scatter.setup,), evidence=evidence, sizes=sizes))
         for k, (kind, place) in enumerate(found):
             if kind == "trend" or kind == "anew":
                 continue
@@ -266,13 +270,6 @@ class Slips:
                 rows = scatter.rows[place:] if step else scatter.rows[[place]]
                 faults.append(Fault(kind, rows, (scatter.setup,), float(size), evidence))
         return faults
-
-    def _set_anew(self) -> Fault:
-        """The dial set to zero anew at each repeat, beside others that were found."""
-        scatter, rest = self.scatter, self._past(self.found[1:])
-        sizes = tuple(np.cumsum(rest.datums).tolist())
-        rows = scatter.rows[scatter.starts[0] :]
-        return Fault("zeroed", rows, (scatter.setup,), evidence=self._anew_evidence, sizes=sizes)
 
     def _smooth(self, rest: Scatter, gain: float) -> bool:
         """Whether a drift over time explains a step of some gain nearly as well."""

@@ -10,8 +10,7 @@ from orthoglide.fit import Estimate
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import INSTRUMENTS
 from orthoglide.numerals import plain
-from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
-from orthoglide.observations.approach import Ints
+from orthoglide.observations import Setup, TcpPoints
 
 _PLACES = 3  # at which most is left
 
@@ -53,48 +52,36 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
     squares = problem.weighing.whiten(estimate.residuals) ** 2
     squares = squares / max(float(squares.sum()), 1e-300)
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
-        if not isinstance(given := factor.points, TcpPoints):
-            parts = np.column_stack([given.setup, given.axis])
-            for part in np.unique(parts, axis=0):
-                own = np.flatnonzero((parts == part).all(axis=1))
-                found.append(_of_part(estimate, given, own, rows.start + own, squares))
+        if isinstance(given := factor.points, TcpPoints):
+            continue
+        parts = np.column_stack([given.setup, given.axis])
+        for part in np.unique(parts, axis=0):
+            own = np.flatnonzero((parts == part).all(axis=1))  # in the file, and among all rows
+            among = rows.start + own
+            setup, left = given.setups[part[0]], estimate.residuals[among]
+            _, at, of = np.unique(problem.station[among], return_index=True, return_inverse=True)
+            mean = np.bincount(of, given.sign[own] * left) / np.bincount(of)
+            most = np.argsort(-np.abs(mean), kind="stable")
+            where = own[at[most]]
+            _, fresh = np.unique(given.command[where], axis=0, return_index=True)
+            worst = where[np.sort(fresh)[:_PLACES]]
+            leg = setup.leg if isinstance(setup, Setup) else -1
+            nominal = problem.machine.with_only({})
+            places = nominal.forward(given.command[worst]) * 1e3 if leg < 0 else ()
+            one = SetupRest(
+                setup=setup.name,
+                kind=setup.kind,
+                leg=leg,
+                axis=int(part[1]),
+                share=float(squares[among].sum()),
+                rms=float(np.sqrt(np.mean(left**2))),
+                most=float(mean[most[0]]),
+                posture=given.posture[worst[0]],
+                command=given.command[worst[0]],
+                where=tuple(
+                    ", ".join(f"{name} {plain(v, 0)}" for name, v in zip(LEGS, p, strict=True))
+                    for p in places
+                ),
+            )
+            found.append(one)
     return tuple(sorted(found, key=lambda one: -one.share))
-
-
-def _of_part(
-    estimate: Estimate, given: Campaign | ToolCampaign, own: Ints, rows: Ints, squares: Array
-) -> SetupRest:
-    """Of readings of one mounting along one axis.
-
-    Args:
-        estimate: the fit.
-        given: the file that they are of.
-        own: their rows in it ``(k,)``.
-        rows: the same among all rows ``(k,)``.
-        squares: share of each row in all that is left ``(n,)``.
-    """
-    setup, left = given.setups[given.setup[own[0]]], estimate.residuals[rows]
-    _, at, of = np.unique(estimate.problem.station[rows], return_index=True, return_inverse=True)
-    mean = np.bincount(of, given.sign[own] * left) / np.bincount(of)
-    most = np.argsort(-np.abs(mean), kind="stable")
-    where = own[at[most]]
-    _, fresh = np.unique(given.command[where], axis=0, return_index=True)
-    worst = where[np.sort(fresh)[:_PLACES]]
-    leg = setup.leg if isinstance(setup, Setup) else -1
-    nominal = estimate.problem.machine.with_only({})
-    places = nominal.forward(given.command[worst]) * 1e3 if leg < 0 else ()
-    return SetupRest(
-        setup=setup.name,
-        kind=setup.kind,
-        leg=leg,
-        axis=int(given.axis[own[0]]),
-        share=float(squares[rows].sum()),
-        rms=float(np.sqrt(np.mean(left**2))),
-        most=float(mean[most[0]]),
-        posture=given.posture[worst[0]],
-        command=given.command[worst[0]],
-        where=tuple(
-            ", ".join(f"{name} {plain(v, 0)}" for name, v in zip(LEGS, p, strict=True))
-            for p in places
-        ),
-    )

@@ -36,7 +36,12 @@ def stuck_faults(base: Signatures, means: StationMeans, setups: Sequence[Scatter
             continue
         if np.ptp(left_by_others(base, run)) < least:
             continue
-        repeats = max(_by_repeats(setups[setup], run, scale), 0.0)
+        # Earlier visits to the same stations.
+        scatter, repeats = setups[setup], 0.0
+        rest = scatter.only(~np.isin(scatter.rows, run))
+        if size := scatter.dof - rest.dof:
+            fall = scatter.chi2 - rest.chi2
+            repeats = max(float(scatter.evidence(fall, size, scale)) - size, 0.0)
         fit, missed = _by_fit(base, means, run)
         fit = fit + _by_scatter(problem, setups, setup, run) if missed >= least else 0.0
         evidence = repeats + max(fit, 0.0) - float(np.log(len(runs)))
@@ -70,15 +75,6 @@ def left_by_others(base: Signatures, run: Rows, effects: Sequence[int] = ()) -> 
     fitted = columns[: base.count] @ (vectors[:, kept] @ (along / values[kept]))
     weighing = base.estimate.nuisance.weighing
     return np.asarray(weighing.metres(rest[: base.count] - fitted)[run])
-
-
-def _by_repeats(scatter: Scatter, run: Rows, scale: float) -> float:
-    """Evidence of earlier visits to the same stations."""
-    rest = scatter.only(~np.isin(scatter.rows, run))
-    size = scatter.dof - rest.dof
-    if not size:
-        return 0.0
-    return float(scatter.evidence(scatter.chi2 - rest.chi2, size, scale)) - size
 
 
 def _by_fit(base: Signatures, means: StationMeans, run: Rows) -> tuple[float, float]:

@@ -41,22 +41,23 @@ def turned(means: StationMeans, setups: Sequence[int]) -> list[Misreading]:
     each = {s: in_order(problem, s) for s in setups}
     by_others = {s: left_by_others(base, own) for s, own in each.items()}
     found: dict[bytes, Misreading] = {}
+    least, most = _DIVISIONS
     for turn in TURNS:
-        rows = {s: own for s, own in each.items() if _may_be(turn, float(problem.step[own].max()))}
+        # What the hand of a dial of some step, 0 where there is none, may show by a turn.
+        steps = {s: float(problem.step[own].max()) for s, own in each.items()}
+        rows = {s: each[s] for s, d in steps.items() if not d or least <= turn / d <= most}
         alone = np.zeros((len(rows), len(problem.measured)))
         for off, (s, own) in zip(alone, rows.items(), strict=True):
             off[own] = turn * _whole(by_others[s], turn)
         for off in (*alone, _together(base, rows, turn)):
             if off.any():
-                fault = _fault(problem, rows, off, turn)
+                hit = tuple(s for s, own in rows.items() if off[own].any())
+                tried = sum(_tried(problem, rows[s], off[rows[s]], turn) for s in hit)
+                spoilt = np.flatnonzero(off)
+                sizes = tuple(off[spoilt].tolist())
+                fault = Fault("turns", spoilt, hit, turn, -tried, sizes=sizes)
                 found.setdefault((np.round(off, _SAME) + 0.0).tobytes(), Misreading(fault, -off))
     return list(found.values())
-
-
-def _may_be(turn: float, step: float) -> bool:
-    """Whether the hand of a dial of some step, 0 where there is none, may show that by a turn."""
-    least, most = _DIVISIONS
-    return not step or least <= turn / step <= most
 
 
 def _whole(left: Array, turn: float) -> Array:
@@ -84,14 +85,6 @@ def _together(base: Signatures, rows: Mapping[int, Rows], turn: float) -> Array:
         fitted = (base.residual - base.whiten(off))[: base.count]
         left, before = off + estimate.nuisance.weighing.metres(fitted), off
     return np.zeros(len(left))
-
-
-def _fault(problem: Problem, rows: Mapping[int, Rows], off: Array, turn: float) -> Fault:
-    """The hypothesis that readings are so far off ``(n,)``, metres."""
-    setups = tuple(s for s, own in rows.items() if off[own].any())
-    tried = sum(_tried(problem, rows[s], off[rows[s]], turn) for s in setups)
-    spoilt = np.flatnonzero(off)
-    return Fault("turns", spoilt, setups, turn, -tried, sizes=tuple(off[spoilt].tolist()))
 
 
 def _tried(problem: Problem, own: Rows, off: Array, turn: float) -> float:

@@ -16,8 +16,7 @@ from orthoglide.fit.identifying import (
 from orthoglide.fit.noise import Noise as Noise, noise_of as noise_of
 from orthoglide.fit.problem import Problem as Problem
 from orthoglide.fit.scores import Scores as Scores
-from orthoglide.fit.solving import solve as solve
-from orthoglide.fit.tempering import tempered as tempered
+from orthoglide.fit.solving import solve as solve, tempered as tempered
 from orthoglide.fit.unknowns import (
     build_problem as build_problem,
     with_free as with_free,

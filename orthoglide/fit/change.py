@@ -11,7 +11,6 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.problem import Problem
 from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
@@ -92,16 +91,13 @@ class Change:
     def _told(self, others: str) -> str:
         unit = self.unit.spoken
         decimals = decimals_for(self.sigma / unit.si, most=9)
-        if self.vague:
-            by = signed((self.after - self.before) / unit.si, decimals)
-            return (
-                f"the {parameter_words(self.parameter)}{others} changed by {by} {unit.name} "
-                f"(± {compact(self.sigma / unit.si, 2)})"
-            )
         before, after = (plain(v / unit.si, decimals) for v in (self.before, self.after))
+        size = f"from {before} to {after}"
+        if self.vague:
+            size = f"by {signed((self.after - self.before) / unit.si, decimals)}"
         return (
-            f"the {parameter_words(self.parameter)}{others} changed from {before} to {after} "
-            f"{unit.name} (± {compact(self.sigma / unit.si, 2)})"
+            f"the {parameter_words(self.parameter)}{others} changed {size} {unit.name} "
+            f"(± {compact(self.sigma / unit.si, 2)})"
         )
 
     @property
@@ -168,11 +164,14 @@ class Change:
         The search knows by how much it changed with everything open, the fit with all else as
         small as it was found to be; where it says another size, it has that wrong.
         """
+        names = estimate.problem.names
         for name in self.members:
-            pair = _either_side(estimate.problem, name, self.since)
-            if pair is None:
+            places = [k for k, n in enumerate(names) if n.plain == name]
+            pair = [p for p in pairwise(places) if names[p[1]] == f"{name}@{self.since}"]
+            if not pair:
                 continue
-            (before, after), spread = estimate.x[pair], estimate.covariance[np.ix_(pair, pair)]
+            at = list(pair[0])  # before the change, and after
+            (before, after), spread = estimate.x[at], estimate.covariance[np.ix_(at, at)]
             first = self.members.index(name)
             size = self.sizes[first]
             ratio = abs(size / self.sizes[0])
@@ -209,12 +208,3 @@ def summed_of(members: tuple[Parameter, ...], catalogue: Catalogue) -> tuple[Par
 
     alike = tuple(name for name in members if place(name) == place(members[0]))
     return members[:1] if of(members[0]).name in catalogue.base else alike
-
-
-def _either_side(problem: Problem, name: str, since: str) -> list[int] | None:
-    """Places of the unknowns before and after a change."""
-    places = [k for k, n in enumerate(problem.names) if n.plain == name]
-    for one, other in pairwise(places):
-        if problem.names[other] == f"{name}@{since}":
-            return [one, other]
-    return None

@@ -76,7 +76,7 @@ class Hypotheses:
             alone[order],
             sizes,
             sigmas,
-            self._among(state, weight),
+            self._among(state, weight, sizes, sigmas),
             tuple({place: sizes[k]} | self._rivals(state, k) for k, (place, _) in enumerate(state)),
             weight,
         )
@@ -183,11 +183,10 @@ class Hypotheses:
         scale = max(self.floor, left / self.dof)
         return np.asarray(spread @ self.met[at]), np.sqrt(scale * np.diag(spread))
 
-    def _among(self, state: State, weight: float) -> Array:
+    def _among(self, state: State, weight: float, sizes: Array, sigmas: Array) -> Array:
         """What the sets next to this one add to the sigma of each size ``(k,)``: those with one
         more, one less, or another in place of one, as likely as they are.
         """
-        sizes, sigmas = self._sizes(state)
         more, total = np.zeros(len(state)), np.ones(len(state))
         for near, other in self._next_to(state, weight):
             likely, at = np.exp(other - weight), [place for place, _ in near]

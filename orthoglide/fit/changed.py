@@ -122,19 +122,6 @@ def _moved(found: Found, candidates: Sequence[Candidate]) -> Iterator[Moved]:
         yield Moved(sizes, sigma, float(among) * unit, float(evidence))
 
 
-def _columns(problem: Problem, jacobian: Array, candidates: Sequence[Candidate]) -> Array:
-    """Readings ``(n, c)`` by a tolerance of each candidate, metres.
-
-    Args:
-        problem: whose unknowns they are.
-        jacobian: of its readings ``(n, P)``.
-        candidates: what may have changed.
-    """
-    weights = weight_matrix(problem.names, [c.weights for c in candidates])
-    since = np.array([c.since for c in candidates], dtype=np.intp)
-    return np.asarray(jacobian @ weights * (np.arange(len(jacobian))[:, None] >= since))
-
-
 @dataclass(frozen=True, eq=False)
 class Linear:
     """The readings about one point, whitened and past datums and placements."""
@@ -165,7 +152,10 @@ class Linear:
         root = np.asarray(np.linalg.inv(here.prior * scale))
         known = np.asarray(root @ here.target)
         jacobian = here.jacobian * scale
-        columns = nuisance.project(_columns(problem, at.jacobian, candidates))
+        weights = weight_matrix(problem.names, [c.weights for c in candidates])
+        since = np.array([c.since for c in candidates], dtype=np.intp)
+        after = np.arange(len(at.jacobian))[:, None] >= since
+        columns = nuisance.project(at.jacobian @ weights * after)
         residual = here.residual + jacobian @ (x / scale - known) + columns @ sizes
         return cls(
             problem, candidates, columns, residual, jacobian @ root, root, known, nuisance, floor

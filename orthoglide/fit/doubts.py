@@ -30,9 +30,7 @@ from orthoglide.fit.unknowns import with_free
 from orthoglide.geometry import Array
 from orthoglide.machine_file import Dial
 from orthoglide.observations import Campaign, ToolCampaign, source
-
-INCH = 25.4
-"""Millimetres."""
+from orthoglide.units import INCH
 
 _FEWEST = 8  # different readings: by chance one in eight is on the grid
 _MOST = 10  # points of the tool that may have slipped

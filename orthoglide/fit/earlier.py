@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
 from orthoglide.fit.change import Change, summed_of
 from orthoglide.fit.change_search import WIDTHS
 from orthoglide.fit.changed import Candidate, Changed, may_change, what_changed
@@ -23,7 +22,6 @@ from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.unknowns import one_plate, with_free
-from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Posterior
 from orthoglide.parameters import Parameter
 
@@ -36,12 +34,6 @@ _VAGUE = {
     "averaged_over": "could not tell causes apart ({} among them) and has their average",
     "located": "has a curve for what it had no name for ({})",
 }
-
-
-def earlier_of(machine: Machine) -> Posterior | None:
-    """What an earlier calibration says of a machine; ``None`` where its file gives no sigmas."""
-    known = machine.posterior
-    return known if np.diag(known.covariance).any() else None
 
 
 def vague(spec: MachineFile) -> str:
@@ -84,11 +76,14 @@ def _found(estimate: Estimate, known: Posterior) -> Changed | None:
 
 
 def _changed(estimate: Estimate, known: Posterior, bent: float) -> Changed | None:
+    """Of what was calibrated, and without dials of plates and patterns of equal legs too."""
     first = estimate.problem
-    wide = _beside_plates(first, bent)
-    candidates = list(_candidates(wide, first, known))
-    if not candidates:
+    names = [name for name in first.names if name in known.names]
+    if not names:
         return None
+    wide = _beside_plates(first, bent)
+    several = may_change(wide, [*names, *wide.names[len(first.names) :]])
+    candidates = [Candidate(n, 0, s, wide.machine.tolerance(n)) for n, s in several.items()]
     return what_changed(wide, wide.padded(estimate.x), candidates)
 
 
@@ -103,16 +98,6 @@ def _beside_plates(problem: Problem, bent: float) -> Problem:
     added = one_plate(wide.unknowns[len(problem.unknowns) :], problem.machine.catalogue)
     narrow = (replace(unknown, width=bent) for unknown in added)
     return replace(problem, unknowns=(*problem.unknowns, *narrow))
-
-
-def _candidates(wide: Problem, first: Problem, known: Posterior) -> Iterator[Candidate]:
-    """What was calibrated, and without dials plates and patterns of equal legs too."""
-    names = [name for name in first.names if name in known.names]
-    if not names:
-        return
-    shapes = wide.names[len(first.names) :]
-    for name, shares in may_change(wide, [*names, *shapes]).items():
-        yield Candidate(name, 0, shares, wide.machine.tolerance(name))
 
 
 def _let_go(problem: Problem, left: Posterior, names: Collection[Parameter]) -> Problem:
@@ -139,14 +124,21 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             summed = summed_of(tuple(one.sizes), catalogue)
             places = [now.names.index(name) for name in summed]
             before, apart = _before(known, left, now, summed)
-            unseen = _alone(known, summed)
+            unseen = 0.0
+            if known.alone is not None:  # were it alone off by about its tolerance then
+                several = (known.alone[known.names.index(name)] for name in summed)
+                unseen = float(np.sqrt(max(several)))
             apart = math.hypot(apart, unseen, one.among)
             sigma = float(np.sqrt(now.covariance[np.ix_(places, places)].sum()))
             after = float(now.x[places].sum())
             if average:  # the search knows by how much, from what no average does
                 before, apart = after - next(iter(one.sizes.values())), one.sigma
         else:
-            before = _pattern_before(known, one.parameter, catalogue)
+            before = 0.0  # of a plate, which was taken for flat; of a pattern its share
+            if not catalogue.effect_of(one.parameter).plate:
+                weights = catalogue.elementary(one.parameter)
+                shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
+                before = float(sum(shares) / sum(w * w for w in weights.values()))
             place = [n.plain for n in now.problem.names].index(one.parameter)
             after = before + float(now.x[place])
             sigma = float(np.sqrt(now.covariance[place, place]))
@@ -156,22 +148,6 @@ def _changes(known: Posterior, left: Posterior, now: Estimate, found: Changed) -
             before, after, apart, sigma, tuple(one.sizes.values()), unseen=unseen,
             vague=average,
         )  # fmt: skip
-
-
-def _alone(known: Posterior, members: tuple[Parameter, ...]) -> float:
-    """Sigma of a sum at the earlier calibration, were it alone off by about its tolerance."""
-    if known.alone is None:
-        return 0.0
-    return float(np.sqrt(max(known.alone[known.names.index(name)] for name in members)))
-
-
-def _pattern_before(known: Posterior, name: Parameter, catalogue: Catalogue) -> float:
-    """Share of a pattern in what was calibrated; none of a plate, which was taken for flat."""
-    if catalogue.effect_of(name).plate:
-        return 0.0
-    weights = catalogue.elementary(name)
-    shares = (w * known.mean[known.names.index(part)] for part, w in weights.items())
-    return float(sum(shares) / sum(w * w for w in weights.values()))
 
 
 def _before(

@@ -145,11 +145,8 @@ class Estimate(Framed):
 
     def machine_of(self, campaign: int) -> Machine:
         """The calibrated machine as one campaign saw it; dials are left out."""
-        names, matrix = self.problem.elementary(campaign)
-        catalogue = self.problem.machine.catalogue
-        kept = [k for k, n in enumerate(names) if not catalogue.effect_of(n).of_dial]
         found = Posterior(self.names, self.x, self.covariance)
-        found = found.mapped([names[k] for k in kept], matrix[kept])
+        found = found.mapped(*self.problem.of_machine(campaign))
         start = self.problem.machine
         values = {**start.values, **dict(zip(found.names, found.mean.tolist(), strict=True))}
         return start.with_posterior(values, found.joined(start.posterior))

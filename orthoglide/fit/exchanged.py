@@ -11,7 +11,7 @@ from orthoglide.errors import InputError, NumericsError
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import solve
-from orthoglide.observations import Campaign, source
+from orthoglide.observations import source
 
 _FAR = 20.0
 """Times the noise by which an exchange is off, and more: a machine's own errors are rarely."""
@@ -48,20 +48,12 @@ def check_columns(estimate: Estimate) -> None:
 
 def _off(problem: Problem, some: tuple[int, ...], order: tuple[int, ...]) -> float:
     """Times the noise by which readings are off with some campaigns' drives exchanged."""
-    campaigns = tuple(
-        _exchanged(c, list(order)) if k in some else c for k, c in enumerate(problem.campaigns)
-    )
+    campaigns, at = list(problem.campaigns), list(order)
+    for k in some:
+        c = campaigns[k]
+        moves = replace(c.moves, command=c.moves.command[:, at])
+        campaigns[k] = replace(c, command=c.command[:, at], approach=c.approach[:, at], moves=moves)
     try:
-        return solve(replace(problem, campaigns=campaigns), method="nested").sigma_scale
+        return solve(replace(problem, campaigns=tuple(campaigns)), method="nested").sigma_scale
     except NumericsError:
         return np.inf
-
-
-def _exchanged(campaign: Campaign, order: list[int]) -> Campaign:
-    """A campaign whose k-th drive was commanded as the file has it of another."""
-    return replace(
-        campaign,
-        command=campaign.command[:, order],
-        approach=campaign.approach[:, order],
-        moves=replace(campaign.moves, command=campaign.moves.command[:, order]),
-    )

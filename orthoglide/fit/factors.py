@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects import Effect
-from orthoglide.fit.instrument_frame import turned_near
+from orthoglide.fit.instrument_frame import SMALL
 from orthoglide.fit.noise import NoiseSource
-from orthoglide.geometry import Array, small_turns
+from orthoglide.geometry import Array, moved_onto, small_turns
 from orthoglide.observations import Campaign, Recorded, TcpPoints
 from orthoglide.observations.approach import Ints
 from orthoglide.prediction import Conditions, LinearRows, Model
@@ -209,8 +209,13 @@ class TcpReadings:
         """The same with the frame turned to where a machine has each row's point ``(n, 3)``."""
         if self.frame != "rigid" or not self.known.all():
             return self
-        near = turned_near(self.points.p, slopes[::3], heard(self.declared))
-        return self if near is None else replace(self, points=replace(self.points, p=near))
+        measured, known = self.points.p, heard(self.declared)
+        near = moved_onto(measured, measured[known], slopes[::3][known])
+        centred = measured - measured.mean(axis=0)
+        turned = np.linalg.norm(near - near.mean(axis=0) - centred)
+        if turned <= SMALL * np.linalg.norm(centred):
+            return self
+        return replace(self, points=replace(self.points, p=near))
 
     @property
     def stations(self) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.errors import InputError, check_list, check_word
 from orthoglide.fit.doubts import check_slips, check_units
-from orthoglide.fit.earlier import account_for_changes, earlier_of
+from orthoglide.fit.earlier import account_for_changes
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.exchanged import check_columns
 from orthoglide.fit.factors import Frame, TcpReadings
@@ -127,7 +127,9 @@ def assemble(
     check_word("frame", frame, get_args(Frame))
     check_list("free", free)
     check_list("own", own)
-    campaigns, points = _apart(_listed(given))
+    read = _listed(given)
+    campaigns = [r for r in read if isinstance(r, Campaign)]
+    points = [r for r in read if not isinstance(r, Campaign)]
     check_units(campaigns, machine.spec.dial)
     level = noise_of(campaigns, machine.spec.dial, noise)
     readings = [_beside(p, machine, frame, None if campaigns else noise) for p in points]
@@ -138,9 +140,10 @@ def assemble(
         told = all(np.isfinite(p.sigma).all() for p in points)
         typical = float(np.sqrt(np.mean(sigma**2)))
         level = replace(level, typical=typical, source="declared" if told else level.source)
+    known = machine.posterior  # an earlier calibration says nothing where its file gives no sigmas
     return build_problem(
         machine, campaigns, free, level, own=own, priors=priors, bounds=bounds, points=readings,
-        earlier=earlier_of(machine) if priors else None,
+        earlier=known if priors and np.diag(known.covariance).any() else None,
     )  # fmt: skip
 
 
@@ -152,12 +155,7 @@ def sorted_out(
     Raises:
         InputError: where there is neither, or a file cannot be read.
     """
-    return _apart(_read(given, machine))
-
-
-def _apart(
-    read: Sequence[Read],
-) -> tuple[tuple[Campaign, ...], tuple[TcpPoints | ToolCampaign, ...]]:
+    read = _read(given, machine)
     campaigns = tuple(r for r in read if isinstance(r, Campaign))
     return campaigns, tuple(r for r in read if not isinstance(r, Campaign))
 
@@ -233,21 +231,18 @@ def _beside(
     return TcpReadings(points, frame)
 
 
-def _averaged(campaign: Campaign) -> Campaign:
-    """One row a setup and posture, as the papers average their repeats."""
-    table = np.column_stack([campaign.setup, campaign.command])
-    _, first, station = np.unique(table, axis=0, return_index=True, return_inverse=True)
-    station = station.reshape(-1)
-    mean = np.bincount(station, campaign.reading) / np.bincount(station)
-    kept = np.sort(first)
-    return campaign.subset(kept).with_readings(mean[station[kept]])
-
-
 def _anchored(problem: Problem) -> Problem:
     """Averaged readings, equal weights, each setup's first posture and the dials' places exact."""
-    campaigns = tuple(_averaged(c) for c in problem.campaigns)
-    sigmas = []
-    for campaign in campaigns:
+    campaigns, sigmas = [], []
+    for every in problem.campaigns:
+        # One row a setup and posture, as the papers average their repeats.
+        table = np.column_stack([every.setup, every.command])
+        _, first, station = np.unique(table, axis=0, return_index=True, return_inverse=True)
+        station = station.reshape(-1)
+        mean = np.bincount(station, every.reading) / np.bincount(station)
+        kept = np.sort(first)
+        campaign = every.subset(kept).with_readings(mean[station[kept]])
+        campaigns.append(campaign)
         sigma = np.full(len(campaign), problem.noise.typical)
         _, first = np.unique(campaign.setup, return_index=True)
         sigma[first] *= _EXACT
@@ -255,4 +250,4 @@ def _anchored(problem: Problem) -> Problem:
     none = tuple(np.zeros(len(s)) for s in sigmas)
     step = tuple(np.full(len(s), problem.noise.resolution) for s in sigmas)
     noise = replace(problem.noise, sigma=tuple(sigmas), common=none, step=step)
-    return replace(problem, campaigns=campaigns, noise=noise, placement=0.0)
+    return replace(problem, campaigns=tuple(campaigns), noise=noise, placement=0.0)

@@ -89,16 +89,6 @@ def frame_of(
     return np.asarray(turn)
 
 
-def turned_near(measured: Array, p: Array, known: NDArray[np.bool_]) -> Array | None:
-    """Points ``(m, 3)`` moved near others, by those that are known ``(m,)``; ``None`` where no turn
-    worth mention brings them.
-    """
-    near = moved_onto(measured, measured[known], p[known])
-    centred = measured - measured.mean(axis=0)
-    turned = np.linalg.norm(near - near.mean(axis=0) - centred)
-    return near if turned > SMALL * np.linalg.norm(centred) else None
-
-
 def centre_of(p: Array, distance: Array, near: Array | None = None) -> Array:
     """Centre of the sphere on which points ``(n, 3)`` lie at about these distances ``(n,)``.
 

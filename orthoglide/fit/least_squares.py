@@ -167,11 +167,6 @@ class Normal:
         hat = np.linalg.lstsq(full, data, rcond=1e-14)[0]
         return np.asarray(np.clip(np.linalg.eigvals(hat).real, 0.0, 1.0))
 
-    @property
-    def determined(self) -> float:
-        """How many of the unknowns the data determine: the trace of the hat matrix."""
-        return float(np.sum(self.shares))
-
 
 def normal(problem: Problem, at: Linearised, nuisance: Nuisances) -> Normal:
     """The projected problem at a linearisation."""

@@ -52,16 +52,16 @@ def loud_dials(estimate: Estimate) -> Iterator[Note]:
     rather_all = 2 * len(loud) >= len(every) > 1 or len(loud) > _FEW or _is_loud(rest, _ALIKE, 1.0)
     if rather_all or (not loud and _is_loud(every)):
         yield Note(
-            f"repeats of the dials scatter by {_size(every)} mm, where {figure}: "
-            f"{remedy}, or look for what is loose",
+            f"repeats of the dials scatter by {compact(_scatter(every) * 1e3, 2)} mm, where "
+            f"{figure}: {remedy}, or look for what is loose",
             "scatter",
         )
         return
     for one in loud:
         yield Note(
-            f"{one.where}: repeats scatter by {_size([one])} mm, where {figure}, which those of "
-            f"other setups agree with: look for what is loose on this dial, its stand and its leg, "
-            f"and read the setup again",
+            f"{one.where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} mm, where "
+            f"{figure}, which those of other setups agree with: look for what is loose on this "
+            f"dial, its stand and its leg, and read the setup again",
             "scatter",
         )
 
@@ -122,11 +122,6 @@ def _is_loud(several: Sequence[_Repeats], chance: float = _CHANCE, times: float 
         return False
     square = sum(float(np.sum(one.apart**2)) / 2 / one.sigma**2 for one in several) / count
     return bool(square > times**2 and chdtrc(dof, dof * square) < chance)
-
-
-def _size(several: Sequence[_Repeats]) -> str:
-    """The same in words, millimetres."""
-    return compact(_scatter(several) * 1e3, 2)
 
 
 def _scatter(several: Sequence[_Repeats]) -> float:

@@ -82,8 +82,9 @@ def _unit(left: Array) -> str:
         return ""
     factor = float(_FACTORS[best])
     return (
-        f"the readings are {_off(left[0])} off what this machine can give, and fit once they are "
-        f"multiplied by {factor:.4g}, so they seem to be {MISTAKEN[factor]}: give millimetres"
+        f"the readings are {compact(left[0] * 1e3, 2)} mm rms off what this machine can give, and "
+        f"fit once they are multiplied by {factor:.4g}, so they seem to be {MISTAKEN[factor]}: "
+        f"give millimetres"
     )
 
 
@@ -118,9 +119,9 @@ def _frame(p: Array, axis: Ints, value: Array, turn_sd: float = 0.0) -> str:
         return _unit(plain)
     also = "" if factor == 1 else f", and they are {MISTAKEN[factor]}"
     return (
-        f"the coordinates are {_off(plain[0])} off where this machine can be: the frame of the "
-        f"instrument is {'left-handed' if mirrored else 'turned'}{shown}{also}; give the "
-        f"coordinates along the machine's axes"
+        f"the coordinates are {compact(plain[0] * 1e3, 2)} mm rms off where this machine can be: "
+        f"the frame of the instrument is {'left-handed' if mirrored else 'turned'}{shown}{also}; "
+        f"give the coordinates along the machine's axes"
     )
 
 
@@ -171,10 +172,6 @@ def _off_sphere(p: Array, distance: Array) -> tuple[float, float]:
 
 def _rms(rest: Array) -> float:
     return float(np.sqrt(np.mean(rest**2)))
-
-
-def _off(far: float) -> str:
-    return f"{compact(far * 1e3, 2)} mm rms"
 
 
 def _axis(row: Array) -> str:

@@ -47,7 +47,9 @@ def solve_nested(
         if slope <= _SETTLED and here.cost > cost * (1 - _FLAT):
             return at, iteration
         step = np.zeros(len(at.x))
-        step[free] = _solve(here.information[np.ix_(free, free)], -here.gradient[free], scale)
+        inner = here.information[np.ix_(free, free)] * scale * scale[:, None]
+        right = -here.gradient[free] * scale
+        step[free] = scale * np.linalg.lstsq(inner, right, rcond=1e-14)[0]
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
         if size > _SETTLED and size > _SLOW * previous:
             step[free] = _newton_step(problem, nuisance, here, free, scale)
@@ -61,11 +63,6 @@ def solve_nested(
         "the identification did not settle; free fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},
     )
-
-
-def _solve(matrix: Array, right: Array, scale: Array) -> Array:
-    scaled = matrix * scale * scale[:, None]
-    return np.asarray(scale * np.linalg.lstsq(scaled, right * scale, rcond=1e-14)[0])
 
 
 def _newton_step(

@@ -12,7 +12,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.errors import SolverError
 from orthoglide.fit.factors import DialReadings, TcpReadings
@@ -21,7 +20,7 @@ from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.mechanism.functions import LINES, TCP, closure_functions
-from orthoglide.prediction import Conditions, Model
+from orthoglide.prediction import Model
 from orthoglide.prediction.dial import mountings
 
 _OPTIONS: dict[str, Any] = {
@@ -66,10 +65,12 @@ class Nlp:
         self._unit = float(np.median(problem.sigma))  # of readings, datums and closures
         self._turn = self._unit / problem.machine.geometry.L  # of angles
         # Distinct postures of each factor, and where its rows (or points) find theirs.
-        self._postures = [_distinct(problem, k) for k in range(len(problem.factors))]
-        self._functions = closure_functions(
-            problem.machine.model.mechanism.tree, problem.machine.model.mechanism.tree.free
-        )
+        model, tree = problem.machine.model, problem.machine.model.mechanism.tree
+        self._postures = [
+            model.merged(f.conditions(), [*problem.elementary(k)[0], *problem.held[k]])
+            for k, f in enumerate(problem.factors)
+        ]
+        self._functions = closure_functions(tree, tree.free)
         self.postures = sum(len(conditions) for conditions, _ in self._postures)
         x = ca.MX.sym("x", len(problem.unknowns))
         joints = ca.MX.sym("joints", 21, self.postures)
@@ -116,7 +117,8 @@ class Nlp:
             if isinstance(factor, DialReadings):
                 rows.append(_dials(model, factor, outputs, place, values))
             elif isinstance(factor, TcpReadings):
-                rows.append(_coordinates(factor, outputs, place))
+                flat = 3 * place[factor.point] + factor.setup
+                rows.append(ca.vec(outputs[TCP, :])[flat.tolist()])
             first += count
         return ca.horzcat(*closures), ca.vertcat(*rows)
 
@@ -175,12 +177,6 @@ def _weighed(rows: Any, weighing: Weighing) -> Any:
     return ca.sparsify(matrix) @ rows
 
 
-def _distinct(problem: Problem, factor: int) -> tuple[Conditions, NDArray[Any]]:
-    names, _ = problem.elementary(factor)
-    every = problem.factors[factor].conditions()
-    return problem.machine.model.merged(every, [*names, *problem.held[factor]])
-
-
 def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
     """All parameters of a factor's machine and dials, as MX."""
     names, matrix = problem.elementary(factor)
@@ -204,9 +200,3 @@ def _dials(model: Model, factor: DialReadings, outputs: Any, place: Any, values:
         by_setup.append(ca.vertcat(*[values.get(name, ca.MX(0)) for name in own]))
     dials = ca.horzcat(*by_setup)[:, campaign.setup.tolist()]
     return model.reading.map(len(campaign))(ends, mounting, dials).T
-
-
-def _coordinates(factor: TcpReadings, outputs: Any, place: Any) -> Any:
-    """Measured coordinates ``(n, 1)`` of TCP points, as MX."""
-    flat = 3 * place[factor.point] + factor.setup
-    return ca.vec(outputs[TCP, :])[flat.tolist()]

@@ -73,7 +73,6 @@ class _Level:
     step: float  # of the dials that it was found for, metres
     source: NoiseSource  # where it comes from
     dof: float = float("inf")  # degrees of freedom behind it
-    rows_count: bool = True  # whether `sigma_mm` of the rows goes before
 
     def at(self, step: Array) -> Array:
         """The same of dials of other steps."""
@@ -111,13 +110,18 @@ def noise_of(
     level = _level(fine, replace(dial, resolution=finest), declared)
     # What is declared may be told of readings that were averaged, or never rounded.
     told = level.source == "declared"
-    shown = [s * _is_rounded(c, s) for c, s in zip(campaigns, steps, strict=True)]
+    # Whether all are multiples of their dials' steps; those not taken yet will be.
+    shown = [
+        s * bool(s.all() and not (off_grid(c.reading, s) > OFF_GRID).any())
+        for c, s in zip(campaigns, steps, strict=True)
+    ]
     counted = commonest if not told or any(s.any() for s in shown) else 0.0
     typical = float(level.at(np.array([counted]))[0])
-    again = repeated(campaigns)
+    # Whether any station is visited twice from the same side.
+    again = any(len(np.unique(c.stations, axis=0)) < len(c) for c in campaigns)
     sigmas, commons = [], []
     for campaign, size, own in zip(campaigns, steps, shown, strict=True):
-        given = np.isfinite(campaign.sigma) & level.rows_count
+        given = np.isfinite(campaign.sigma) & (declared is None)
         rounding = np.where(given | told, own, size)
         total = level.at(rounding)
         common = _common(total, rounding) if again else np.zeros(len(campaign))
@@ -131,13 +135,6 @@ def noise_of(
         tuple(sigmas), typical, level.source, tuple(commons), tuple(steps), commonest, level.dof,
         level.total if told else float("nan"),
     )  # fmt: skip
-
-
-def _is_rounded(campaign: Campaign, step: Array) -> bool:
-    """Whether all readings are multiples of their dials' steps; those not taken yet will be."""
-    if not step.all():
-        return False
-    return not (off_grid(campaign.reading, step) > OFF_GRID).any()
 
 
 def _common(total: Array, step: Array) -> Array:
@@ -315,11 +312,6 @@ def repeat_steps(campaign: Recorded) -> Array:
     return np.asarray(np.diff(campaign.reading[order])[same])
 
 
-def repeated(campaigns: Sequence[Campaign]) -> bool:
-    """Whether any station is visited twice from the same side."""
-    return any(len(np.unique(c.stations, axis=0)) < len(c) for c in campaigns)
-
-
 def check_noise(noise: float, least: float = NOISE[0]) -> float:
     """The noise, a zero without its sign; refuses what no instrument scatters by, such as
     millimetres taken for metres.
@@ -338,7 +330,7 @@ def check_noise(noise: float, least: float = NOISE[0]) -> float:
 def _level(campaigns: Sequence[Campaign], dial: Dial, declared: float | None) -> _Level:
     step, rounding = dial.resolution, dial.resolution**2 / 12
     if declared is not None:
-        return _Level(check_noise(declared), 0.0, "declared", rows_count=False)
+        return _Level(check_noise(declared), 0.0, "declared")
     given = np.concatenate([np.zeros(0), *(c.sigma for c in campaigns)])
     if len(given) and np.isfinite(given).all():
         return _Level(float(np.sqrt(np.mean(given**2))), 0.0, "declared")

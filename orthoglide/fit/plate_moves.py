@@ -58,7 +58,7 @@ class PlateMove:
             size = plain(abs(self.higher) * 1e3, 2)
             said.append(f"lies {size} mm {'higher' if self.higher > 0 else 'lower'} than before")
         if self.leans:
-            size, where = plain(self.rise * 1e3, 2), f"{self.toward % 360:.0f} degrees"
+            size, where = plain(self.rise * 1e3, 2), f"{self.toward:.0f} degrees"
             said.append(
                 f"is tilted against before: its rim rises by {size} mm toward {where} (x is 0, "
                 f"y is 90)"

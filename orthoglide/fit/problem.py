@@ -294,6 +294,12 @@ class Problem:
         names = tuple(dict.fromkeys(n for weights in parts for n in weights))
         return names, weight_matrix(names, parts)
 
+    def of_machine(self, factor: int) -> tuple[tuple[str, ...], Array]:
+        """The same of the machine's parameters alone."""
+        names, matrix = self.elementary(factor)
+        kept = [k for k, n in enumerate(names) if not self.machine.catalogue.effect_of(n).of_dial]
+        return tuple(names[k] for k in kept), matrix[kept]
+
     def values(self, factor: int, x: Array) -> dict[str, float]:
         """All parameters of a factor's machine and dials at the unknowns ``x`` ``(P,)``, SI."""
         names, matrix = self.elementary(factor)

@@ -106,7 +106,8 @@ def _parts(problem: Problem) -> Iterator[_Part]:
         rows, points = np.arange(span.start, span.stop), factor.points
         if isinstance(points, Campaign):
             if problem.noise.source != "declared":  # of which notes speak that count all readings
-                told = _of_dials(problem)
+                told = _FROM_FILE if problem.machine.spec.dial.repeatability else ""
+                told = "from their repeats" if problem.noise.source == "repeats" else told
                 yield _Part(source(points), rows, told, f"{_IN_FILE}[dial_mm]")
         elif isinstance(points, ToolCampaign):
             for k, setup in enumerate(points.setups):
@@ -122,17 +123,9 @@ def _parts(problem: Problem) -> Iterator[_Part]:
             yield _Part(source(points), rows, told, " in a column sigma_mm")
 
 
-def _of_dials(problem: Problem) -> str:
-    if problem.noise.source == "repeats":
-        return "from their repeats"
-    return _FROM_FILE if problem.machine.spec.dial.repeatability else ""
-
-
 def _of_tool(problem: Problem, factor: Factor, own: NDArray[np.bool_], kind: str) -> str:
     told = np.isfinite(factor.points.sigma[own]).all()
     if told or (problem.noise.source == "declared" and not problem.campaigns):
         return _DECLARED
     instrument = problem.machine.spec.instruments.get(kind)
-    if instrument is not None and instrument.repeatability:
-        return _FROM_FILE
-    return ""
+    return _FROM_FILE if instrument is not None and instrument.repeatability else ""

@@ -65,7 +65,8 @@ def score(problem: Problem, nuisance: Nuisances, at: Linearised) -> Scores:
     here = normal(problem, at, nuisance)
     rest = problem.measured - at.value
     residual = rest - nuisance.fitted(rest)
-    dof = max(len(rest) - nuisance.free - here.determined, 0.0)
+    # The trace of the hat matrix is how many unknowns the data determine.
+    dof = max(len(rest) - nuisance.free - float(np.sum(here.shares)), 0.0)
     dof = round(dof, 6)  # what is left behind is rounding
     turned, largest = problem.turned, np.abs(residual)
     left = rms_by_unit(residual, turned)

@@ -111,6 +111,36 @@ def widened(found: Estimate, method: Method = "auto") -> Estimate:
     return found
 
 
+def tempered(found: Estimate) -> Estimate:
+    """The values where readings are as noisy as the fit leaves them; scores by their own noise. A
+    fit that leaves nothing significant is returned as it is.
+
+    Where something is left of a fit, its sigmas take the readings for so many times as noisy.
+    Values that the readings tell no better than the tolerances do are then pulled towards zero by
+    as much more as these count; the sigmas of a fit that believed its readings would be those of
+    other values.
+
+    Raises:
+        SolverError: where the steps do not settle.
+        CrossCheckError: where mechanism and reduction disagree.
+    """
+    problem = found.problem
+    if found.sigma_scale == 1.0 or not problem.prior_rows[0].any():
+        return found
+    # Everything that is known before is known so many times better.
+    times, earlier, nuisance = found.sigma_scale, problem.earlier, found.nuisance
+    if earlier is not None:
+        earlier = replace(earlier, covariance=earlier.covariance / times**2)
+    unknowns = tuple(replace(u, width=u.width / times) for u in problem.unknowns)
+    heavier = replace(problem, unknowns=unknowns, earlier=earlier)
+    at, more = solve_nested(heavier, nuisance, found.at)
+    check = cross_check(heavier, nuisance, at)
+    again = assessed(
+        problem, nuisance, at, found.method, found.iterations + more, found.optimality, check
+    )
+    return replace(again, changes=found.changes)
+
+
 def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     if method == "reduction" and not problem.representable:
         if problem.points:
@@ -122,7 +152,9 @@ def _solve(problem: Problem, method: Method, start: Array | None) -> Estimate:
     nuisance = nuisances(problem, first.slopes)
     began = normal(problem, first, nuisance)
     _determined(problem, began)
-    near = linearise(problem, _one_step(problem, began))
+    known = np.vstack([began.prior, np.diag(1 / problem.tolerance)])
+    x = begin - covariance(began.jacobian, known)[0] @ began.gradient
+    near = linearise(problem, np.clip(x, -problem.bound, problem.bound))
     if start is not None and normal(problem, near, nuisance).cost > began.cost:
         near = first  # from a fit nearby the step went too far
     nuisance = nuisances(problem, near.slopes)
@@ -151,39 +183,26 @@ def _begin(problem: Problem, method: Method) -> Array:
         return problem.start
 
 
-def _one_step(problem: Problem, here: Normal) -> Array:
-    known = np.vstack([here.prior, np.diag(1 / problem.tolerance)])
-    spread, _ = covariance(here.jacobian, known)
-    step = spread @ -here.gradient
-    return np.asarray(np.clip(here.x + step, -problem.bound, problem.bound))
-
-
 def _determined(problem: Problem, here: Normal) -> None:
-    """Refuse what these readings cannot determine."""
+    """Refuse what these readings cannot determine, by directions of as few unknowns as can be."""
     _, unseen = covariance(here.jacobian, here.prior)
-    if len(unseen):
-        found = _undetermined(problem.names, here.jacobian, unseen)
-        names = "; ".join(dict.fromkeys(" with ".join(f) for f in found))
-        raise UnidentifiableError(
-            f"these readings do not determine {names}: free fewer parameters, measure more "
-            f"postures, or let the tolerances act as priors",
-            directions=found,
-        )
-
-
-def _undetermined(
-    names: tuple[str, ...], jacobian: Array, unseen: Array
-) -> tuple[dict[str, float], ...]:
-    """Undetermined directions by unknown, SI: as few unknowns in each as can be."""
-    norm = np.linalg.norm(jacobian, axis=0)
+    if not len(unseen):
+        return
+    norm = np.linalg.norm(here.jacobian, axis=0)
     # By what each unknown does to the readings, as metres and radians do not compare.
     seen = np.where(norm > 0, norm, 1.0)
-    found = []
+    found = list[dict[str, float]]()
     for shares in sparse_basis(unseen * seen):
         kept = np.abs(shares) >= 0.05 * np.abs(shares).max()
         direction = shares / seen / np.linalg.norm(shares / seen)
-        found.append({n: float(v) for n, v, k in zip(names, direction, kept, strict=True) if k})
-    return tuple(found)
+        each = zip(problem.names, direction, kept, strict=True)
+        found.append({name: float(v) for name, v, k in each if k})
+    names = "; ".join(dict.fromkeys(" with ".join(f) for f in found))
+    raise UnidentifiableError(
+        f"these readings do not determine {names}: free fewer parameters, measure more "
+        f"postures, or let the tolerances act as priors",
+        directions=tuple(found),
+    )
 
 
 def _solved(

@@ -18,9 +18,8 @@ from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS, Instrument, Mounting, Pose, unit_vectors
 from orthoglide.machine import Machine
 from orthoglide.observations import ToolCampaign, source
+from orthoglide.observations.approach import Ints
 from orthoglide.prediction import Conditions, LinearRows, Model
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

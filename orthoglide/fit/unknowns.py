@@ -55,7 +55,10 @@ def build_unknowns(
             )
             if any(parts):
                 shown = name.at(stems[first]) if len(starts) > 1 else name
-                unknowns.append(_unknown(machine, shown, parts))
+                tolerance, unit = machine.tolerance(shown), catalogue.effect_of(shown).unit.name
+                bound = max(_BOUND_SD * tolerance, _LEAST_BOUND.get(unit, 0.0))
+                start = machine.values.get(name, 0.0)
+                unknowns.append(Unknown(shown, parts, tolerance, start, bound))
     return tuple(unknowns)
 
 
@@ -90,13 +93,6 @@ def _parts(catalogue: Catalogue, name: Parameter, source: Factor) -> Mapping[str
     return catalogue.elementary(name, setups)
 
 
-def _unknown(machine: Machine, name: Parameter, parts: tuple[Mapping[str, float], ...]) -> Unknown:
-    tolerance = machine.tolerance(name)
-    unit = machine.catalogue.effect_of(name).unit.name
-    bound = max(_BOUND_SD * tolerance, _LEAST_BOUND.get(unit, 0.0))
-    return Unknown(name, parts, tolerance, machine.values.get(name.plain, 0.0), bound)
-
-
 def build_problem(
     machine: Machine,
     campaigns: Sequence[Campaign],
@@ -122,7 +118,12 @@ def build_problem(
         machine, tuple(campaigns), (), noise, priors, (), machine.spec.dial.placement, tuple(own),
         tuple(points), earlier,
     )  # fmt: skip
-    _check_own(machine.catalogue, own, nothing.factors)
+    stems = [s.name for s in nothing.factors]
+    for name in own:
+        plain, stem = plain_and_campaign(name)
+        if stem and stem not in stems:
+            raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
+        _expanded(machine.catalogue, [plain], nothing.factors)
     unknowns = build_unknowns(machine, nothing.factors, free, own)
     if bounds:
         unknowns = _bounded(unknowns, bounds)
@@ -193,15 +194,6 @@ def one_plate(
         parts = tuple(a or b for a, b in zip(one.parts, unknown.parts, strict=True))
         joined[name] = replace(one, parts=parts)
     return tuple(joined.values())
-
-
-def _check_own(catalogue: Catalogue, own: Sequence[str], sources: Sequence[Factor]) -> None:
-    stems = [s.name for s in sources]
-    for name in own:
-        plain, stem = plain_and_campaign(name)
-        if stem and stem not in stems:
-            raise InputError(f"{name}: there is no campaign {stem!r}, only {', '.join(stems)}")
-        _expanded(catalogue, [plain], sources)
 
 
 def _bounded(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:

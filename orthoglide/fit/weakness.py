@@ -72,7 +72,12 @@ def weak_directions(
         seen_along = float(np.linalg.norm(jacobian @ direction))
         sigma = scale / seen_along if seen_along > 1e-9 * norm.max() else float("inf")
         with_priors = float(np.sqrt(max(direction @ covariance @ direction, 0.0)))
-        found.append(_named(problem, direction, sigma, with_priors))
+        largest = int(np.argmax(np.abs(direction)))
+        unit = problem.machine.catalogue.effect_of(names[largest]).unit
+        kept = np.flatnonzero(np.abs(direction) >= _SHARE * abs(direction[largest]))
+        sign = np.sign(direction[kept[0]])
+        shares: dict[str, float] = {names[k]: float(sign * direction[k]) for k in kept}
+        found.append(WeakDirection(shares, sigma / unit.si, with_priors / unit.si, unit.name))
     return tuple(sorted(found, key=lambda d: -d.sigma))
 
 
@@ -89,21 +94,3 @@ def sparse_basis(basis: Array) -> Array:
         rows[others] -= rows[others, pivot][:, None] * rows[k]
         pivots.append(pivot)
     return np.asarray(rows / np.linalg.norm(rows, axis=1)[:, None])
-
-
-def _named(problem: Problem, direction: Array, sigma: float, with_priors: float) -> WeakDirection:
-    largest = int(np.argmax(np.abs(direction)))
-    names = problem.names
-    unit = problem.machine.catalogue.effect_of(names[largest]).unit
-    shares = {
-        name: float(direction[k])
-        for k, name in enumerate(names)
-        if abs(direction[k]) >= _SHARE * abs(direction[largest])
-    }
-    sign = np.sign(next(iter(shares.values())))
-    return WeakDirection(
-        {n: float(sign * v) for n, v in shares.items()},
-        sigma / unit.si,
-        with_priors / unit.si,
-        unit.name,
-    )

@@ -22,6 +22,7 @@ from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,
     next_measurements as next_measurements,
     next_sheet as next_sheet,
+    repeating as repeating,
+    tracing as tracing,
 )
 from orthoglide.planning.tolerances import needed_tolerances as needed_tolerances
-from orthoglide.planning.tracing import repeating as repeating, tracing as tracing

@@ -180,11 +180,10 @@ def _told_apart(
     sigmas = np.sqrt(best.squares)
 
     def described(places: Array, values: Array) -> tuple[Pair, ...]:
-        found = [
+        return tuple(
             Pair(names[i], "" if i == j else names[j], float(s))
             for (i, j), s in zip(places.tolist(), values, strict=True)
-        ]
-        return tuple(found)
+        )
 
     order = np.argsort(sigmas, kind="stable")
     closest = described(pairs[possible][order], sigmas[order])

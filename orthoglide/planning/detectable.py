@@ -14,7 +14,7 @@ from orthoglide.diagnosis.evidence import Scoring
 from orthoglide.diagnosis.signatures import Signatures, signatures
 from orthoglide.diagnosis.significance import DRAWS, noise_residuals
 from orthoglide.errors import InputError, check_list, check_whole
-from orthoglide.fit import Estimate, solve
+from orthoglide.fit import solve
 from orthoglide.fit.change_search import CLASS_WIDTH
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
@@ -149,7 +149,7 @@ def smallest_effects(
     machine = Machine.of(machine)
     check_list("names", names)
     machine.catalogue.expand(names)
-    seen = signatures(as_expected(machine, campaign, noise))
+    seen = signatures(solve(foreseen(machine, campaign, noise), method="nested"))
     scoring = Scoring.of(seen, seen.candidates)
     threshold = _threshold(seen, scoring, level, seed)
     single = [c for c in scoring.candidates if c.size == 1]
@@ -185,13 +185,6 @@ def _threshold(seen: Signatures, scoring: Scoring, level: float, seed: int) -> f
     drawn = noise_residuals(seen, np.random.default_rng(check_whole("seed", seed, 0)), DRAWS)
     best = scoring.evidences(drawn).max(axis=0) if scoring.candidates else np.zeros(1)
     return float(np.quantile(best, 1 - level))
-
-
-def as_expected(
-    machine: Machine, campaign: Campaign | Sequence[Readings], noise: float | None
-) -> Estimate:
-    """Zeros and lengths identified from the readings predicted for them."""
-    return solve(foreseen(machine, campaign, noise), method="nested")
 
 
 def _likeness(seen: Signatures, single: Sequence[Candidate]) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.fit import Noise, Problem, assemble, build_problem, noise_of
+from orthoglide.fit import Problem, assemble, build_problem, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, common_rounding
 from orthoglide.fit.problem import weight_matrix
 from orthoglide.fit.tool_noise import expected_sigma
@@ -49,11 +49,6 @@ class Steps:
         """Rows of the campaign that step ``k`` reads."""
         return [int(r) for r in self.rows[k] if r >= 0]
 
-    def part(self, chosen: ArrayLike) -> Steps:
-        """Some of the steps: booleans or indices."""
-        at = np.asarray(chosen)
-        return Steps(self.rows[at], self.columns[at], self.variance[at])
-
 
 @dataclass(frozen=True, eq=False)
 class LinearReadings:
@@ -82,7 +77,7 @@ class LinearReadings:
         setups = tuple(s.name for s in campaign.setups)
         parts, weights = in_tolerances(machine, names, setups)
         at = machine.model.linearised(machine.values, campaign, parts)
-        level = expected_noise(machine, campaign, noise)
+        level = noise_of([campaign], _known(machine.spec.dial), noise)
         total = np.hypot(level.sigma[0], level.common[0])
         return cls.around(machine, campaign, at.jacobian @ weights, at.slopes[:, 0], total)
 
@@ -105,10 +100,6 @@ class LinearReadings:
         common = float(common_rounding(np.sqrt(np.mean(sd**2)), dial.resolution))
         sigma = np.sqrt(np.maximum(sd**2 - common**2, (_LEAST * sd) ** 2))
         return cls(campaign, columns, slope, sigma, common, dial.placement)
-
-    def with_columns(self, columns: Array) -> LinearReadings:
-        """The same readings by other unknowns ``(n, P)``."""
-        return replace(self, columns=columns)
 
     @cached_property
     def station(self) -> NDArray[np.intp]:
@@ -168,8 +159,9 @@ class LinearReadings:
         standing = dict.fromkeys(int(self.campaign.setup[k]) for k in chosen)
         parts = []
         if room >= 2:
-            begun = np.isin(self.campaign.setup[self.openings.rows[:, 0]], list(standing))
-            parts.append(self.openings.part(~begun))
+            every = self.openings
+            new = ~np.isin(self.campaign.setup[every.rows[:, 0]], list(standing))
+            parts.append(Steps(every.rows[new], every.columns[new], every.variance[new]))
         for setup in standing:
             parts.append(
                 self.continued(setup, [k for k in chosen if self.campaign.setup[k] == setup])
@@ -211,11 +203,6 @@ def in_tolerances(
     return parts, weight_matrix(parts, stands_for) * tolerance
 
 
-def expected_noise(machine: Machine, campaign: Campaign, declared: float | None = None) -> Noise:
-    """Noise to reckon with: declared, of the rows, of the machine file, or as published."""
-    return noise_of([campaign], _known(machine.spec.dial), declared)
-
-
 def _known(dial: Dial) -> Dial:
     """A dial with its repeatability, as published where the machine file says none."""
     return replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
@@ -229,16 +216,12 @@ def foreseen(
     """
     if not isinstance(sheet, Campaign):
         careful = replace(machine, spec=replace(machine.spec, dial=_known(machine.spec.dial)))
-        several = [_as_expected(machine, one) for one in sheet]
+        # Exact, with their noise declared: repeats that agree are no witnesses of it.
+        several = [simulate(machine, one, exact=True) for one in sheet]
+        for k, one in enumerate(several):
+            if not isinstance(one, Campaign):
+                several[k] = replace(one, sigma=expected_sigma(one, machine.spec.instruments))
         return assemble(several, careful, machine.catalogue.base, noise=noise)
     exact = sheet.with_readings(machine.readings(sheet))
-    level = expected_noise(machine, exact, noise)
+    level = noise_of([exact], _known(machine.spec.dial), noise)
     return build_problem(machine, [exact], machine.catalogue.base, level)
-
-
-def _as_expected(machine: Machine, sheet: Readings) -> Readings:
-    """Exact readings, with their noise declared: repeats that agree are no witnesses of it."""
-    exact = simulate(machine, sheet, exact=True)
-    if isinstance(exact, Campaign):
-        return exact
-    return replace(exact, sigma=expected_sigma(exact, machine.spec.instruments))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.errors import InputError, UnreachableError, check_word
-from orthoglide.fit import with_others
+from orthoglide.fit import solve, with_others
 from orthoglide.fit.excited import excited_effects
 from orthoglide.fit.least_squares import linearise
 from orthoglide.geometry import Array
@@ -20,7 +20,8 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings, ToolCampaign, ToolSetup, in_sequence, protocol
 from orthoglide.observations.approach import Moves, overshoot
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.planning.detectable import Detectability, as_expected, smallest_effects
+from orthoglide.planning.detectable import Detectability, smallest_effects
+from orthoglide.planning.linear import foreseen
 from orthoglide.threads import on_one_thread
 
 TAKEN_BY = {"leg": "dials on the legs"} | {kind: one.words for kind, one in INSTRUMENTS.items()}
@@ -284,7 +285,7 @@ def mixed_sheet(
 
 def whitened(machine: Machine, sheets: Sequence[ToolCampaign]) -> tuple[Array, int, Array]:
     """Rows ``(n, P + k)`` by parameters in tolerances and by datums, ``P``, and precisions."""
-    estimate = as_expected(machine, sheets, None)
+    estimate = solve(foreseen(machine, sheets), method="nested")
     problem = estimate.problem
     wide = with_others(problem, [effect.name for effect in excited_effects(problem)])
     nuisance = estimate.nuisance

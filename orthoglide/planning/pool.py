@@ -94,21 +94,16 @@ def visible(station: Station, setup: Setup, geometry: Geometry) -> bool:
     return bool(np.abs(aside).max() <= DIAL_TRAVEL * small)
 
 
-def reading_pool(
-    geometry: Geometry | None = None,
-    *,
-    load: float = 0.0,
-) -> Campaign:
+def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Campaign:
     """Every reading there is to choose from, as a campaign without readings.
 
     Args:
-        geometry: whose stroke and lengths count; the nominal one if None.
+        geometry: whose stroke and lengths count.
         load: at the TCP, newtons.
 
     Returns:
         A campaign with a setup for every leg, direction, place and bar, one row a station.
     """
-    geometry = geometry or Geometry()
     check_dials(geometry)
     setups: list[Setup] = []
     rows: list[tuple[int, Station]] = []

@@ -10,7 +10,6 @@ import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, without_place, workspace
 from orthoglide.errors import InputError
-from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Campaign
 from orthoglide.planning.linear import LinearReadings, in_tolerances
@@ -60,8 +59,15 @@ def sigma_by_repeats(
     if what != TCP and what not in names:
         known = ", ".join(names)
         raise InputError(f"{what} is not identified here: it is TCP, or one of {known}")
-    if what == TCP:
-        slope = _tcp_slope(machine, names)
+    if what == TCP:  # over the workspace, mean removed
+        of_machine = [not machine.catalogue.effect_of(n).of_dial for n in names]
+        moving = [n for n, moves in zip(names, of_machine, strict=True) if moves]
+        parts, weights = in_tolerances(machine, moving)
+        where = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
+        moved = without_place(tcp_slopes(machine, parts, where) @ weights)
+        slope = np.zeros((*moved.shape[:2], len(names)))
+        slope[..., of_machine] = moved
+        slope = slope.reshape(-1, len(names))
     else:
         slope = np.array([[machine.tolerance(n) if n == what else 0.0 for n in names]])
     readings = LinearReadings.of(machine, once, names, noise)
@@ -73,18 +79,6 @@ def sigma_by_repeats(
         return float(np.sqrt(np.mean(np.einsum("rp,pq,rq->r", slope, covariance, slope))))
 
     return sigma
-
-
-def _tcp_slope(machine: Machine, names: Sequence[str]) -> Array:
-    """Derivative of the TCP over the workspace ``(3 g, P)``, mean removed, by tolerances."""
-    of_machine = [not machine.catalogue.effect_of(n).of_dial for n in names]
-    moving = [n for n, moves in zip(names, of_machine, strict=True) if moves]
-    parts, weights = in_tolerances(machine, moving)
-    where = Conditions.at(workspace(machine.geometry, _GRID, machine.spec.screw_pitch))
-    moved = without_place(tcp_slopes(machine, parts, where) @ weights)
-    slope = np.zeros((*moved.shape[:2], len(names)))
-    slope[..., of_machine] = moved
-    return np.asarray(slope.reshape(-1, len(names)))
 
 
 def repeats_needed(

@@ -11,7 +11,7 @@ import numpy as np
 from orthoglide.accuracy import workspace
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem, with_free
-from orthoglide.fit.least_squares import Linearised, Nuisances, linearise, normal
+from orthoglide.fit.least_squares import linearise, normal
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.prediction import Conditions
@@ -44,7 +44,7 @@ class Rival:
         return np.asarray(matrix @ self.covariance @ matrix.T)
 
 
-def rival_of(name: str, fit: Estimate | Values, like: Estimate, scale: float = 1.0) -> Rival:
+def rival_of(name: str, fit: Estimate | Values, like: Estimate, scale: float) -> Rival:
     """An explanation from its own fit, or from its values.
 
     Args:
@@ -54,29 +54,17 @@ def rival_of(name: str, fit: Estimate | Values, like: Estimate, scale: float = 1
         scale: of the noise, where lack of fit remains.
     """
     if isinstance(fit, Estimate):
-        return _described(name, fit.problem, fit.at, fit.nuisance, scale)
-    problem = _problem(name, fit, like.problem)
-    x = np.array([_value(dict(u.parts[problem.last]), fit) for u in problem.unknowns])
-    return _described(name, problem, linearise(problem, x), like.nuisance, scale)
-
-
-def _described(
-    name: str, problem: Problem, at: Linearised, nuisance: Nuisances, scale: float
-) -> Rival:
+        problem, at, nuisance = fit.problem, fit.at, fit.nuisance
+    else:
+        problem, nuisance = _problem(name, fit, like.problem), like.nuisance
+        x = np.array([_value(dict(u.parts[problem.last]), fit) for u in problem.unknowns])
+        at = linearise(problem, x)
     here = normal(replace(problem, priors=True), at, nuisance)
     unit = problem.tolerance
     scaled = here.information * unit * unit[:, None] / scale**2
-    catalogue = problem.machine.catalogue
-    parts, weights = problem.elementary(problem.last)
-    of_machine = [k for k, p in enumerate(parts) if not catalogue.effect_of(p).of_dial]
-    values = problem.values(problem.last, at.x)
-    return Rival(
-        name,
-        catalogue.of_machine(values),
-        tuple(parts[k] for k in of_machine),
-        weights[of_machine],
-        np.linalg.inv(scaled) * unit * unit[:, None],
-    )
+    values = problem.machine.catalogue.of_machine(problem.values(problem.last, at.x))
+    covariance = np.linalg.inv(scaled) * unit * unit[:, None]
+    return Rival(name, values, *problem.of_machine(problem.last), covariance)
 
 
 def _problem(name: str, values: Values, like: Problem) -> Problem:

@@ -1,4 +1,6 @@
-"""What to measure next: the few readings that separate rivals or pin down a weak direction."""
+"""What to measure next: the few readings that separate rivals, pin down a weak direction, or follow
+what nothing explains, where most of it is.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from orthoglide.diagnosis.rest import SetupRest
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.frames import Framed
-from orthoglide.geometry import Array
+from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
 from orthoglide.planning.choosing import choose
@@ -41,6 +44,8 @@ DECIDES = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wid
 _WORTH = 0.9  # of a sigma before: readings that leave more are not worth taking
 _MOST_DIRECTIONS = 2
 _MOUNTING = 4.0  # readings that mounting a dial, with its first two, is worth
+_TWICE = 2  # visits: a single one may be misread
+_MID = 0.5  # of the leg
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,7 @@ def next_measurements(
     every = [*combinations(range(len(several)), 2)] if pairs is None else pairs
     if every:
         predicted = [machine.model.readings(e.values, choice) for e in several]
-        both = readings.with_columns(np.column_stack([at.jacobian, *predicted]))
+        both = replace(readings, columns=np.column_stack([at.jacobian, *predicted]))
         found += to_separate(machine, both, names, several, every, count)
     for direction in weak:
         found.append(_to_narrow(readings, names, own, fit, direction, count))
@@ -216,7 +221,12 @@ def _for_pairs(
         alone = {pair: _alone(readings, spread, pair, count) for pair in low}
         out = {pair: sigmas for pair, sigmas in alone.items() if sigmas < _HINTS}
         if not out:
-            return (*_twice(readings, start, rows, end, count), weak)
+            # Every station is visited again where there is room: a single visit may be misread.
+            again = [k for k in rows if rows.count(k) == 1]
+            if again and len(rows) + len(again) <= count:
+                rows = (*rows, *again)
+                end = start.with_rows(readings, [*rows])
+            return rows, end, weak
         weak |= out
         pairs = [pair for pair in pairs if pair not in out]
     return (), None, weak
@@ -225,24 +235,9 @@ def _for_pairs(
 def _alone(readings: LinearReadings, spread: Array, pair: tuple[int, int], count: int) -> float:
     """Sigmas between two rivals by the best readings for them alone."""
     size = spread.shape[1]
-    here = readings.with_columns(readings.columns[:, [*range(size), *(size + k for k in pair)]])
+    here = replace(readings, columns=readings.columns[:, [*range(size), *(size + k for k in pair)]])
     start = RivalSeparation.between(spread[list(pair)], np.array([(0, 1)]), ENOUGH**2)
     return choose(here, start, count, mounting=_MOUNTING)[1].sigmas[0, 1]
-
-
-def _twice(
-    readings: LinearReadings,
-    start: RivalSeparation,
-    rows: tuple[int, ...],
-    end: RivalSeparation,
-    count: int,
-) -> tuple[tuple[int, ...], RivalSeparation]:
-    """Every station visited again where there is room: a single visit may be misread."""
-    alone = [k for k in rows if rows.count(k) == 1]
-    if len(rows) + len(alone) > count or not alone:
-        return rows, end
-    more = (*rows, *alone)
-    return more, start.with_rows(readings, [*more])
 
 
 def _to_narrow(
@@ -258,7 +253,7 @@ def _to_narrow(
     d = np.array([shares.get(n, 0.0) for n in estimate.problem.names])
     unit = estimate.unit(max(shares, key=lambda n: abs(shares[n])))
     tolerance = estimate.problem.tolerance
-    here = readings.with_columns(readings.columns @ (own.weights_of(names) * tolerance))
+    here = replace(readings, columns=readings.columns @ (own.weights_of(names) * tolerance))
     information = np.linalg.inv(own.covariance / tolerance / tolerance[:, None])
     start = LeastVariance(np.asarray(information), d * tolerance)
     rows, end = choose(here, start, count, mounting=_MOUNTING)
@@ -281,3 +276,42 @@ def _to_narrow(
 def _size(pool: Campaign, rows: Sequence[int]) -> str:
     setups = len(np.unique(pool.setup[list(rows)]))
     return f"{len(rows)} readings in {setups} {'setup' if setups == 1 else 'setups'} are"
+
+
+def tracing(rest: SetupRest, geometry: Geometry) -> Suggestion:
+    """A sheet for the dial that shows most of what is left, for which no rival needs to be known.
+
+    Both bars of the leg are touched along the direction in which most is left, at every step of its
+    travel, reached from both sides: a curve tells a bend from a tilt, two sides lost motion, two
+    bars a twist from a shift.
+    """
+    pool = reading_pool(geometry)
+    gauge = _MID * geometry.L
+    dials = [
+        k
+        for k, s in enumerate(pool.setups)
+        if (s.leg, s.axis) == (rest.leg, rest.axis) and s.bar and abs(s.gauge - gauge) < 1e-6
+    ]
+    own = [axis for axis in range(3) if axis != rest.leg]
+    along = np.ptp(pool.command[:, own], axis=1) < 1e-6  # the other two stand alike: on the axis
+    rows = np.flatnonzero(np.isin(pool.setup, dials) & along)
+    axis = LEGS[rest.axis]
+    reason = (
+        f"what nothing explains shows most on {rest.reads}: {len(rows) * _TWICE} "
+        f"readings of both its bars along {axis}, over its whole travel and from both sides, "
+        f"tell whether a part is bent or turned, has lost motion, or a bar is wrong"
+    )
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(np.repeat(rows, _TWICE).tolist()))
+
+
+def repeating(rest: SetupRest) -> Suggestion:
+    """Readings of the instrument at the tool that shows most of what is left, again, at the places
+    where that is.
+    """
+    reason = (
+        f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "
+        f"tool at {'; '.join(rest.where)} mm, three times each and coming from either side. What "
+        f"comes back is of the machine or of what the instrument stands on; what does not is a "
+        f"loose part, lost motion, or the instrument itself"
+    )
+    return Suggestion(reason, "trace", float("nan"), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -228,7 +228,15 @@ class Sources:
         names = [str(n) for e in counted for n in e.motions]
         rows = None
         if sheet is not None:
-            names, rows = _readings(machine, names, sheet, noise)
+            # Parameters that it may show besides those that move the tool, and the dials' own.
+            check_dials(machine.geometry)
+            problem = foreseen(machine, sheet, noise)
+            wide = with_everything(problem)
+            of_dial = [n for n in wide.names if catalogue.effect_of(n).of_dial]
+            shown = [str(n) for n in wide.names if n not in of_dial]
+            names = list(dict.fromkeys([*names, *shown]))
+            (exact,) = problem.campaigns
+            rows = LinearReadings.of(machine, exact, [*names, *of_dial], noise).whitened()
         tolerance = np.array([machine.tolerance(n) for n in names])
         slopes = without_place(tcp_slopes(machine, names)) * tolerance
         return cls(slopes, tuple(catalogue.effect_of(n).name for n in names), rows)
@@ -249,19 +257,3 @@ class Sources:
         kept, by_noise = inner[:count], inner[:count] @ seen.T
         read = np.concatenate([tool @ kept[:, count:], tool @ by_noise], axis=2)
         return ToolError(tool @ kept[:, :count], read, self.effects)
-
-
-def _readings(
-    machine: Machine, names: Sequence[str], sheet: Campaign, noise: float | None
-) -> tuple[list[str], Array]:
-    """Machine parameters that the sheet may show or that move the tool, and the whitened rows by
-    these and by the dials' own.
-    """
-    check_dials(machine.geometry)
-    problem = foreseen(machine, sheet, noise)
-    wide = with_everything(problem)
-    of_dial = [n for n in wide.names if machine.catalogue.effect_of(n).of_dial]
-    shown = (n for n in wide.names if n not in of_dial)
-    kept = list(dict.fromkeys([*map(str, names), *map(str, shown)]))
-    (exact,) = problem.campaigns
-    return kept, LinearReadings.of(machine, exact, [*kept, *of_dial], noise).whitened()

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from orthoglide.effects import Catalogue
-from orthoglide.parameters import Parameter
 from orthoglide.planning.designs import Design
 from orthoglide.planning.detectable import Detectability
 from orthoglide.planning.observability import Observability
@@ -78,16 +77,12 @@ def detectable_rows(found: Detectability, width: int) -> list[str]:
             *(text for size, near in rows for text in (size.rstrip(), f"    nearest: {near}")),
         ]
     if found.invisible:
-        lines.append(f"not visible, which is not absent: {', '.join(_by_effect(found.invisible))}")
+        groups: dict[str, list[str]] = {}
+        for name in found.invisible:
+            groups.setdefault(name.effect, []).append(name.behind)
+        told = [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
+        lines.append(f"not visible, which is not absent: {', '.join(told)}")
     return lines
-
-
-def _by_effect(names: Sequence[Parameter]) -> list[str]:
-    """Parameters of one effect together: ``encoder_scale (x, y, z)``."""
-    groups: dict[str, list[str]] = {}
-    for name in names:
-        groups.setdefault(name.effect, []).append(name.behind)
-    return [f"{effect} ({', '.join(members)})" for effect, members in groups.items()]
 
 
 def _effect_rows(told: Detectability) -> Iterator[tuple[str, str]]:

@@ -5,7 +5,7 @@ The readings are linearised at the posterior's own mean, again until that no lon
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from orthoglide.effects.places import Place
 from orthoglide.errors import ClosureError, NumericsError, SolverError
-from orthoglide.fit import Estimate, Problem
+from orthoglide.fit import Estimate
 from orthoglide.fit.factors import Block
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.fit.solving import about_machine, assessed, solve, widened
@@ -150,13 +150,6 @@ class FullPosterior:
         return tuple(n for n in self.about.asked if shown(n) < _SHOWN)
 
     @cached_property
-    def unknowns(self) -> Posterior:
-        """All parameters of the catalogue, in the campaigns' own copies, SI."""
-        count, scale = self.about.known, self.about.scale
-        spread = self.covariance[:count, :count] * scale[:count] * scale[:count, None]
-        return Posterior(self.about.problem.names, (self.mean * scale)[:count], spread)
-
-    @cached_property
     def places(self) -> tuple[Place, ...]:
         """Places that belong to the machine and are probable enough to be part of it."""
         likely = {
@@ -172,7 +165,7 @@ class FullPosterior:
         Args:
             mean: of all coefficients ``(C,)``.
         """
-        names, matrix = _machine_parameters(self.about.problem)
+        names, matrix = self.about.problem.of_machine(self.about.problem.last)
         scale, start = self.about.scale, self.about.known
         weights = np.hstack([matrix, np.zeros((len(names), len(scale) - start))])
         found = list(names)
@@ -217,19 +210,16 @@ class FullPosterior:
             problem, at = near, linearise(near, x)
         estimate = assessed(problem, nuisances(problem, at.slopes), at, "posterior",
                             len(mixture.children), self.about.apart)  # fmt: skip
+        # What of the base could be wrong in place of what is told.
+        far = () if self.instead is None else self.instead.warnings
+        instead = [n.partition(":")[0] for n in far if n.kind == "tolerance"]
+        told = [Note(f"these readings fit as well if {n}: measure it", "instead") for n in instead]
         return replace(
             estimate,
-            covariance=self.unknowns.covariance,
+            covariance=self.covariance[:count, :count] * scale[:count] * scale[:count, None],
             weak=self.before.weak,
-            warnings=(*estimate.warnings, *self._instead()),
+            warnings=(*estimate.warnings, *told),
         )
-
-    def _instead(self) -> Iterator[Note]:
-        """What of the base could be wrong in place of what is told."""
-        for note in () if self.instead is None else self.instead.warnings:
-            if note.kind == "tolerance":
-                far = note.partition(":")[0]
-                yield Note(f"these readings fit as well if {far}: measure it", "instead")
 
     def _curves(self, prior: Array) -> Block | None:
         """Rows by the places that may stand out and by the plates' own shapes, as nuisances: the
@@ -330,11 +320,3 @@ def _rows(covariance: Array) -> Array:
     """Rows ``W`` with ``W^T W`` the inverse of a covariance ``(P, P)``."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T)
-
-
-def _machine_parameters(problem: Problem) -> tuple[tuple[str, ...], Array]:
-    """The machine's parameters that the last campaign sets, and their weights by unknown."""
-    names, matrix = problem.elementary(problem.last)
-    motions = problem.machine.catalogue.motions
-    kept = [k for k, name in enumerate(names) if name in motions]
-    return tuple(names[k] for k in kept), matrix[kept]

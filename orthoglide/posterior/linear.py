@@ -110,14 +110,15 @@ class Linear:
 
         All its coefficients stand out alike, so any turn of them is as good.
         """
-        return tuple(g.weights @ self._seen_of(g) for g in self.groups)
-
-    def _seen_of(self, group: Group) -> Array:
-        if group.size == 1:
-            return np.eye(1)
-        shown = self.columns[:, group.places] @ group.weights
-        _, size, turn = np.linalg.svd(shown, full_matrices=False)
-        return turn[: max(1, int((size * max(self.slabs) > _UNSEEN).sum()))].T
+        found = []
+        for group in self.groups:
+            turned = np.eye(1)
+            if group.size > 1:
+                shown = self.columns[:, group.places] @ group.weights
+                _, size, turn = np.linalg.svd(shown, full_matrices=False)
+                turned = turn[: max(1, int((size * max(self.slabs) > _UNSEEN).sum()))].T
+            found.append(group.weights @ turned)
+        return tuple(found)
 
 
 class Basis:

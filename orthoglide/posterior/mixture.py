@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from orthoglide.geometry import Array
 from orthoglide.machine_file import root_of
 from orthoglide.posterior.linear import SOUND, Scale
-from orthoglide.posterior.marginal import Marginal
 from orthoglide.posterior.search import Search, State, whitened
 
 _NEGLIGIBLE = 1e-4  # weight of a state that means are not averaged over
@@ -218,9 +218,33 @@ class Mixture(Search):
         return np.asarray(prior - seen[:, at].T @ seen[:, at])
 
     def _covariances(self, at: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
-        """The same, of readings however exact, by state and scale."""
-        marginal = Marginal(self.linear, at)
-        return lambda state, scale: marginal.covariance(scale, self._spread(state))
+        """The same, all others marginalised, of readings however exact, by state and scale.
+
+        Prior less gain is a difference of large numbers where readings know a direction a million
+        times better than the prior does: what is left there is rounding, and no covariance. Here
+        the others count as noise, and precisions are added up.
+        """
+        linear, others = self.linear, np.ones(len(self.linear.fixed), dtype=bool)
+        others[at] = False
+        fixed = np.isfinite(linear.fixed)
+        kinds = (fixed, linear.free & ~fixed, ~linear.free & ~fixed)
+        size = np.where(fixed, linear.fixed, 1.0)
+        rows = (linear.columns[:, others & kind] * size[others & kind] for kind in kinds)
+        known, free, background = (part @ part.T for part in rows)
+
+        def covariance(state: State, scale: Scale) -> Array:
+            spread = self._spread(state)
+            noise = known + scale.free_share**2 * free + scale.share**2 * background
+            noise += scale.rough**2 * linear.squares[3] + np.eye(len(noise))
+            sd = np.sqrt(scale.spike[at])
+            shown = np.hstack([linear.columns[:, at] * sd, linear.columns @ spread])
+            shown = solve_triangular(np.linalg.cholesky(noise), shown, lower=True)
+            precision = np.eye(shown.shape[1]) + shown.T @ shown
+            units = np.hstack([np.diag(sd), spread[at]])
+            half = solve_triangular(np.linalg.cholesky(precision), units.T, lower=True)
+            return np.asarray(half.T @ half)
+
+        return covariance
 
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes
-from orthoglide.diagnosis.candidates import Candidate
 from orthoglide.effects.places import Place
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
@@ -112,7 +111,9 @@ class _Reader:
 
     def _cause(self, member: int, odds: Sequence[tuple[int, float]]) -> Cause:
         named = self._by_cause([o for o in odds if not self.groups[o[0]].free])
-        several = [one for k, p in named for one in self._twins(self._explanation(member, k, p))]
+        moments = [self.instead.moments(member, k, self.groups[k].places) for k, _ in named]
+        told = [self._told(*own, *found) for own, found in zip(named, moments, strict=True)]
+        several = [one for explanation in told for one in self._twins(explanation)]
         chosen, rest = several[0], [one for one in several[1:] if one.is_there]
         alike = [self._same_tool(chosen, other) for other in rest]
         return Cause(
@@ -126,16 +127,14 @@ class _Reader:
         """Likeliest first; what is one cause of a leg, as a wave at any phase, stands once."""
         found: dict[tuple[str, ...], tuple[int, float]] = {}
         for k, p in odds:
-            one = self._one_cause(self.posterior.about.candidates[k])
+            candidate = self.posterior.about.candidates[k]
+            effect = self.posterior.machine.catalogue.effect_of(candidate.name)
+            of = {(n.leg, n.campaign) for n in candidate.parameters}
+            leg = of.pop() if effect.paired and len(of) == 1 else ("", "")
+            one = (effect.name, *leg) if leg[0] else (candidate.name,)
             first, chance = found.get(one, (k, 0.0))
             found[one] = first, chance + p
         return sorted(found.values(), key=lambda one: -one[1])
-
-    def _one_cause(self, candidate: Candidate) -> tuple[str, ...]:
-        effect = self.posterior.machine.catalogue.effect_of(candidate.name)
-        of = {(p.leg, p.campaign) for p in candidate.parameters}
-        leg = of.pop() if effect.paired and len(of) == 1 else ("", "")
-        return (effect.name, *leg) if leg[0] else (candidate.name,)
 
     def _twins(self, one: Explanation) -> list[Explanation]:
         """An explanation with those under other names that show the same, readings and tool."""
@@ -169,10 +168,6 @@ class _Reader:
                 )
             )
         return [replace(e, probability=one.probability / len(found)) for e in found]
-
-    def _explanation(self, member: int, k: int, probability: float) -> Explanation:
-        found = self.instead.moments(member, k, self.groups[k].places)
-        return self._told(k, probability, *found)
 
     def _told(self, k: int, probability: float, mean: Array, covariance: Array) -> Explanation:
         """One group by the mean of all coefficients and the covariance of those it moves."""

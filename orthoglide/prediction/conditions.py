@@ -28,13 +28,7 @@ class Conditions:
 
     def part(self, rows: slice) -> Conditions:
         """Some of the postures."""
-        return Conditions(
-            self.command[rows],
-            self.approach[rows],
-            self.time[rows],
-            self.warming[rows],
-            self.load[rows],
-        )
+        return Conditions(*(values[rows] for values in vars(self).values()))
 
     @classmethod
     def at(
@@ -105,9 +99,5 @@ class Conditions:
             ]
         )
         distinct, place = np.unique(table, axis=0, return_inverse=True)
-        return (
-            Conditions(
-                distinct[:, :3], distinct[:, 3:6], distinct[:, 6], distinct[:, 7], distinct[:, 8]
-            ),
-            place.reshape(-1),
-        )
+        found = Conditions(distinct[:, :3], distinct[:, 3:6], *distinct[:, 6:].T)
+        return found, place.reshape(-1)

@@ -49,13 +49,7 @@ def displacement_function(catalogue: Catalogue, geometry: Geometry, pitch: float
     moves = [
         joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES
     ]
-    return ca.Function(
-        "displacement",
-        [theta, seen],
-        [ca.densify(ca.vertcat(*moves))],
-        ["theta", "conditions"],
-        ["moves"],
-    )
+    return ca.Function("displacement", [theta, seen], [ca.densify(ca.vertcat(*moves))])
 
 
 def displacement_tangent(function: Any) -> Any:

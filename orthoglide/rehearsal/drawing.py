@@ -10,7 +10,6 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.effects.places import Place
 from orthoglide.effects.wording import cause_short
-from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter
@@ -132,7 +131,9 @@ def _with_place(
     place = scope.places[int(rng.integers(len(scope.places)))]
     u = np.linspace(-1, 1, 201)
     functions = np.stack(place.kernel.functions(u), axis=1)
-    weights = _shapeless(u, functions, rng.standard_normal((functions.shape[1],)))
+    weights = rng.standard_normal((functions.shape[1],))
+    known = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
+    weights -= np.linalg.pinv(known) @ (known @ weights)  # no level, slope and curvature
     size = float(rng.uniform(*STRAYS))
     weights *= size * place.unit / np.sqrt(np.mean((functions @ weights) ** 2))
     effect = place.effect
@@ -140,9 +141,3 @@ def _with_place(
         values | dict(zip(effect.motions, weights.tolist(), strict=True))
     )
     return Drawn(kind, made, {}, place.name, size, place.words)
-
-
-def _shapeless(u: Array, functions: Array, weights: Array) -> Array:
-    """Coefficients of a function that has no level, slope and curvature left."""
-    known = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
-    return np.asarray(weights - np.linalg.pinv(known) @ (known @ weights))

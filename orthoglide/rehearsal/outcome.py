@@ -166,11 +166,8 @@ def _is_there(name: str, parameters: Sequence[str], drawn: Drawn) -> bool:
 
 def _size(name: str, drawn: Drawn) -> float:
     """True size of a parameter or of a structured member, in tolerances."""
-    weights = drawn.catalogue.elementary(name, _setups(drawn))
+    parameters = map(drawn.catalogue.parameter, drawn.sizes)
+    setups = dict.fromkeys(n.setup for n in parameters if n.setup)
+    weights = drawn.catalogue.elementary(name, list(setups))
     along = sum(w * drawn.sizes.get(str(n), 0.0) for n, w in weights.items())
     return along / sum(w**2 for w in weights.values())
-
-
-def _setups(drawn: Drawn) -> list[str]:
-    parameters = map(drawn.catalogue.parameter, drawn.sizes)
-    return list(dict.fromkeys(n.setup for n in parameters if n.setup))

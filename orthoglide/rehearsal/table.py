@@ -82,14 +82,11 @@ class Rehearsal(Framed):
         return f"<Rehearsal {self.machine!r}: {len(self.campaigns)} campaigns, seed {self.seed}>"
 
     def __str__(self) -> str:
-        return "\n".join(self._lines())
-
-    def _lines(self) -> list[str]:
         table = list(zip(*self.columns.values(), strict=True))
         last = 2 + len(_SAID)
         said = [[k.name, *_counts(k, row[1:last])] for k, row in zip(KINDS, table, strict=True)]
         tool = [[row[0], *_figures(row[last:])] for row in table]
-        return [
+        lines = [
             f"{len(self.campaigns)} campaigns of {self.readings} readings on machines like "
             f"{self.machine!r}, seed {self.seed}",
             "",
@@ -105,6 +102,7 @@ class Rehearsal(Framed):
                 len(self.weak),
             ),
         ]
+        return "\n".join(lines)
 
 
 def _counts(kind: Kind, counts: Sequence[int]) -> list[str]:
