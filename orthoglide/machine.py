@@ -19,7 +19,6 @@ from orthoglide.machine_file import (
     ParameterValue,
     Posterior,
     machine_file_of,
-    nominal_machine_file,
     read_machine_file,
     write_machine_file,
 )
@@ -60,7 +59,7 @@ class Machine:
         spec: everything its machine file holds, SI.
     """
 
-    spec: MachineFile = field(default_factory=nominal_machine_file)
+    spec: MachineFile = field(default_factory=MachineFile)
 
     def __post_init__(self) -> None:
         if not isinstance(self.spec, MachineFile):
