@@ -44,12 +44,6 @@ class Moves:
     def __len__(self) -> int:
         return len(self.order)
 
-    def same_as(self, other: Moves) -> bool:
-        """Whether both are exactly the same moves; lines and plans aside."""
-        return np.array_equal(self.command, other.command) and np.array_equal(
-            self.order, other.order
-        )
-
 
 def overshoot(stroke: tuple[float, float]) -> float:
     """How far beyond a command a machine goes to reach it from a side, metres.
