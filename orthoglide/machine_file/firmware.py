@@ -9,7 +9,7 @@ at height h_i holds the nozzle at (x, y, z) where
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,13 +135,12 @@ class Firmware:
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> Firmware:
         """From provenance."""
-        a, b, c = (
-            tuple(float(v) * unit for v in found[key])
-            for key, unit in (
-                ("angle_deg", 1.0), ("arm_length_mm", 1e-3), ("position_endstop_mm", 1e-3),
-            )
-        )  # fmt: skip
-        return cls(float(found["delta_radius_mm"]) * 1e-3, _three(a), _three(b), _three(c))
+        return cls(
+            float(found["delta_radius_mm"]) * 1e-3,
+            _three(found["angle_deg"], 1.0),
+            _three(found["arm_length_mm"], 1e-3),
+            _three(found["position_endstop_mm"], 1e-3),
+        )
 
     def sections(self) -> dict[str, dict[str, str]]:
         """Sections of a ``printer.cfg``, each with its keys and their values."""
@@ -163,8 +162,8 @@ class Firmware:
         ]
 
 
-def _three(values: tuple[float, ...]) -> Triple:
-    a, b, c = values
+def _three(values: Iterable[Any], unit: float) -> Triple:
+    a, b, c = (float(v) * unit for v in values)
     return a, b, c
 
 
