@@ -163,8 +163,9 @@ class Machine:
         """What is known of the parameters; independent by their sigmas where no more is."""
         if self.spec.posterior is not None:
             return self.spec.posterior
-        sigmas = {n: e.sigma for n, e in self.spec.parameters.items() if e.sigma > 0}
-        return Posterior.independent(self.values, sigmas)
+        known = {n: e for n, e in self.spec.parameters.items() if e.sigma > 0}
+        mean = np.array([entry.value for entry in known.values()])
+        return Posterior(tuple(known), mean, np.diag(np.square([e.sigma for e in known.values()])))
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from orthoglide.machine_file.model import (
     ParameterValue,
     Stiffness,
 )
-from orthoglide.machine_file.posterior import posterior_path, read_posterior
+from orthoglide.machine_file.posterior import parse_posterior, posterior_path
 from orthoglide.machine_file.travel import check_travel
 from orthoglide.parameters import effect_name
 from orthoglide.text import brief, shown
@@ -217,7 +217,9 @@ def read_machine_file(
     content = files.read_bytes(path, files.TEXT)
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
-    posterior = read_posterior(path, digest)
+    beside, posterior = posterior_path(path), None
+    if beside.exists():
+        posterior = parse_posterior(files.read_bytes(beside), digest, shown(beside))
     layout, geometry = machine.geometry.layout, machine.geometry
     near, within = (
         layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ((), 0.0)
@@ -229,10 +231,9 @@ def read_machine_file(
         for name in near
     )
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
-        beside = shown(posterior_path(path).name)
         warnings += (
-            f"{machine.file}: there is no {beside} beside it with the covariance of its "
-            f"parameters: their sigmas are taken as independent",
+            f"{machine.file}: there is no {shown(beside.name)} beside it with the covariance of "
+            f"its parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
     catalogue = with_places(machine.catalogue, posterior.names if posterior else (), geometry)

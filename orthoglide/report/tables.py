@@ -39,8 +39,7 @@ def calibrated_machine(result: Result) -> MachineFile:
         **spec.provenance,
         "sigma": "noise alone" if result.posterior is None else "everything else allowed",
     }
-    nominal = spec.name == MachineFile().name
-    name = "Orthoglide, calibrated" if nominal else spec.name
+    name = "Orthoglide, calibrated" if spec.name == MachineFile.name else spec.name
     return replace(spec, name=name, provenance=provenance)
 
 
