@@ -22,7 +22,7 @@ import time
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -34,7 +34,7 @@ sys.path.insert(0, str(ROOT))
 from orthoglide.fit import identify
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Dial, nominal_machine_file
+from orthoglide.machine_file import Dial, MachineFile
 from orthoglide.observations import Campaign
 from tests.rig import TOLERANCE, Rig
 from tests.rig_campaigns import protocol_rows, simulate
@@ -79,7 +79,7 @@ class Outcome:
 
 @cache
 def machine() -> Machine:
-    return Machine(replace(nominal_machine_file(), dial=DIAL))
+    return Machine(MachineFile(dial=DIAL))
 
 
 @cache

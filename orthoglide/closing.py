@@ -11,7 +11,7 @@ from orthoglide.accuracy import tcp_map
 from orthoglide.diagnosis.significance import Left, left_over
 from orthoglide.diagnosis.tool_faults import check_repeats
 from orthoglide.effects import Effect
-from orthoglide.errors import NumericsError, check_list
+from orthoglide.errors import NumericsError, check_list, path_of
 from orthoglide.fit import (
     Estimate,
     Frame,
@@ -84,9 +84,11 @@ class Verdict(Result):
         Raises:
             FileError: where the folder is not empty and not replaced, or cannot be written.
         """
-        from orthoglide.report import write_report
+        from orthoglide.report import check_folder, report_files, write_folder
 
-        write_report(self, folder, overwrite=overwrite)
+        out = path_of(folder)
+        check_folder(out, overwrite)
+        write_folder(out, report_files(self), overwrite)
 
     @on_one_thread
     def plot(self, what: str = "residuals") -> Drawing:

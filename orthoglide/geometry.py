@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide import layout as layouts
-from orthoglide.errors import InputError, numbers
+from orthoglide.errors import InputError, check_word, numbers
 
 Array = NDArray[np.float64]
 Leg = Literal["x", "y", "z"]
@@ -76,20 +76,6 @@ def axial(matrices: Array) -> Array:
     angle times the axis, of small ones the turn about x, y and z.
     """
     return np.asarray(0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]))
-
-
-def axis_index(name: str) -> int:
-    """Index of a leg or base axis, ``"x"``, ``"y"`` or ``"z"``.
-
-    Returns:
-        0, 1 or 2.
-
-    Raises:
-        InputError: for any other name.
-    """
-    if name not in LEGS:
-        raise InputError(f"there is no leg or axis {name!r}: it is one of x, y, z")
-    return LEGS.index(name)
 
 
 @dataclass(frozen=True)
@@ -218,7 +204,9 @@ class Geometry:
             raise InputError(f"a {self.layout.kind} has no posture {posture!r}, only zero")
         if posture[1:] not in ("max", "min"):
             raise InputError(f"there is no posture {posture!r}: zero, or xmax, xmin, ymax ...")
-        return self.command_on_axis(axis_index(posture[:1]), self.stroke[posture[1:] == "max"])
+        axis = posture[0]
+        check_word("leg or axis", axis, LEGS)
+        return self.command_on_axis(LEGS.index(axis), self.stroke[posture[1:] == "max"])
 
     def in_stroke(self, rho: ArrayLike, slack: float = 1e-9) -> NDArray[np.bool_]:
         """Which commands ``rho`` ``(..., 3)`` lie within the stroke: booleans ``(..., 3)``.

@@ -109,14 +109,12 @@ def tcp_errors(
         for name, values in (("nominal", {}), ("before", before), ("after", after))
     }
     for fit in ("none", "translation", "rigid"):
-        figures = {}
+        figures, inside = {}, float("nan")
         for name, p in predicted.items():
             apart = _aligned(p, points.p, fit) - points.p
             distance = np.sqrt(np.nansum(apart**2, axis=1))
             figures[name] = (float(distance.mean()), float(distance.max()))
-        inside = float("nan")
-        if sigma is not None and fit == "translation":
-            apart = _aligned(predicted["after"], points.p, fit) - points.p
+        if sigma is not None and fit == "translation":  # of `after`, the last
             known = np.isfinite(apart)
             inside = float(np.mean(np.abs(apart[known]) <= 1.96 * sigma[known]))
         found[fit] = TcpErrors(**figures, inside=inside)

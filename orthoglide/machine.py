@@ -19,7 +19,6 @@ from orthoglide.machine_file import (
     ParameterValue,
     Posterior,
     machine_file_of,
-    nominal_machine_file,
     read_machine_file,
     write_machine_file,
 )
@@ -60,7 +59,7 @@ class Machine:
         spec: everything its machine file holds, SI.
     """
 
-    spec: MachineFile = field(default_factory=nominal_machine_file)
+    spec: MachineFile = field(default_factory=MachineFile)
 
     def __post_init__(self) -> None:
         if not isinstance(self.spec, MachineFile):
@@ -164,8 +163,9 @@ class Machine:
         """What is known of the parameters; independent by their sigmas where no more is."""
         if self.spec.posterior is not None:
             return self.spec.posterior
-        sigmas = {n: e.sigma for n, e in self.spec.parameters.items() if e.sigma > 0}
-        return Posterior.independent(self.values, sigmas)
+        known = {n: e for n, e in self.spec.parameters.items() if e.sigma > 0}
+        mean = np.array([entry.value for entry in known.values()])
+        return Posterior(tuple(known), mean, np.diag(np.square([e.sigma for e in known.values()])))
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -39,14 +39,10 @@ def compact(value: float, digits: int = 3) -> str:
         return f"{float(text):.0f}".replace("-", MINUS)
     if "e" in text:
         mantissa, exponent = text.split("e")
-        power = f"10{_raised(int(exponent))}"
+        raised = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+        power = f"10{str(int(exponent)).translate(raised)}"
         text = power if mantissa == "1" else f"{mantissa}·{power}"
     return text.replace("-", MINUS)
-
-
-def _raised(exponent: int) -> str:
-    digits = str(abs(exponent)).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return ("⁻" if exponent < 0 else "") + digits
 
 
 def hundredths(p: float) -> str:

@@ -96,7 +96,9 @@ def simulate(
             f"a {type(sheet).__name__} is no sheet: give one campaign, readings of the tool, or a "
             f"kind of protocol"
         )
-    draw, sd = _draws(seed), _noise(machine, noise)
+    draw, own = _draws(seed), machine.spec.dial.repeatability
+    usual = PUBLISHED_REPEATABILITY if own is None else own
+    sd = usual if noise is None else check_noise(noise, 0.0)
     if exact:
         with _closing(machine):
             return sheet.with_readings(np.round(machine.readings(sheet), 15))
@@ -243,13 +245,6 @@ def _closing(machine: Machine) -> Iterator[None]:
 
 def _rounded(shown: Array, steps: Array | float) -> Array:
     return np.where(np.greater(steps, 0), np.round(shown / np.maximum(steps, 1e-12)) * steps, shown)
-
-
-def _noise(machine: Machine, noise: float | None) -> float:
-    if noise is None:
-        repeatability = machine.spec.dial.repeatability
-        return PUBLISHED_REPEATABILITY if repeatability is None else repeatability
-    return check_noise(noise, 0.0)
 
 
 def _draws(seed: Seed) -> np.random.Generator:

@@ -29,7 +29,7 @@ from orthoglide.cli import cli
 from orthoglide.cli.run import stop_cleanly
 from orthoglide.errors import CrossCheckError, SolverError
 from orthoglide.fit import identify
-from orthoglide.machine_file import Controller, machine_text, nominal_machine_file
+from orthoglide.machine_file import Controller, MachineFile, machine_text
 from orthoglide.observations import campaign_text, protocol
 from orthoglide.text import csv_text as table_text
 
@@ -171,7 +171,7 @@ CAMPAIGNS: dict[str, tuple[str | bytes, int | None, str]] = {
     "repeat of zero": (put(4, "repeat", "0"), 4, "correct it"),
 }  # fmt: skip
 
-TOML = machine_text(nominal_machine_file())
+TOML = machine_text(MachineFile())
 
 MACHINES: dict[str, tuple[str, int | None, str]] = {
     "empty": ("", None, "give a file with content"),

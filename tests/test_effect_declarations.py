@@ -19,7 +19,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.loading import load_effects
-from orthoglide.effects.motions import constant, sideways
+from orthoglide.effects.motions import Constant, sideways
 from orthoglide.effects.places import dial_places
 from orthoglide.effects.wording import cause_short, cause_words, confirm_words, parameter_words
 from orthoglide.errors import InputError
@@ -232,7 +232,7 @@ def test_a_dial_that_cannot_be_computed_is_refused() -> None:
 def test_machines_with_effects_of_a_module_travel() -> None:
     travels = [
         Effect("drive_twice", MM, 1.0, "", "", "", members=once(Motion("travel", _sine))),
-        Effect("shift", MM, 1.0, "", "", "", members=once(Motion("lateral_b", constant(1.0)))),
+        Effect("shift", MM, 1.0, "", "", "", members=once(Motion("lateral_b", Constant(1.0)))),
         Effect("wave", MM, 1.0, "", "", "",
                members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _cosine),))),
     ]  # fmt: skip

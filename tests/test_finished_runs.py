@@ -17,7 +17,7 @@ from orthoglide.cli import running
 from orthoglide.cli.terminal import say
 from orthoglide.errors import FileError
 from orthoglide.files import check_new, write_files
-from orthoglide.machine_file import machine_text, nominal_machine_file
+from orthoglide.machine_file import MachineFile, machine_text
 from orthoglide.mechanism.compiled import compiler
 from orthoglide.report import write_folder
 from tests.test_cli import EXPERIMENT_2, SIGNALS, listening, run
@@ -157,7 +157,7 @@ def test_two_files_appear_together_or_not_at_all(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     machine = here / "m.toml"
-    (here / "m.toml").write_text(machine_text(nominal_machine_file()))
+    (here / "m.toml").write_text(machine_text(MachineFile()))
     link = os.link
 
     def late(name: str, target: Path) -> None:

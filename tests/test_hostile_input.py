@@ -23,14 +23,14 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.figures.style import applied, new_figure, svg_text
 from orthoglide.files import read_bytes
-from orthoglide.machine_file import machine_text, nominal_machine_file, parse_machine_file
+from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import campaign_text, read_campaign
 from orthoglide.parameters import Parameter
 from orthoglide.report.text import console_text
 from tests.test_cli import EXPERIMENT_2, rows, run
 
-TOML = machine_text(nominal_machine_file())
+TOML = machine_text(MachineFile())
 SETUPS = ("xy", "xz", "yx", "yz", "zx", "zy")
 
 

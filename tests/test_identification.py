@@ -32,7 +32,7 @@ from orthoglide.fit.least_squares import Nuisances, linearise, normal, nuisances
 from orthoglide.fit.nlp import Nlp, NlpResult
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Dial, nominal_machine_file
+from orthoglide.machine_file import Dial, MachineFile
 from orthoglide.observations import Campaign, Setup, protocol, read_campaign
 from orthoglide.simulation import simulate as simulated
 from tests.rig import Rig
@@ -45,9 +45,9 @@ PLANTED = {
     "joint_offset.x": -5e-4, "joint_offset.y": 6e-4, "joint_offset.z": -1.7e-3,
     "leg_length.x": 5e-5, "leg_length.y": -8e-5, "leg_length.z": 3e-5,
 }  # fmt: skip
-MACHINE = Machine(replace(nominal_machine_file(), dial=Dial(repeatability=NOISE)))
+MACHINE = Machine(MachineFile(dial=Dial(repeatability=NOISE)))
 MACHINE.model.mechanism.batch  # noqa: B018  (built once for all tests)
-EXACT = replace(nominal_machine_file(), dial=Dial(resolution=0.0, repeatability=NOISE, placement=0))
+EXACT = MachineFile(dial=Dial(resolution=0.0, repeatability=NOISE, placement=0))
 
 
 def as_campaign(rows: Sequence[Row], name: str = "rig") -> Campaign:
@@ -148,7 +148,7 @@ def test_a_long_first_step_does_not_end_in_a_far_minimum() -> None:
     errors = dict(zip(SIX, (sizes * rng.standard_normal(6)).tolist(), strict=True))
     rng = np.random.default_rng([0, ord("a"), 2, 13])
     campaign = as_campaign(simulate(Rig(errors=errors), "standard", rng, noise=2e-6))
-    fine = Machine(replace(nominal_machine_file(), dial=Dial(repeatability=2e-6)))
+    fine = Machine(MachineFile(dial=Dial(repeatability=2e-6)))
     for method in ("reduction", "nlp", "nested"):
         found = identify(campaign, fine, priors=False, method=method)  # type: ignore[arg-type]
         assert found.on_bound == ()

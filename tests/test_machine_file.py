@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,6 @@ from orthoglide.machine_file import (
     MachineFile,
     ParameterValue,
     Stiffness,
-    nominal_machine_file,
     parse_machine_file,
     read_machine_file,
     write_machine_file,
@@ -95,7 +93,7 @@ def test_everything_arrives_in_si(tmp_path: Path) -> None:
 def test_the_least_machine_file(tmp_path: Path) -> None:
     text = GOOD[: GOOD.index("[dial_mm]")].replace('name = "the one in the cellar"', "")
     machine = read_machine_file(write(tmp_path / "m.toml", text))
-    assert machine == replace(nominal_machine_file(), name="")
+    assert machine == MachineFile(name="")
     assert machine.dial == Dial(resolution=1e-5, repeatability=None, placement=1e-3)
     assert dict(machine.tolerance) == CATALOGUE.default_tolerance
 
@@ -276,10 +274,10 @@ def test_a_parameter_keeps_to_its_line(tmp_path: Path) -> None:
 def test_machine_files_are_not_overwritten_unasked(tmp_path: Path) -> None:
     file = write(tmp_path / "m.toml", GOOD)
     with pytest.raises(FileError, match="not overwritten: choose another name"):
-        write_machine_file(nominal_machine_file(), file)
+        write_machine_file(MachineFile(), file)
     assert file.read_text() == GOOD
-    write_machine_file(nominal_machine_file(), file, overwrite=True)
-    assert read_machine_file(file) == nominal_machine_file()
+    write_machine_file(MachineFile(), file, overwrite=True)
+    assert read_machine_file(file) == MachineFile()
     assert os.listdir(tmp_path) == ["m.toml"]
 
 

@@ -20,12 +20,7 @@ import orthoglide as og
 from orthoglide import units
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
-from orthoglide.machine_file import (
-    Controller,
-    machine_text,
-    nominal_machine_file,
-    parse_machine_file,
-)
+from orthoglide.machine_file import Controller, MachineFile, machine_text, parse_machine_file
 from orthoglide.notes import Note
 from orthoglide.observations import (
     Campaign,
@@ -424,7 +419,7 @@ def test_travel_columns_go_through_the_controller(tmp_path: Path) -> None:
     rows = TO_TRAVEL(good_rows())
     for row, values in zip(rows[1:], shown, strict=True):
         row[4:7] = [f"{v:.6f}" for v in values]
-    machine = replace(nominal_machine_file(), controller=controller)
+    machine = MachineFile(controller=controller)
     read = read_campaign(write(tmp_path / "c.csv", as_text(rows)), machine)
     np.testing.assert_allclose(read.command, campaign.command, atol=1e-12)
     assert np.array_equal(read.approach, campaign.approach)
@@ -542,7 +537,7 @@ def test_sheets_of_a_stage_that_hardly_moves_stay_within_its_stroke(
     half: float, tmp_path: Path
 ) -> None:
     stage = Geometry(0.03, 0.008, 0.003, (-half * 1e-3, half * 1e-3))
-    machine = replace(nominal_machine_file(), geometry=stage)
+    machine = MachineFile(geometry=stage)
     assert parse_machine_file(machine_text(machine)).geometry == stage
     for kind in KINDS:
         sheet = protocol(kind, stage)  # type: ignore[arg-type]
@@ -612,7 +607,7 @@ CONTROLLERS = [
 def test_sheets_show_what_the_controller_shows(
     kind: str, controller: Controller, tmp_path: Path
 ) -> None:
-    machine = replace(nominal_machine_file(), controller=controller)
+    machine = MachineFile(controller=controller)
     campaign = replace(measured(kind, moves=True), name="sheet")
     write_campaign(campaign, tmp_path / "sheet.csv", machine)
     with open(tmp_path / "sheet.csv", newline="") as file:
@@ -626,7 +621,7 @@ def test_sheets_show_what_the_controller_shows(
     again = read_campaign(tmp_path / "sheet.csv", machine)
     assert again.same_as(campaign)
     assert campaign_text(again, machine) == (tmp_path / "sheet.csv").read_text()
-    assert campaign_text(again, nominal_machine_file()) == campaign_text(campaign)
+    assert campaign_text(again, MachineFile()) == campaign_text(campaign)
 
 
 # --- Rows of text ---------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from orthoglide.effects import CATALOGUE
 from orthoglide.effects.places import places
 from orthoglide.effects.plates import own_shapes
 from orthoglide.geometry import Geometry
-from orthoglide.machine_file import Dial, machine_text, nominal_machine_file, parse_machine_file
+from orthoglide.machine_file import Dial, MachineFile, machine_text, parse_machine_file
 from orthoglide.observations import readings_from_rows
 from orthoglide.units import MM
 from tests import rig_campaigns
@@ -89,7 +89,7 @@ def test_parts_of_a_workshop_s_machines_are_made_to_the_same_tolerances() -> Non
         assert fine == pytest.approx(0.2 * size)
     # The curve of a rail is of the same tolerance where it was found and where it is kept.
     name = next(place.effect.name for place in places() if place.part == "rail")
-    text = machine_text(replace(nominal_machine_file(), geometry=stage))
+    text = machine_text(MachineFile(geometry=stage))
     kept = parse_machine_file(
         f'{text}\n[parameters]\n"{name}.x.1" = {{value = 0.001, sigma = 0.0, unit = "mm"}}\n'
     ).catalogue
@@ -109,7 +109,7 @@ def test_the_rail_of_a_stage_with_bars_of_31_mm_is_found(seed: int) -> None:
         for row in rows
     ]
     spec = replace(
-        nominal_machine_file(),
+        MachineFile(),
         geometry=Geometry(0.031, 0.008, 0.0031, (-0.01, 0.006)),
         dial=Dial(1e-7, 3e-7, 1e-4),
         tolerance={n: e.tolerance * e.unit.si / 10 for n, e in CATALOGUE.items() if e.unit == MM},

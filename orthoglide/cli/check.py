@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -12,10 +11,7 @@ from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say, tell, wrapped
 from orthoglide.cli.writing import write_results
 from orthoglide.progress import Step
-from orthoglide.text import text_width
-
-if TYPE_CHECKING:
-    from orthoglide.checking import Check
+from orthoglide.text import csv_text, text_width
 
 
 @click.command()
@@ -43,7 +39,7 @@ def check(
     """
     with progress(quiet) as step:
         step(Step("reading"))
-        from orthoglide.checking import check as compare
+        from orthoglide.checking import COLUMNS, check as compare
         from orthoglide.cli.changes import changes_page, changes_text
         from orthoglide.effects.loading import load_effects
         from orthoglide.fit.copies import twice
@@ -58,17 +54,12 @@ def check(
             from orthoglide.report import report_files
 
             files = report_files(found.verdict, step)
-            made = {"changes.csv": _table(found), "check.html": changes_page(found)}
-            write_results(out, {**files, **made})
+            rows = (
+                (d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in found.differences
+            )
+            table = csv_text(("parameter", *COLUMNS), rows)
+            write_results(out, files | {"changes.csv": table, "check.html": changes_page(found)})
     for warning in twice((*before, *after)):
         say(f"warning: {warning}", err=True)
     report = "" if out is None else f"\n\nReport: {click.format_filename(out / 'check.html')}"
     tell(f"{told}{report}", found.line, quiet, out is not None)
-
-
-def _table(found: Check) -> str:
-    from orthoglide.checking import COLUMNS
-    from orthoglide.text import csv_text
-
-    rows = ((d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in found.differences)
-    return csv_text(("parameter", *COLUMNS), rows)

@@ -13,13 +13,12 @@ from orthoglide.cli.progress import progress
 from orthoglide.cli.terminal import say, tell, wrapped
 from orthoglide.cli.writing import write_sheet, write_texts
 from orthoglide.errors import InputError
-from orthoglide.progress import Progress, Step
+from orthoglide.progress import Step
 from orthoglide.text import text_width
 
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
     from orthoglide.observations import Campaign
-    from orthoglide.planning import Repeats
 
 _COUNT = 24
 _OTHERWISE = (
@@ -68,9 +67,9 @@ def design(
     quiet: bool,
 ) -> None:
     """Choose readings before any is taken, and compare protocols and sheets by what they see."""
+    from orthoglide import planning
     from orthoglide.files import check_new
-    from orthoglide.planning import design as choose, observability
-    from orthoglide.planning.wording import index_rows, pair_rows, repeats_row
+    from orthoglide.planning.wording import detectable_rows, index_rows, pair_rows, repeats_row
 
     exclude(
         "owns", "campaigns", "free", "criterion", "want", "detect", "noise",
@@ -83,26 +82,30 @@ def design(
     if owns:
         _of_owned(machine, owns, count, out, seed, quiet)
         return
-    count = _count(machine, count)
+    count, most = _COUNT if count is None else count, len(planning.reading_pool(machine.geometry))
+    if count > most:
+        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
     wanted = opt.quantities("--want", want, machine.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
-        found = choose(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
+        found = planning.design(machine, free or None, count, criterion, noise=noise)  # type: ignore[arg-type]
         step(Step("computing", "comparing"))
         sheets = _sheets(machine, campaigns)
         compared = [
-            (name, observability(machine, c, found.names, noise)) for name, c in sheets.items()
+            (name, planning.observability(machine, c, found.names, noise))
+            for name, c in sheets.items()
         ]
         sheets["design"] = found.campaign
-        answers = [
-            (f"{name}, ", answer)
-            for name, c in sheets.items()
-            for answer in _repeats(machine, c, found.names, wanted, noise, step)
-        ]
         lines = [*index_rows([*compared, ("design", found.indices)]), *pair_rows(found)]
-        lines += [name + repeats_row(answer, machine.catalogue) for name, answer in answers]
-        if detect:
-            lines += _detectable(machine, sheets, noise, seed, step)
+        for name, c in sheets.items():
+            for what, sigma in wanted.items():
+                step(Step("computing", f"how often to repeat {c.name}"))
+                answer = planning.repeats_needed(machine, c, found.names, what, sigma, noise)
+                lines.append(f"{name}, {repeats_row(answer, machine.catalogue)}")
+        for name, c in sheets.items() if detect else ():
+            step(Step("computing", f"smallest effects: {name}"))
+            smallest = planning.smallest_effects(machine, c, noise=noise, seed=seed)
+            lines += ["", f"{name}:", *detectable_rows(smallest, text_width())]
         lines += [] if out is None else [write_sheet(out, found.campaign, machine)]
     seen = f"{found.indices.rank} of {found.indices.unknowns} unknowns"
     line = f"{len(found.campaign)} readings show {seen}."
@@ -156,53 +159,6 @@ def _sheets(machine: Machine, paths: tuple[Path, ...]) -> dict[str, Campaign]:
         read = [opt.dial_sheet(p, machine, _OTHERWISE) for p in paths]
         return {c.name: c for c in read}
     return {kind: protocol(kind, machine.geometry) for kind in opt.PROTOCOLS}  # type: ignore[arg-type]
-
-
-def _count(machine: Machine, asked: int | None) -> int:
-    """How many readings to choose, of those that there are."""
-    from orthoglide.planning import reading_pool
-
-    count = _COUNT if asked is None else asked
-    most = len(reading_pool(machine.geometry))
-    if count > most:
-        raise InputError(f"there are {most} readings to choose from: give --count {most} or less")
-    return count
-
-
-def _detectable(
-    machine: Machine,
-    sheets: dict[str, Campaign],
-    noise: float | None,
-    seed: int,
-    step: Progress,
-) -> list[str]:
-    """``--detect``: the smallest effects that each sheet finds and names."""
-    from orthoglide.planning import smallest_effects
-    from orthoglide.planning.wording import detectable_rows
-
-    lines = []
-    for name, c in sheets.items():
-        step(Step("computing", f"smallest effects: {name}"))
-        found = smallest_effects(machine, c, noise=noise, seed=seed)
-        lines += ["", f"{name}:", *detectable_rows(found, text_width())]
-    return lines
-
-
-def _repeats(
-    machine: Machine,
-    campaign: Campaign,
-    names: tuple[str, ...],
-    wanted: dict[str, float],
-    noise: float | None,
-    step: Progress,
-) -> list[Repeats]:
-    from orthoglide.planning import repeats_needed
-
-    found = []
-    for what, sigma in wanted.items():
-        step(Step("computing", f"how often to repeat {campaign.name}"))
-        found.append(repeats_needed(machine, campaign, names, what, sigma, noise))
-    return found
 
 
 _LEAST, _MOST = 1e-6, 1e3  # millimetres, that anybody wants of a tool

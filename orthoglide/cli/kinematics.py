@@ -13,11 +13,11 @@ from orthoglide.cli.idle import need
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_texts
 from orthoglide.errors import InputError
+from orthoglide.text import csv_text
 
 if TYPE_CHECKING:
     from orthoglide.geometry import Array
     from orthoglide.machine import Machine
-    from orthoglide.observations.table import Table
 
 # Coordinates may begin with a minus sign, which would else be read as options.
 _NUMBERS = {"ignore_unknown_options": True}
@@ -78,11 +78,24 @@ def _solved(
     """TCP of commands ``(n, 3)`` in metres, ``travelled`` where they are the controller's values;
     or the reverse. How each drive arrives is ``seen`` where it is known.
     """
-    from orthoglide.observations.checks import check_commands
+    import numpy as np
+
+    from orthoglide.observations.checks import STROKE_SLACK, check_commands
 
     if to_tcp:
         return machine.forward(check_commands(given, travelled, machine.spec, fail), **seen)
-    return _within(machine, machine.inverse(given, **seen), fail)
+    rho, geometry = machine.inverse(given, **seen), machine.geometry
+    outside = np.argwhere(~geometry.in_stroke(rho, STROKE_SLACK))
+    if len(outside):
+        row, axis = outside[0]
+        low, high = ((geometry.zero[axis] + limit) * 1e3 for limit in geometry.stroke)
+        fail(
+            f"the point needs carriage {geometry.leg_names[axis]} at "
+            f"{rho[row, axis] * 1e3:.6f} mm, outside its stroke of {low:g} to {high:g} mm: "
+            "give a point nearer to the middle",
+            int(row),
+        )
+    return rho
 
 
 def _run(
@@ -94,6 +107,8 @@ def _run(
     table: Path | None,
     out: Path | None,
 ) -> None:
+    import numpy as np
+
     need("effects_file", "machine_path")
     if (table is None) != (out is None):
         raise InputError("--csv and --out go together: name a file to read and a file to write")
@@ -101,7 +116,9 @@ def _run(
         raise InputError("give either three numbers in mm, or --csv and --out")
     if table is None or out is None:
         machine = opt.load_machine(machine_path, effects_file)
-        found = _solved(to_tcp, machine, _vector(numbers), _refuse)
+        if len(numbers) != 3 or not np.isfinite(numbers).all():
+            raise InputError("give exactly three finite numbers, in mm")
+        found = _solved(to_tcp, machine, np.array([numbers]) * 1e-3, _refuse)
         say(" ".join(_number(value) for value in found[0]), needed=True)
         return
     from orthoglide.observations.columns import (
@@ -133,47 +150,13 @@ def _run(
         found = machine.spec.controller.from_rho(found, machine.geometry)
     if set(new) & set(rows.names):  # what was wanted stays beside what is found
         new = tuple(f"computed_{name}" for name in new)
-    _write(rows, new, found, out)
-
-
-def _vector(numbers: tuple[float, ...]) -> Array:
-    import numpy as np
-
-    if len(numbers) != 3 or not np.isfinite(numbers).all():
-        raise InputError("give exactly three finite numbers, in mm")
-    return np.array([numbers]) * 1e-3
+    wider = ([*row, *map(_number, more)] for row, more in zip(rows.rows, found, strict=True))
+    write_texts({out: csv_text((*rows.names, *new), wider)})
 
 
 def _refuse(message: str, row: int | None) -> NoReturn:
     raise InputError(message)
 
 
-def _within(machine: Machine, rho: Array, fail: Fail) -> Array:
-    """The commands, where the stroke allows them."""
-    import numpy as np
-
-    from orthoglide.observations.checks import STROKE_SLACK
-
-    inside = machine.geometry.in_stroke(rho, STROKE_SLACK)
-    if inside.all():
-        return rho
-    row, axis = np.argwhere(~inside)[0]
-    low, high = ((machine.geometry.zero[axis] + limit) * 1e3 for limit in machine.geometry.stroke)
-    fail(
-        f"the point needs carriage {machine.geometry.leg_names[axis]} at "
-        f"{rho[row, axis] * 1e3:.6f} mm, outside its stroke of {low:g} to {high:g} mm: "
-        "give a point nearer to the middle",
-        int(row),
-    )
-
-
 def _number(metres: float) -> str:
     return f"{metres * 1e3:z.6f}"
-
-
-def _write(table: Table, names: tuple[str, ...], values: Array, out: Path) -> None:
-    """The rows as they came, with the new columns behind."""
-    from orthoglide.text import csv_text
-
-    rows = ([*row, *map(_number, found)] for row, found in zip(table.rows, values, strict=True))
-    write_texts({out: csv_text((*table.names, *names), rows)})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -13,9 +12,6 @@ from orthoglide.cli.run import INTERRUPTED, Refusal
 from orthoglide.cli.terminal import say
 from orthoglide.errors import InputError
 from orthoglide.text import is_terminal
-
-if TYPE_CHECKING:
-    from orthoglide.measuring import End
 
 
 @click.command()
@@ -64,7 +60,17 @@ def measure(
             f"{click.format_filename(out)}: the same command goes on from there",
             INTERRUPTED,
         ) from None
-    _tell(end, out, {"--machine": machine_path, "--effects-file": effects_file})
+    from orthoglide.report import summary
+
+    word = "Settled" if end.settled else "Not settled"
+    options = {"--machine": machine_path, "--effects-file": effects_file}
+    given = "".join(f" {o} {click.format_filename(p)}" for o, p in options.items() if p)
+    name, found = click.format_filename(out), summary(end.verdict, said="machine")
+    say(
+        f"{word} after {end.readings} readings: {end.reason}.\n\n{found}\n\n"
+        f"The report: orthoglide close-loop {name}{given} --out {click.format_filename(out.stem)}",
+        needed=True,
+    )
 
 
 def _ask(question: str) -> str:
@@ -76,16 +82,3 @@ def _ask(question: str) -> str:
     if not answer:
         raise EOFError
     return answer
-
-
-def _tell(end: End, out: Path, options: dict[str, Path | None]) -> None:
-    from orthoglide.report import summary
-
-    word = "Settled" if end.settled else "Not settled"
-    given = "".join(f" {o} {click.format_filename(p)}" for o, p in options.items() if p)
-    name, found = click.format_filename(out), summary(end.verdict, said="machine")
-    say(
-        f"{word} after {end.readings} readings: {end.reason}.\n\n{found}\n\n"
-        f"The report: orthoglide close-loop {name}{given} --out {click.format_filename(out.stem)}",
-        needed=True,
-    )

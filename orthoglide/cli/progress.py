@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 from orthoglide.cli.run import stop_if_asked
 from orthoglide.cli.terminal import say
@@ -25,26 +24,25 @@ def progress(quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield lambda _: stop_if_asked()
     elif not is_terminal(err=True):
-        yield Lines().show
+        yield _lines()
     else:
         with _bar() as shown:
             yield shown
 
 
-@dataclass
-class Lines:
+def _lines() -> Progress:
     """Plain lines, at most one a second; a run that is over sooner prints none."""
+    begun = last = time.monotonic()
 
-    begun: float = field(default_factory=time.monotonic)
-    last: float = field(default_factory=time.monotonic)
-
-    def show(self, step: Step) -> None:
-        """Print a step, unless a line was printed just now."""
+    def show(step: Step) -> None:
+        nonlocal last
         stop_if_asked()
         now = time.monotonic()
-        if now - self.last >= _BETWEEN:
-            self.last = now
-            say(f"{now - self.begun:4.0f} s  {step}", err=True)
+        if now - last >= _BETWEEN:
+            last = now
+            say(f"{now - begun:4.0f} s  {step}", err=True)
+
+    return show
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -151,11 +152,7 @@ def _brief(value: Any) -> str:
 
 
 def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, bool) or isinstance(other, bool) or isinstance(one, str):
-        return bool(one == other)
-    if isinstance(one, int | float) and isinstance(other, int | float):
-        try:
+    if all(isinstance(v, int | float) and not isinstance(v, bool) for v in (one, other)):
+        with suppress(OverflowError):  # of an integer beyond all that is calculated with
             return math.isclose(one, other, rel_tol=SAME, abs_tol=_TINY)
-        except OverflowError:  # an integer beyond all that is calculated with
-            return one == other
     return bool(one == other)

@@ -44,7 +44,9 @@ def say(text: str | bytes, *, err: bool = False, needed: bool = False) -> None:
         click.echo(text, file=stream, nl=isinstance(text, str))
         stream.flush()
     except (OSError, ValueError) as error:
-        _silence(err)
+        # Nothing more is written there, not what is left in its buffer at the end either.
+        nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+        setattr(sys, "stderr" if err else "stdout", nowhere)
         number = getattr(error, "errno", None)
         if needed and number != errno.EPIPE:
             reason = (getattr(error, "strerror", None) or "closed").lower()
@@ -82,15 +84,6 @@ def speak_plainly() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors=_PLAIN)
-
-
-def _silence(err: bool) -> None:
-    """Nothing more is written there, not what is left in its buffer at the end either."""
-    nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
-    if err:
-        sys.stderr = nowhere
-    else:
-        sys.stdout = nowhere
 
 
 def _spelt(error: UnicodeError) -> tuple[str, int]:

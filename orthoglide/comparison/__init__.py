@@ -8,13 +8,8 @@ what a user of the simplified model cannot get rid of. Everything here is nonlin
 
 from orthoglide.comparison.comparing import (
     Circumstances as Circumstances,
-    Slice as Slice,
     compare_effects as compare_effects,
     compare_machine as compare_machine,
     slices as slices,
 )
-from orthoglide.comparison.rows import (
-    Difference as Difference,
-    Row as Row,
-    worst_by_effect as worst_by_effect,
-)
+from orthoglide.comparison.rows import Row as Row, worst_by_effect as worst_by_effect

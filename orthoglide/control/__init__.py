@@ -3,10 +3,9 @@ files that a controller or another program takes of a calibrated machine.
 """
 
 from orthoglide.control.acting import withheld as withheld
-from orthoglide.control.checking import COUNTING as COUNTING, ZeroCheck as ZeroCheck
+from orthoglide.control.checking import COUNTING as COUNTING
 from orthoglide.control.compensation import Compensation as Compensation, compensate as compensate
 from orthoglide.control.files import (
-    PathPoints as PathPoints,
     commands_text as commands_text,
     export_files as export_files,
     read_path as read_path,
@@ -14,7 +13,6 @@ from orthoglide.control.files import (
 from orthoglide.control.numbers import (
     RULE as RULE,
     ControllerNumbers as ControllerNumbers,
-    DriveNumbers as DriveNumbers,
     controller_numbers as controller_numbers,
 )
 from orthoglide.control.urdf import calibrated_urdf as calibrated_urdf, held_by_urdf as held_by_urdf

@@ -222,7 +222,7 @@ def compensate(
     conditions = {"time": given.time, "warming": given.warming, "load": given.load}
     nominal = _nominal_commands(machine, goal)
     before = _before(machine, start)
-    rho, way = _settled(machine, goal, before, conditions, resolution)
+    rho, way = _settled(machine, goal, nominal, before, conditions, resolution)
     steps = machine.spec.controller.from_rho(rho, machine.geometry) / resolution
     travel = np.round(np.round(steps) * resolution, 12)
     rho = machine.spec.controller.to_rho(travel, machine.geometry)
@@ -354,18 +354,19 @@ def _approach(rho: Array, before: Array | None, moved: float) -> Array:
 def _settled(
     machine: Machine,
     goal: Array,
+    nominal: Array,
     before: Array | None,
     conditions: dict[str, Array],
     resolution: float,
 ) -> tuple[Array, Array]:
-    """Commands, each for the side that its drive comes from as the path turns.
+    """Commands, each for the side that its drive comes from as the path turns, given the nominal.
 
     In the middle of the lost motion drives turn where the path has them turn; what is lost besides
     takes them farther the same way. One whose lost motion is negative, as a controller leaves it
     that makes up for too much, may not turn at all: there the prediction has what it does.
     """
     # Far outside the stroke points are refused before effects are solved for there.
-    _check_stroke(machine, _nominal_commands(machine, goal), _FAR)
+    _check_stroke(machine, nominal, _FAR)
     middle = _inverse(machine, goal, {**conditions, "approach": np.zeros_like(goal)})
     way = _approach(middle, before, 2 * resolution)
     return _inverse(machine, goal, {**conditions, "approach": way}), way

@@ -52,11 +52,11 @@ def read_path(path: str | os.PathLike[str]) -> PathPoints:
 
 
 def commands_text(found: Compensation) -> str:
-    """Commands as CSV: the points, the commands, and what to expect."""
-    shown = [
-        [f"{v:+.0f}" if name.startswith("approach") else _cell(v) for v in values]
-        for name, values in found.columns.items()
-    ]
+    """Commands as CSV: the points, the commands, and what to expect; empty where not known."""
+    shown = []
+    for name, values in found.columns.items():
+        form = "+.0f" if name.startswith("approach") else "z.6f"
+        shown.append(["" if math.isnan(v) else format(v, form) for v in values])
     return csv_text(tuple(found.columns), zip(*shown, strict=True))
 
 
@@ -86,8 +86,3 @@ def export_files(
         CLOSURES_FILE: closures_text(machine.geometry),
         **parallel_robot_files(machine.geometry, tree),
     }
-
-
-def _cell(millimetres: float) -> str:
-    """A cell of a file; empty of what is not known."""
-    return "" if math.isnan(millimetres) else f"{millimetres:z.6f}"

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from orthoglide.klipper import WHERE, Corrections, corrections_of
-from orthoglide.machine import Machine
+from orthoglide.klipper import WHERE, Corrections
 from orthoglide.machine_file import Firmware
 
 _LACKING = (
@@ -61,9 +60,3 @@ class FirmwareNumbers:
             "\n".join(("To undo:", *found.old.lines())),
             "What no number of the firmware holds stands in the report.",
         )
-
-
-def firmware_numbers(machine: Machine) -> FirmwareNumbers | None:
-    """Those of a machine that was imported from its firmware; ``None`` of another."""
-    old = machine.spec.printer
-    return None if old is None else FirmwareNumbers(old, corrections_of(machine))

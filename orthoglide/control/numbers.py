@@ -11,10 +11,11 @@ import numpy as np
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.control.acting import not_withheld
 from orthoglide.control.checking import COUNTING, ZeroCheck, check_zeros
-from orthoglide.control.firmware import FirmwareNumbers, firmware_numbers
+from orthoglide.control.firmware import FirmwareNumbers
 from orthoglide.effects import OF_DRIVES
 from orthoglide.effects.wording import by_effect
 from orthoglide.frames import Framed
+from orthoglide.klipper import corrections_of
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
 
@@ -245,7 +246,7 @@ def controller_numbers(
     fitted = left_over or machine.geometry.layout.hanging  # which leaves the tool at its height
     best = _ZEROS if zeros_only else "these numbers" if fitted else ""
     identified = _by_kind(machine, machine.values).get("zero", np.zeros(3))
-    controller, length = machine.spec.controller, machine.geometry.L
+    controller, length, printer = machine.spec.controller, machine.geometry.L, machine.spec.printer
     none = np.zeros(3)
     drives = [
         DriveNumbers(
@@ -269,7 +270,7 @@ def controller_numbers(
         tuple((np.array(controller.zero) - np.array(controller.sign) * alone).tolist()),
         check_zeros(machine, held.get("zero", none)),
         {name: expected_error(machine, given) for name, given in settings.items()},
-        firmware_numbers(machine),
+        None if printer is None else FirmwareNumbers(printer, corrections_of(machine)),
         bool(machine.spec.parameters),
     )
 

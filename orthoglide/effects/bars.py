@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import LegConditions, Motion, constant, once
+from orthoglide.effects.motions import Constant, LegConditions, Motion, once
 from orthoglide.effects.words import Words, micrometres, mm, more
 from orthoglide.units import MM, Unit
 
@@ -24,7 +24,7 @@ LEG_LENGTH = Effect(
     because="bars are matched on one fixture, to a few hundredths",
     sentence="both bars of the leg are longer or shorter than nominal",
     look_at="the bars' length between their pivots, with a height gauge",
-    members=once(*_both_bars(constant(1.0))),
+    members=once(*_both_bars(Constant(1.0))),
     words=Words(
         lambda p, v: (
             f"the bars of leg {p.leg} are {mm(v)} {more(v, 'longer', 'shorter')} than nominal"
@@ -48,7 +48,7 @@ BAR_MISMATCH = Effect(
     because="bars of a pair are drilled together, to a few hundredths",
     sentence="the two bars of the leg differ: the platform turns as it travels",
     look_at="the two bars side by side, and the play of their pivots",
-    members=once(Motion("stretch1", constant(0.5)), Motion("stretch2", constant(-0.5))),
+    members=once(Motion("stretch1", Constant(0.5)), Motion("stretch2", Constant(-0.5))),
     words=Words(
         lambda p, v: f"bar 1 of leg {p.leg} is {mm(v)} {more(v, 'longer', 'shorter')} than bar 2",
         lambda p: f"the two bars of leg {p.leg} differ in length",
@@ -68,7 +68,7 @@ PARALLELOGRAM_WIDTH = Effect(
     because="short links are turned and drilled, to a tenth at most",
     sentence="the short link at the platform is wider or narrower than the one at the carriage",
     look_at="the distance of the bars at both ends, with a calliper",
-    members=once(Motion("width1", constant(0.5)), Motion("width2", constant(0.5))),
+    members=once(Motion("width1", Constant(0.5)), Motion("width2", Constant(0.5))),
     words=Words(
         lambda p, v: (
             f"the short link of leg {p.leg} at the platform is {mm(v)} "

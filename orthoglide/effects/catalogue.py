@@ -60,6 +60,9 @@ class Catalogue(Mapping[str, Effect]):
     def __len__(self) -> int:
         return len(self.effects)
 
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return Catalogue, (self.effects, self.legs)
+
     def with_effects(self, more: Iterable[Effect]) -> Catalogue:
         """The same with a user's own effects behind; those that are in already are not repeated.
 
@@ -287,9 +290,4 @@ def _reduce_effect(effect: Effect) -> tuple[Any, tuple[Any, ...]]:
     return Effect, tuple(getattr(effect, f.name) for f in fields(effect))
 
 
-def _reduce_catalogue(catalogue: Catalogue) -> tuple[Any, tuple[Any, ...]]:
-    return Catalogue, (catalogue.effects, catalogue.legs)
-
-
 copyreg.pickle(Effect, _reduce_effect)
-copyreg.pickle(Catalogue, _reduce_catalogue)

@@ -6,25 +6,10 @@ the order of the catalogue: the stem turns, the dial magnifies what it is moved,
 
 from __future__ import annotations
 
-from typing import Any
-
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import DialReading, cos, sin
+from orthoglide.effects.motions import cos, sin
 from orthoglide.effects.words import Words, mm, more, mrad, percent
 from orthoglide.units import ONE, RAD, Unit
-
-
-def _turned(reading: DialReading, angle: Any) -> Any:
-    return cos(angle) * reading.shown + sin(angle) * reading.across
-
-
-def _scaled(reading: DialReading, scale: Any) -> Any:
-    return (1 + scale) * reading.shown
-
-
-def _drifting(reading: DialReading, rate: Any) -> Any:
-    return reading.shown + rate * reading.time
-
 
 GAUGE_DIRECTION = Effect(
     "gauge_direction",
@@ -47,7 +32,7 @@ GAUGE_DIRECTION = Effect(
         ),
     ),
     group="dial",
-    dial=_turned,
+    dial=lambda reading, angle: cos(angle) * reading.shown + sin(angle) * reading.across,
 )
 
 GAUGE_SCALE = Effect(
@@ -68,7 +53,7 @@ GAUGE_SCALE = Effect(
         ),
     ),
     group="dial",
-    dial=_scaled,
+    dial=lambda reading, scale: (1 + scale) * reading.shown,
 )
 
 GAUGE_DRIFT = Effect(
@@ -92,7 +77,7 @@ GAUGE_DRIFT = Effect(
         ),
     ),
     group="dial",
-    dial=_drifting,
+    dial=lambda reading, rate: reading.shown + rate * reading.time,
 )
 
 EFFECTS = (GAUGE_DIRECTION, GAUGE_SCALE, GAUGE_DRIFT)

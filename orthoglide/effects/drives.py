@@ -7,14 +7,10 @@ from typing import Any
 import numpy as np
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import LegConditions, Motion, constant, cos, once, sin
+from orthoglide.effects.motions import Constant, LegConditions, Motion, cos, once, sin
 from orthoglide.effects.words import Words, micrometres, mm, more, percent
 from orthoglide.numerals import compact
 from orthoglide.units import MM, ONE, Unit
-
-
-def _lag(c: LegConditions) -> Any:
-    return -c.approach / 2
 
 
 def _sine(c: LegConditions) -> Any:
@@ -33,7 +29,7 @@ JOINT_OFFSET = Effect(
     because="zero marks are set by eye or by a switch, to a millimetre or two",
     sentence="the encoder's zero is not at mechanical zero",
     look_at="the reference switch and the zero mark of the drive",
-    members=once(Motion("travel", constant(1.0))),
+    members=once(Motion("travel", Constant(1.0))),
     words=Words(
         lambda p, v: f"the zero of drive {p.leg} is {mm(v)} too far {more(v, 'out', 'in')}",
         lambda p: f"the zero of drive {p.leg} is off",
@@ -100,7 +96,7 @@ BACKLASH = Effect(
     because="a preloaded nut keeps within two hundredths",
     sentence="the drive has lost motion: it stands differently when it comes from the other side",
     look_at="the preload of the nut, the coupling's clamp, the thrust bearing, the belt",
-    members=once(Motion("travel", _lag)),
+    members=once(Motion("travel", lambda c: -c.approach / 2)),
     words=Words(
         lambda p, v: (
             f"drive {p.leg} has {mm(v)} of lost motion"

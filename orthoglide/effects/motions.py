@@ -56,16 +56,14 @@ Basis = Callable[[LegConditions], Any]
 
 
 @dataclass(frozen=True)
-class _Constant:
+class Constant:
+    """A basis that is the same under all conditions."""
+
     value: float
 
     def __call__(self, conditions: LegConditions) -> float:
+        """The value."""
         return self.value
-
-
-def constant(value: float) -> Basis:
-    """A basis that is the same under all conditions."""
-    return _Constant(value)
 
 
 _CONDITIONS: Mapping[str, Condition] = {

@@ -68,10 +68,10 @@ def _section(effect: Effect) -> str:
     lines = [
         f"### {effect.name}",
         "",
-        f"{_capital(effect.sentence)}.",
+        f"{effect.sentence[:1].upper()}{effect.sentence[1:]}.",
         "",
         f"- Look at: {effect.look_at}{'' if effect.look_at.endswith('?') else '.'}",
-        f"- Tolerance {effect.tolerance:g} {_unit(effect)}: {effect.because}.",
+        f"- Tolerance {effect.tolerance:g}{effect.unit.behind or ' (a ratio)'}: {effect.because}.",
         f"- Said, at one tolerance of `{first}`: {one_words(effect, first, effect.tolerance_si)}.",
         f"- Confirmed: {confirm_words(effect, first, effect.tolerance_si)}.",
         f"- Parameters: {', '.join(names)}.",
@@ -100,14 +100,6 @@ def _held(effect: Effect) -> str:
 
 
 _SETUPS = ("a", "b")  # any two: what several dials can have in common has no setup's name
-
-
-def _capital(sentence: str) -> str:
-    return sentence[:1].upper() + sentence[1:]
-
-
-def _unit(effect: Effect) -> str:
-    return "(a ratio)" if effect.unit.name == "1" else effect.unit.name
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import LegConditions, Motion, constant, once, sideways
+from orthoglide.effects.motions import Constant, LegConditions, Motion, once, sideways
 from orthoglide.effects.words import Words, across, along, mm, more, mrad, slope, toward, turned
 from orthoglide.layout import LinearDelta, Orthoglide
 from orthoglide.parameters import Parameter
@@ -16,13 +16,9 @@ def _travel(c: LegConditions) -> Any:
     return c.travel
 
 
-def _bow(c: LegConditions) -> Any:
-    return c.u * c.u - 1
-
-
 def _turned(axis: str, sign: int) -> Motion:
     """The carriage turns with a rail that tips toward ``axis``: about a x axis."""
-    return Motion("turn_c" if axis == "b" else "turn_b", constant(float(sign)))
+    return Motion("turn_c" if axis == "b" else "turn_b", Constant(float(sign)))
 
 
 def _about(p: Parameter) -> str:
@@ -50,7 +46,7 @@ AXIS_OFFSET = Effect(
     because="rails are aligned to a shoulder or a dowel, to a few tenths",
     sentence="the rail stands beside its place: the drive axes do not meet in one point",
     look_at="the rail's seat and shims, square to its travel",
-    members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", constant(1.0)),)),
+    members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", Constant(1.0)),)),
     words=Words(
         lambda p, v: (
             f"the {p.leg} rail stands {mm(v)} beside its place, toward {toward(p.direction, v)}"
@@ -123,7 +119,7 @@ RAIL_BOW = Effect(
     sentence="the rail is bent: its middle stands off the line between its ends",
     points="with its ends toward",
     look_at="the rail against a straight edge, its bolts and what lies under it",
-    members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", _bow),)),
+    members=sideways(lambda axis, _: (Motion(f"lateral_{axis}", lambda c: c.u * c.u - 1),)),
     words=Words(
         lambda p, v: (
             f"the {p.leg} rail is bent: its middle stands {mm(v)} toward {toward(p.direction, -v)} "
@@ -147,8 +143,8 @@ MOUNT_TILT = Effect(
     sentence="the leg's first hinge is not square to its carriage",
     look_at="the bracket between carriage and leg, its seat and bolts",
     members=lambda leg: {
-        "a": (Motion("turn_a", constant(1.0)),),
-        "b": (Motion("turn_b", constant(1.0)),),
+        "a": (Motion("turn_a", Constant(1.0)),),
+        "b": (Motion("turn_b", Constant(1.0)),),
     },
     words=Words(
         lambda p, v: (

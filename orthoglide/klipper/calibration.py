@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -108,11 +108,24 @@ class Calibration:
                 abs(here[2] - above - off) > _FAR
                 or np.hypot(*here[:2]) > self.firmware.delta_radius
             ):
-                self._fail_at(key, here, above)
+                x, y, z = (f"{v * 1e3:.1f}" for v in here)
+                self.section.fail(
+                    f"{key}_pos",
+                    f"puts the nozzle at ({x}, {y}, {z}) mm by the stored numbers, where its "
+                    f"height above the bed was {above * 1e3:g} mm: the positions, the steps or the "
+                    f"numbers of [printer] and [stepper_*] are of different times or mistyped",
+                )
         lifted = self._lifted(word, p, height, off)
         set_since = word == "height" and offset and abs(np.median(height) - offset) > _SAME
         if set_since and not lifted:
-            self._tell_offset(float(np.median(height)), offset)
+            stored = float(np.median(height))
+            self.notes.append(Note(
+                f"the heights of [delta_calibrate] were stored with a z_offset of "
+                f"{stored * 1e3:g} mm, and it is {offset * 1e3:g} mm now: new endstops go by the "
+                f"heights as they were stored, and the nozzle may end "
+                f"{abs(stored - offset) * 1e3:.2g} mm too high or too low; run DELTA_CALIBRATE "
+                f"again", "heights",
+            ))  # fmt: skip
         labels = (f"{x * 1e3:.0f} {y * 1e3:.0f}" for x, y, _ in p)
         each = zip(labels, travel, height + lifted, strict=True)
         return [{**row(Probe.kind, setup, *one), "beside": touched} for one in each]
@@ -147,24 +160,6 @@ class Calibration:
             "heights",
         ))  # fmt: skip
         return since
-
-    def _tell_offset(self, stored: float, offset: float) -> None:
-        self.notes.append(Note(
-            f"the heights of [delta_calibrate] were stored with a z_offset of {stored * 1e3:g} mm, "
-            f"and it is {offset * 1e3:g} mm now: new endstops go by the heights as they were "
-            f"stored, and the nozzle may end {abs(stored - offset) * 1e3:.2g} mm too high or too "
-            f"low; run DELTA_CALIBRATE again",
-            "heights",
-        ))  # fmt: skip
-
-    def _fail_at(self, key: str, p: Array, height: float) -> NoReturn:
-        x, y, z = (f"{v * 1e3:.1f}" for v in p)
-        self.section.fail(
-            f"{key}_pos",
-            f"puts the nozzle at ({x}, {y}, {z}) mm by the stored numbers, where its height above "
-            f"the bed was {height * 1e3:g} mm: the positions, the steps or the numbers of "
-            f"[printer] and [stepper_*] are of different times or mistyped",
-        )
 
     def _distances(self) -> Iterator[dict[str, Any]]:
         section = self.section

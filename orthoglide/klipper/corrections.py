@@ -38,13 +38,12 @@ class Corrections:
     @property
     def rows(self) -> list[tuple[str, str, str]]:
         """Section and key, old and new, as the file has them."""
-        found = [("[printer] delta_radius", self.old.delta_radius, self.new.delta_radius, 1e3)]
-        for k, name in enumerate(TOWERS):
-            for key, unit in (("angle", 1.0), ("arm_length", 1e3), ("position_endstop", 1e3)):
-                attribute = {"arm_length": "arm", "position_endstop": "endstop"}.get(key, key)
-                one, other = getattr(self.old, attribute)[k], getattr(self.new, attribute)[k]
-                found.append((f"[stepper_{name}] {key}", one, other, unit))
-        return [(name, f"{a * unit:.6f}", f"{b * unit:.6f}") for name, a, b, unit in found]
+        new = self.new.sections()
+        return [
+            (f"{section} {key}", value, new[section][key])
+            for section, keys in self.old.sections().items()
+            for key, value in keys.items()
+        ]
 
     @property
     def gains(self) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.effects import Catalogue, catalogue_of
+from orthoglide.effects import catalogue_of
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
@@ -19,7 +19,7 @@ from orthoglide.klipper.calibration import CALLIPER
 from orthoglide.klipper.config import Config, read_config
 from orthoglide.klipper.probe import PROBE, probe_section
 from orthoglide.klipper.rods import rods_words
-from orthoglide.klipper.stored import CALIBRATION, Stored
+from orthoglide.klipper.stored import CALIBRATION, stored_campaigns
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import TOWERS, Firmware, Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
@@ -95,8 +95,8 @@ def import_printer(
             f"is {kinematics.text[:40]!r}, not 'delta': only printers of three towers are imported",
         )
     firmware = _firmware(config)
-    read = Stored(config, firmware, turned)
-    stored = list(read.campaigns())
+    noticed: list[Note] = []
+    stored = list(stored_campaigns(config, firmware, turned or {}, noticed))
     if not stored:
         raise FileError(
             "holds no readings: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and SAVE_CONFIG, and "
@@ -109,7 +109,7 @@ def import_printer(
         *config.notes,
         *_notes(config, firmware, stored),
         *(one.note for one in apart),
-        *read.notes,
+        *noticed,
     )
     return Imported(machine, tuple(stored), notes, apart)
 
@@ -162,6 +162,8 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
         )
     catalogue = catalogue_of(LinearDelta.names)
     length = next(e.name for e in catalogue.effects if e.controller == "bar_length")
+    # Nobody has fitted what was taken from a drawing: the radius.
+    drawn = catalogue.held_as("place") if _as_told(firmware) else ()
     lengths = {
         f"{length}.{name}": ParameterValue(round(own - arm, 9), 0.0, "mm")
         for name, own in zip(TOWERS, firmware.arm, strict=True)
@@ -174,7 +176,7 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
             Probe.kind: Instrument(repeatability=PROBE),
             Distance.kind: Instrument(repeatability=CALLIPER),
         },
-        tolerance=of_printers(catalogue) | _never_fitted(firmware, catalogue),
+        tolerance=of_printers(catalogue) | dict.fromkeys(drawn, _DRAWN),
         parameters=lengths,
         provenance={
             "klipper": {
@@ -192,12 +194,6 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
 def _as_told(firmware: Firmware) -> bool:
     """Whether the numbers are round ones that no calibration has touched."""
     return firmware.angle == ANGLES and len(set(firmware.endstop)) == 1
-
-
-def _never_fitted(firmware: Firmware, catalogue: Catalogue) -> dict[str, float]:
-    """Tolerances of what nobody has fitted: a radius taken from a drawing."""
-    placed = catalogue.held_as("place")
-    return dict.fromkeys(placed, _DRAWN) if _as_told(firmware) else {}
 
 
 def _around(config: Config, firmware: Firmware) -> Array:

@@ -1,10 +1,6 @@
 """The machine file (TOML): what is known of one machine, read strictly and written exactly."""
 
-from orthoglide.machine_file.firmware import (
-    TOWERS as TOWERS,
-    DeltaKinematics as DeltaKinematics,
-    Firmware as Firmware,
-)
+from orthoglide.machine_file.firmware import TOWERS as TOWERS, Firmware as Firmware
 from orthoglide.machine_file.model import (
     Controller as Controller,
     Dial as Dial,
@@ -12,7 +8,6 @@ from orthoglide.machine_file.model import (
     MachineFile as MachineFile,
     ParameterValue as ParameterValue,
     Stiffness as Stiffness,
-    nominal_machine_file as nominal_machine_file,
 )
 from orthoglide.machine_file.posterior import Posterior as Posterior, root_of as root_of
 from orthoglide.machine_file.reading import (

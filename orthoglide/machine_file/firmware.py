@@ -9,7 +9,7 @@ at height h_i holds the nozzle at (x, y, z) where
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,29 +135,35 @@ class Firmware:
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> Firmware:
         """From provenance."""
-        a, b, c = (
-            tuple(float(v) * unit for v in found[key])
-            for key, unit in (
-                ("angle_deg", 1.0), ("arm_length_mm", 1e-3), ("position_endstop_mm", 1e-3),
-            )
-        )  # fmt: skip
-        return cls(float(found["delta_radius_mm"]) * 1e-3, _three(a), _three(b), _three(c))
+        return cls(
+            float(found["delta_radius_mm"]) * 1e-3,
+            _three(found["angle_deg"], 1.0),
+            _three(found["arm_length_mm"], 1e-3),
+            _three(found["position_endstop_mm"], 1e-3),
+        )
+
+    def sections(self) -> dict[str, dict[str, str]]:
+        """Sections of a ``printer.cfg``, each with its keys and their values."""
+        found = {"[printer]": {"delta_radius": f"{self.delta_radius * 1e3:.6f}"}}
+        for k, name in enumerate(TOWERS):
+            found[f"[stepper_{name}]"] = {
+                "angle": f"{self.angle[k]:.6f}",
+                "arm_length": f"{self.arm[k] * 1e3:.6f}",
+                "position_endstop": f"{self.endstop[k] * 1e3:.6f}",
+            }
+        return found
 
     def lines(self) -> list[str]:
         """As a ``printer.cfg`` has it."""
-        found = ["[printer]", f"delta_radius: {self.delta_radius * 1e3:.6f}"]
-        for name, angle, arm, endstop in zip(
-            TOWERS, self.angle, self.arm, self.endstop, strict=True
-        ):
-            found += [
-                f"[stepper_{name}]", f"angle: {angle:.6f}", f"arm_length: {arm * 1e3:.6f}",
-                f"position_endstop: {endstop * 1e3:.6f}",
-            ]  # fmt: skip
-        return found
+        return [
+            line
+            for section, keys in self.sections().items()
+            for line in (section, *(f"{key}: {value}" for key, value in keys.items()))
+        ]
 
 
-def _three(values: tuple[float, ...]) -> Triple:
-    a, b, c = values
+def _three(values: Iterable[Any], unit: float) -> Triple:
+    a, b, c = (float(v) * unit for v in values)
     return a, b, c
 
 

@@ -12,13 +12,11 @@ from numpy.typing import ArrayLike
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
-from orthoglide.machine_file.firmware import DeltaKinematics, Firmware
+from orthoglide.machine_file.firmware import DeltaKinematics, Firmware, Triple
 from orthoglide.machine_file.posterior import Posterior
 
 SCHEMA = 1
 """Version of the machine file that this package reads and writes."""
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class ParameterValue:
 
 @dataclass(frozen=True)
 class MachineFile:
-    """What a machine file holds, SI.
+    """What a machine file holds, SI; of the Orthoglide of the 2008 chapter where nothing is given.
 
     Attributes:
         name: of the machine, for people.
@@ -161,8 +159,3 @@ class MachineFile:
         object.__setattr__(
             self, "tolerance", {**self.catalogue.default_tolerance, **self.tolerance}
         )
-
-
-def nominal_machine_file() -> MachineFile:
-    """The Orthoglide of the 2008 chapter with default tolerances."""
-    return MachineFile()

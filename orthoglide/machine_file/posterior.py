@@ -11,10 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide import files
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
-from orthoglide.text import shown
 
 _CONTENT = ("names", "mean", "covariance", "sha256")
 
@@ -55,13 +53,6 @@ class Posterior:
             raise InputError("each parameter has one variance of its own")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
             raise InputError("a mean and a covariance are finite numbers")
-
-    @classmethod
-    def independent(cls, values: Mapping[str, float], sigmas: Mapping[str, float]) -> Posterior:
-        """Parameters of which each is known apart from the others, SI."""
-        names = tuple(sigmas)
-        mean = np.array([values.get(n, 0.0) for n in names])
-        return cls(names, mean, np.diag(np.square([sigmas[n] for n in names]).reshape(-1)))
 
     def without(self, names: Collection[str]) -> Posterior:
         """What is known of the others, these left open."""
@@ -133,21 +124,13 @@ def posterior_bytes(posterior: Posterior, digest: str) -> bytes:
     return stream.getvalue()
 
 
-def read_posterior(path: str | os.PathLike[str], digest: str) -> Posterior | None:
-    """The covariance kept beside a machine file of which this is the sha256; ``None`` where there
-    is none.
+def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
+    """A covariance from the bytes that `posterior_bytes` made, kept with the machine file of which
+    this is the sha256.
 
     Raises:
-        FileError: where the file is damaged or belongs to another machine file.
+        FileError: where it is damaged or belongs to another machine file.
     """
-    beside = posterior_path(path)
-    if not beside.exists():
-        return None
-    return parse_posterior(files.read_bytes(beside), digest, shown(beside))
-
-
-def parse_posterior(content: bytes, digest: str, file: str) -> Posterior:
-    """A covariance from the bytes that `posterior_bytes` made; raises as `read_posterior`."""
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             names, mean, covariance, belongs_to = (stored[key] for key in _CONTENT)

@@ -25,9 +25,8 @@ from orthoglide.machine_file.model import (
     MachineFile,
     ParameterValue,
     Stiffness,
-    nominal_machine_file,
 )
-from orthoglide.machine_file.posterior import posterior_path, read_posterior
+from orthoglide.machine_file.posterior import parse_posterior, posterior_path
 from orthoglide.machine_file.travel import check_travel
 from orthoglide.parameters import effect_name
 from orthoglide.text import brief, shown
@@ -141,16 +140,14 @@ _KEYS: dict[str, dict[str, Parser]] = {
     },
 }
 _LAYOUTS: dict[str, dict[str, Parser]] = {
-    "orthoglide": {"kind": _text},
+    "orthoglide": {},
     "linear-delta": {
-        "kind": _text,
         "radius_mm": _three(_quantity(1e-3, 1)),
         "angles_deg": _three(_angle),
         "r_mm": _quantity(1e-3, 1),
         "tool_mm": _millimetres(3),
     },
     "legs": {
-        "kind": _text,
         "r_mm": _quantity(1e-3, 1),
         "tool_mm": _millimetres(3),
         "leg": lambda value: value,
@@ -192,7 +189,7 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
         return read_machine_file(given)
     if isinstance(given, Geometry):
         return MachineFile(geometry=given)
-    found = nominal_machine_file() if given is None else getattr(given, "spec", given)
+    found = MachineFile() if given is None else getattr(given, "spec", given)
     if not isinstance(found, MachineFile):
         raise InputError(
             f"a {type(given).__name__} is no machine: give a Machine, the path of its file, or a "
@@ -220,7 +217,9 @@ def read_machine_file(
     content = files.read_bytes(path, files.TEXT)
     machine = parse_machine_file(files.decode(content, path), shown(path), catalogue)
     digest = files.sha256(content)
-    posterior = read_posterior(path, digest)
+    beside, posterior = posterior_path(path), None
+    if beside.exists():
+        posterior = parse_posterior(files.read_bytes(beside), digest, shown(beside))
     layout, geometry = machine.geometry.layout, machine.geometry
     near, within = (
         layout.touching(geometry.L, geometry.r) if isinstance(layout, FreeLegs) else ((), 0.0)
@@ -232,10 +231,9 @@ def read_machine_file(
         for name in near
     )
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
-        beside = shown(posterior_path(path).name)
         warnings += (
-            f"{machine.file}: there is no {beside} beside it with the covariance of its "
-            f"parameters: their sigmas are taken as independent",
+            f"{machine.file}: there is no {shown(beside.name)} beside it with the covariance of "
+            f"its parameters: their sigmas are taken as independent",
         )
     # An explanation that the file does not take may have a place in the covariance all the same.
     catalogue = with_places(machine.catalogue, posterior.names if posterior else (), geometry)
@@ -311,15 +309,15 @@ def _layout(document: Document) -> tuple[Layout, float | None]:
     kind = document.section({"kind": _text}, ("kind",), "layout")["kind"]
     if kind not in _LAYOUTS:
         document.fail(f"there is no layout {kind!r}: {advice(kind, _LAYOUTS)}", "layout", "kind")
-    document.check_keys(_LAYOUTS[kind], "layout")
+    document.check_keys(("kind", *_LAYOUTS[kind]), "layout")
     if kind == "orthoglide":
         return ORTHOGLIDE, None
     if kind == "legs":
         return _free_legs(document)
     found = document.section(_LAYOUTS[kind], ("radius_mm",), "layout")
-    given = {name: found[key] for name, key in _DELTA.items() if key in found}
+    r = found.pop("r_mm", None)
     try:
-        return LinearDelta(**given), found.get("r_mm")
+        return LinearDelta(**{key.removesuffix("_mm"): v for key, v in found.items()}), r
     except InputError as error:
         document.fail(str(error), "layout")
 
@@ -344,9 +342,6 @@ def _free_legs(document: Document) -> tuple[Layout, float | None]:
         )
     except InputError as error:
         document.fail(str(error), "layout", "leg")
-
-
-_DELTA = {"radius": "radius_mm", "angles_deg": "angles_deg", "tool": "tool_mm"}
 
 
 def _instruments(document: Document) -> dict[str, Instrument]:

@@ -110,7 +110,7 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
     stiffness, controller, catalogue = machine.stiffness, machine.controller, machine.catalogue
     bar = None if stiffness.bar is None else units.from_si(stiffness.bar, 1e3)
     tables: dict[str, Any] = {
-        "geometry_mm": {key: _mm(getattr(machine.geometry, key)) for key in _DIMENSIONS},
+        "geometry_mm": {n: _mm(getattr(machine.geometry, n)) for n in ("L", "d", "r", "stroke")},
         "layout": _layout(machine.geometry),
         "dial_mm": {key: _mm(value) for key, value in asdict(machine.dial).items()},
         "instrument": {
@@ -135,9 +135,6 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
     kept = {name: table for name, table in given.items() if table}
     top = {"schema": SCHEMA, "name": machine.name, **kept}
     return {**top, "provenance": dict(machine.provenance)} if machine.provenance else top
-
-
-_DIMENSIONS = ("L", "d", "r", "stroke")
 
 
 def _float(value: float, factor: float) -> str:

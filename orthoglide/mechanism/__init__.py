@@ -1,4 +1,3 @@
 """The general model: a Pinocchio tree with loop closures, and the same tree in CasADi."""
 
-from orthoglide.mechanism.mechanism import Mechanism as Mechanism, Mode as Mode, Posture as Posture
-from orthoglide.mechanism.mobility import Mobility as Mobility
+from orthoglide.mechanism.mechanism import Mechanism as Mechanism

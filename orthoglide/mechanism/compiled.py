@@ -28,15 +28,6 @@ def compiler() -> str | None:
     return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
-def cache_folder() -> Path:
-    """Where compiled functions are kept: ``$ORTHOGLIDE_CACHE``, else the user's cache folder."""
-    chosen = os.environ.get("ORTHOGLIDE_CACHE")
-    if chosen:
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "orthoglide"
-
-
 def compiled(functions: Sequence[Any], *, build: bool = True) -> list[Any] | None:
     """The same functions, compiled.
 
@@ -50,7 +41,10 @@ def compiled(functions: Sequence[Any], *, build: bool = True) -> list[Any] | Non
     """
     if compiler() is None:
         return None
-    source = _source(functions)
+    generator = ca.CodeGenerator("closure", {"verbose": False})
+    for function in functions:
+        generator.add(function)
+    source = str(generator.dump())
     path = library(source, lambda: source, _FLAGS, build=build)
     try:
         return None if path is None else [ca.external(f.name(), str(path)) for f in functions]
@@ -99,12 +93,14 @@ def _digest(content: bytes) -> str:
 
 
 def _own_folder() -> Path:
-    """The cache, made where it is missing, that nobody but the user can write to.
+    """Where compiled functions are kept, made where it is missing, and nobody but the user can
+    write: ``$ORTHOGLIDE_CACHE``, else in the user's cache folder.
 
     Raises:
         PermissionError: where it is another's.
     """
-    folder = cache_folder()
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(os.environ.get("ORTHOGLIDE_CACHE") or Path(base) / "orthoglide")
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     found = folder.stat()
     if hasattr(os, "getuid"):
@@ -122,13 +118,6 @@ def _library(folder: Path, digest: str) -> Path | None:
             return library
         library.unlink()
     return None
-
-
-def _source(functions: Sequence[Any]) -> str:
-    generator = ca.CodeGenerator("closure", {"verbose": False})
-    for function in functions:
-        generator.add(function)
-    return str(generator.dump())
 
 
 def _build(command: str, flags: Sequence[str], source: str, folder: Path, digest: str) -> Path:

@@ -12,7 +12,7 @@ from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.batch import BatchClosure
 from orthoglide.mechanism.compiled import compiled
-from orthoglide.mechanism.elastic_functions import BARS, TENSION, elastic_functions
+from orthoglide.mechanism.elastic_functions import BARS, TENSION, ElasticFunctions
 from orthoglide.mechanism.mapped import Mapped
 from orthoglide.mechanism.tree import RELIEF_NAMES, Tree
 
@@ -140,7 +140,7 @@ class ElasticClosure(BatchClosure):
         super().__init__(tree, compile=compile)
 
     def _build(self) -> dict[str, Any]:
-        return vars(elastic_functions(self.tree))
+        return ElasticFunctions(self.tree).by_name()
 
     def _compiled(self, build: bool) -> dict[str, Mapped] | None:
         found = compiled(list(self._plain.values()), build=build)

@@ -14,7 +14,6 @@ remain. Because tensions and not stretches are sought, rigid bars are c = 0, not
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -36,34 +35,12 @@ STRETCH = tuple(
 """Places of the bars' stretch among ``[drives; virtual]``: leg by leg, bar 1 before bar 2."""
 
 
-@dataclass(frozen=True)
 class ElasticFunctions:
-    """CasADi functions; an unknown is ``[free joints (21); tensions (6) in TENSION newtons]``, a
-    condition ``[drives (3); virtual (30); load; compliance of a bar; torsional stiffness]``, SI.
+    """The CasADi functions of a tree with relief and virtual joints, and what they share.
+
+    An unknown is ``[free joints (21); tensions (6) in TENSION newtons]``, a condition ``[drives
+    (3); virtual (30); load; compliance of a bar; torsional stiffness]``, SI.
     """
-
-    # (unknown, condition) -> (27,): closure residual, then how far each tension is from balance, in
-    # TENSION newtons plus the metres that this stretches the bar
-    residual: Any
-    # (guess, condition) -> unknown at equilibrium, the residual that is left, and the side as of
-    # the plain closure
-    close: Any
-    outputs: Any  # (unknown, condition) -> (48,), as of the plain closure
-    # (unknown, condition) -> outputs and their total derivative (48, 34) by `[drives; virtual;
-    # load]` along equilibria
-    tangent: Any
-    # (unknown, condition) -> (33,): generalised forces with which the machine pushes against the
-    # drives and virtual joints, newtons and newton metres
-    force: Any
-
-
-def elastic_functions(tree: Tree) -> ElasticFunctions:
-    """Build the functions of a tree with relief and virtual joints."""
-    return _Builder(tree).functions()
-
-
-class _Builder:
-    """Symbols and shared pieces of the functions."""
 
     def __init__(self, tree: Tree) -> None:
         self.tree = tree
@@ -80,18 +57,27 @@ class _Builder:
         self.E[list(STRETCH), range(BARS)] = 1.0
         self.w = self.condition[: self.m] + self.compliance * (ca.DM(self.E) @ self.tension)
 
-    def functions(self) -> ElasticFunctions:
-        outputs = self.plain.outputs(self.z, self.w)
+    def by_name(self) -> dict[str, Any]:
+        """All of them, of (unknown, condition)."""
         step, residual = self._step()
         residual = self._function("residual", residual)
         side = self._function("side", self.plain.side(self.z, self.w))
-        return ElasticFunctions(
-            residual,
-            closing(_rootfinder(self._function("step", step)), residual, side),
-            self._function("outputs", outputs),
-            self._function("tangent", *self._tangent()),
-            self._function("force", self._force()),
-        )
+        return {
+            # (27,): closure residual, then how far each tension is from balance, in TENSION newtons
+            # plus the metres that this stretches the bar
+            "residual": residual,
+            # from a guess: unknown at equilibrium, the residual that is left, and the side as of
+            # the plain closure
+            "close": closing(_rootfinder(self._function("step", step)), residual, side),
+            # (48,), as of the plain closure
+            "outputs": self._function("outputs", self.plain.outputs(self.z, self.w)),
+            # outputs and their total derivative (48, 34) by `[drives; virtual; load]` along
+            # equilibria
+            "tangent": self._function("tangent", *self._tangent()),
+            # (33,): generalised forces with which the machine pushes against the drives and virtual
+            # joints, newtons and newton metres
+            "force": self._function("force", self._force()),
+        }
 
     def _function(self, name: str, *results: Any) -> Any:
         dense = [ca.densify(result) for result in results]

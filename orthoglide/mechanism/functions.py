@@ -52,8 +52,18 @@ def closure_functions(
         free: positions in q of the joints that closure moves.
         rows: as many independent closure rows; all where absent.
     """
-    x, given, walked = _walk(tree, free)
-    residual = ca.vertcat(*(_loop_residual(walked, tree)))
+    x, given = ca.SX.sym("x", len(free)), ca.SX.sym("given", 3 + len(tree.virtual))
+    q = ca.SX.zeros(tree.model.nq)
+    for k, place in enumerate(free):
+        q[int(place)] = x[k]
+    for k, place in enumerate([*tree.drive, *tree.virtual]):
+        q[int(place)] = given[k]
+    walked = SymbolicTree(tree.model, q)
+    parts = []
+    for loop in tree.loops:
+        between = walked.relative(loop.frame_1, loop.frame_2)
+        parts += [between.t, rotation_error(between.R)] if loop.kind == "frame" else [between.t]
+    residual = ca.vertcat(*parts)
     if rows is not None:
         residual = residual[list(rows)]
     outputs = _outputs(walked, tree)
@@ -94,27 +104,6 @@ def rigid_rows(tree: Tree) -> tuple[int, ...]:
     size = {k: abs(np.linalg.det(of_pairs[list(k)])) for k in combinations(range(6), 3)}
     best = next(k for k, v in size.items() if v > max(size.values()) - 1e-9)
     return tuple(sorted((*_PLANAR, *_PLACES, *(_TURNS[k] for k in best))))
-
-
-def _walk(tree: Tree, free: NDArray[np.intp]) -> tuple[Any, Any, SymbolicTree]:
-    x = ca.SX.sym("x", len(free))
-    given = ca.SX.sym("given", 3 + len(tree.virtual))
-    q = ca.SX.zeros(tree.model.nq)
-    for k, place in enumerate(free):
-        q[int(place)] = x[k]
-    for k, place in enumerate([*tree.drive, *tree.virtual]):
-        q[int(place)] = given[k]
-    return x, given, SymbolicTree(tree.model, q)
-
-
-def _loop_residual(walked: SymbolicTree, tree: Tree) -> list[Any]:
-    rows = []
-    for loop in tree.loops:
-        between = walked.relative(loop.frame_1, loop.frame_2)
-        rows.append(between.t)
-        if loop.kind == "frame":
-            rows.append(rotation_error(between.R))
-    return rows
 
 
 def _outputs(walked: SymbolicTree, tree: Tree) -> Any:

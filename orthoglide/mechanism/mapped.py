@@ -48,15 +48,13 @@ class Mapped:
         ]
         results = [np.empty((n, *shape)) for shape in self._shapes]
         for part in blocks(n):
-            buffer, evaluate = self._buffer(part.stop - part.start)
+            size = part.stop - part.start
+            if size not in self._buffers:
+                self._buffers[size] = self.function.map(size).buffer()
+            buffer, evaluate = self._buffers[size]
             for k, row in enumerate(rows):
                 buffer.set_arg(k, memoryview(row[part]))  # type: ignore[arg-type]
             for k, result in enumerate(results):
                 buffer.set_res(k, memoryview(result[part]))  # type: ignore[arg-type]
             evaluate()
         return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
-
-    def _buffer(self, size: int) -> tuple[Any, Any]:
-        if size not in self._buffers:
-            self._buffers[size] = self.function.map(size).buffer()
-        return self._buffers[size]

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
@@ -116,14 +117,17 @@ class Mechanism:
             if found is not None:
                 return found
         moving = self.tree.passive if legs == "rigid" else self.tree.free
-        step = self._least_squares_step if legs == "rigid" else self._newton_step
-        iterations = 0
+        iterations, info = 0, 0
         while iterations < _STEPS:
             iterations += 1
             residual = self.loops.update(q)
-            change = step(residual, self.loops.newton_matrix()[:, moving])
+            jacobian = self.loops.newton_matrix()[:, moving]
+            if legs == "rigid":
+                change = np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0]
+            else:
+                _, _, change, info = dgesv(jacobian, residual)
             largest = float(np.abs(change).max())
-            if not np.isfinite(largest):
+            if info != 0 or not np.isfinite(largest):
                 break
             q[moving] -= change * min(1.0, _LONGEST_STEP / max(largest, _LONGEST_STEP))
             if largest < 1e-8:  # quadratic: the step just made leaves its square
@@ -163,17 +167,6 @@ class Mechanism:
         q[self.tree.drive] = rho - self.geometry.zero
         q[self.tree.virtual] = moves.ravel()
         return q
-
-    @staticmethod
-    def _newton_step(residual: Array, jacobian: Array) -> Array:
-        from scipy.linalg.lapack import dgesv
-
-        _, _, change, info = dgesv(jacobian, residual)
-        return np.asarray(change) if info == 0 else np.full(len(residual), np.nan)
-
-    @staticmethod
-    def _least_squares_step(residual: Array, jacobian: Array) -> Array:
-        return np.asarray(np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0])
 
     def _checked(self, q: Array, iterations: int, mode: Mode, legs: str) -> Posture:
         import pinocchio as pin

@@ -55,13 +55,10 @@ def _constant(values: Any) -> Any:
     return ca.sparsify(ca.SX(values))
 
 
-def _cross_matrix(w: np.ndarray) -> Any:
-    return _constant(np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]))
-
-
 def _rotation(axis: np.ndarray, cosine: Any, sine: Any) -> Any:
     """Rodrigues' formula about a unit axis."""
-    K = _cross_matrix(axis)
+    x, y, z = axis
+    K = _constant(np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
     return ca.SX.eye(3) + sine * K + (1 - cosine) * (K @ K)
 
 
@@ -88,25 +85,18 @@ def joint_transform(joint: Any, q: Any) -> Transform:
     kind = joint.shortname()
     # By name too: helical and composite joints can have as many coordinates as these.
     plain = kind.startswith(("JointModelR", "JointModelP"))
-    if plain and joint.nq == joint.nv == 1:
-        axis = np.asarray(joint.createData().S).ravel()
-        return _screw_free(axis, q)
-    if plain and joint.nq == 2 and joint.nv == 1:  # a revolute without limits: (cos, sin)
-        axis = np.asarray(joint.createData().S).ravel()[3:]
-        return Transform(_rotation(axis, q[0], q[1]), ca.SX(3, 1))
+    if plain and joint.nv == 1 and joint.nq <= 2:  # prismatic or revolute: its axis says which
+        linear, angular = np.asarray(joint.createData().S).reshape(2, 3)
+        if joint.nq == 2:  # without limits: (cos, sin)
+            return Transform(_rotation(angular, q[0], q[1]), ca.SX(3, 1))
+        if np.any(angular):
+            return Transform(_rotation(angular, ca.cos(q), ca.sin(q)), ca.SX(3, 1))
+        return Transform(ca.SX.eye(3), _constant(linear) * q)
     if joint.nq == 7 and "FreeFlyer" in kind:
         return Transform(_quaternion(q[3:7]), q[0:3])
     if joint.nq == 4 and joint.nv == 3 and "Spherical" in kind:
         return Transform(_quaternion(q), ca.SX(3, 1))
     raise InputError(f"joints of kind {kind} are not supported by the symbolic tree")
-
-
-def _screw_free(axis: np.ndarray, q: Any) -> Transform:
-    """A prismatic or a revolute joint: its axis has either a linear or an angular part."""
-    linear, angular = axis[:3], axis[3:]
-    if np.any(angular):
-        return Transform(_rotation(angular, ca.cos(q), ca.sin(q)), ca.SX(3, 1))
-    return Transform(ca.SX.eye(3), _constant(linear) * q)
 
 
 class SymbolicTree:

@@ -154,11 +154,6 @@ def _with_extras(source: pin.Model) -> pin.Model:
             here = add(here, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
         carrier[j] = here
         model.appendBodyToJoint(here, source.inertias[j], pin.SE3.Identity())
-    _copy_frames(source, model, carrier)
-    return model
-
-
-def _copy_frames(source: pin.Model, model: pin.Model, carrier: dict[int, int]) -> None:
     for frame in source.frames[1:]:
         leg, _, name = frame.name.partition("_")
         parent = carrier[frame.parentJoint]
@@ -166,5 +161,6 @@ def _copy_frames(source: pin.Model, model: pin.Model, carrier: dict[int, int]) -
             continue
         if name in BEFORE_FRAME:
             extra, joint = BEFORE_FRAME[name]
-            parent = int(model.addJoint(parent, joint(), pin.SE3.Identity(), f"{leg}_{extra}"))
+            parent = add(parent, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
         model.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, pin.FrameType.OP_FRAME))
+    return model

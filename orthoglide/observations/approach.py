@@ -44,12 +44,6 @@ class Moves:
     def __len__(self) -> int:
         return len(self.order)
 
-    def same_as(self, other: Moves) -> bool:
-        """Whether both are exactly the same moves; lines and plans aside."""
-        return np.array_equal(self.command, other.command) and np.array_equal(
-            self.order, other.order
-        )
-
 
 def overshoot(stroke: tuple[float, float]) -> float:
     """How far beyond a command a machine goes to reach it from a side, metres.
@@ -85,19 +79,14 @@ def derive_approach(
     rho = np.vstack([moves.command, own])
     sequence = np.argsort(np.concatenate([moves.order, np.asarray(order)]), kind="stable")
     approach = np.empty_like(rho)
-    for k, axis in enumerate(rho[sequence].T.tolist()):
-        approach[sequence, k] = _directions(axis, moved)
+    for k, places in enumerate(rho[sequence].T.tolist()):
+        found, way, at = [], 1.0, places[0] if places else 0.0
+        for place in places:  # a creep by less than it counts as moved adds up
+            if abs(place - at) > moved:
+                way, at = math.copysign(1.0, place - at), place
+            found.append(way)
+        approach[sequence, k] = found
     return approach[len(moves) :]
-
-
-def _directions(places: Sequence[float], moved: float) -> list[float]:
-    """Of an axis through its places; a creep by less than it counts as moved adds up."""
-    found, way, at = [], 1.0, places[0] if places else 0.0
-    for place in places:
-        if abs(place - at) > moved:
-            way, at = math.copysign(1.0, place - at), place
-        found.append(way)
-    return found
 
 
 def built_up(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
-from orthoglide.observations.approach import Ints
+from orthoglide.observations.approach import Ints, Moves
 
 
 class Kind(NamedTuple):
@@ -111,6 +111,7 @@ class Recorded:
         warnings: what was noticed on reading and is no error.
         reference_temperature: what `temperature_rise` counts from; nan: the first one recorded.
         legs: how the machine's legs and commands are called.
+        moves: commands gone through between the readings.
         to_frame: the rows of the file as a data frame, in the coordinates of a machine's controller
             where that is given.
     """
@@ -137,6 +138,7 @@ class Recorded:
     warnings: tuple[Any, ...] = ()
     reference_temperature: float = float("nan")
     legs: LegNames = ORTHOGLIDE.names
+    moves: Moves = field(default_factory=Moves)
 
     def __post_init__(self) -> None:
         hold(self, self.name, self._arrays, "reading")

@@ -6,7 +6,7 @@ Arrays hold one entry a reading. Nothing here reads files; units are SI througho
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
-from orthoglide.observations.approach import Ints, Moves, built_up, derive_approach, planned_moves
+from orthoglide.observations.approach import Ints, built_up, derive_approach, planned_moves
 from orthoglide.observations.arrays import OF_READINGS, Recorded
 
 _THREE = (0, 1, 2)
@@ -66,14 +66,12 @@ class Campaign(Recorded):
     """Dial readings of one file, with a free datum for every setup; metres.
 
     Attributes:
-        moves: commands gone through between the readings.
         from_frame: a campaign from a data frame with the columns of a campaign file.
     """
 
     from_frame: ClassVar[Callable[..., Campaign]]
 
     setups: tuple[Setup, ...]
-    moves: Moves = field(default_factory=Moves)
 
     def __repr__(self) -> str:
         missing = int(np.isnan(self.reading).sum())
@@ -161,10 +159,11 @@ class Campaign(Recorded):
         )
 
     def same_as(self, other: Campaign) -> bool:
-        """Whether both hold exactly the same readings; file, lines and warnings aside."""
+        """Whether both hold exactly the same readings; files, lines, plans and warnings aside."""
         return (
             (self.name, self.setups, self.posture) == (other.name, other.setups, other.posture)
-            and self.moves.same_as(other.moves)
+            and np.array_equal(self.moves.command, other.moves.command)
+            and np.array_equal(self.moves.order, other.moves.order)
             and all(
                 np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
                 for name in OF_READINGS

@@ -80,24 +80,21 @@ _ROUNDED = 2e-9  # metres: commands that were rounded to a nanometre
 _PLACED = 1e-8  # metres: the same of commands and places, each rounded to a nanometre
 DIRECTION_OF_MOVE = Column(SIGN, 0)
 
+BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
+"""Where a probe touches or a tip stands, from the tool on the platform."""
+
+TURNED = "turned_deg"
+"""How far a plate was turned on its seat, counter-clockwise from above."""
 
 TOOL_COLUMNS: dict[str, Column] = {
     "kind": Column(choice({kind: kind for kind in INSTRUMENTS})),
     "setup": Column(label),
     "direction": Column(DIRECTION, (0, 1)),
     "firmware": Column(label, ""),
-    "beside_x_mm": Column(number(MM), 0.0),
-    "beside_y_mm": Column(number(MM), 0.0),
-    "beside_z_mm": Column(number(MM), 0.0),
-    "turned_deg": Column(number(low=-360, high=360), 0.0),
+    **dict.fromkeys(BESIDE, Column(number(MM), 0.0)),
+    TURNED: Column(number(low=-360, high=360), 0.0),
 }
 """What rows of the tool have besides those of `ROW_COLUMNS`."""
-
-BESIDE = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
-"""Where a probe touches or a tip stands, from the tool on the platform."""
-
-TURNED = "turned_deg"
-"""How far a plate was turned on its seat, counter-clockwise from above."""
 
 TURNS = 0.1
 """The largest standard deviation of a turn, radians: a level in a telephone shows hundredths."""

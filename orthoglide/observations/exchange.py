@@ -77,24 +77,14 @@ def write_campaign(
     several = campaign if isinstance(campaign, Sequence) else (campaign,)
     if not several or not all(isinstance(one, Recorded) and len(one) for one in several):
         raise InputError("give a campaign with readings, or a list of such, to write")
-    given = in_one_file(several)
-    files.write_whole(path, readings_text(given, machine_file), overwrite=overwrite)
-
-
-def in_one_file(given: Sequence[Readings]) -> list[Readings]:
-    """Readings of several kinds as one file has them.
-
-    Raises:
-        InputError: as `write_campaign`.
-    """
-    setups = [s.name for one in given for s in one.setups]
+    setups = [s.name for one in several for s in one.setups]
     twice = [name for name in setups if setups.count(name) > 1]
-    if len({one.legs for one in given}) > 1:
+    if len({one.legs for one in several}) > 1:
         raise InputError(
             "one file is of one machine, and these call their legs otherwise: write readings of "
             "others to their own files"
         )
-    if sum(isinstance(one, Campaign) for one in given) > 1:
+    if sum(isinstance(one, Campaign) for one in several) > 1:
         raise InputError("one file has one campaign of dials: write the others to their own files")
     if twice:
         raise InputError(
@@ -102,7 +92,8 @@ def in_one_file(given: Sequence[Readings]) -> list[Readings]:
             f"readings to files of their own"
         )
     # Dials take all moves of a file for theirs: those behind their readings are nothing to them.
-    return in_sequence(sorted(given, key=lambda one: isinstance(one, ToolCampaign)))
+    given = in_sequence(sorted(several, key=lambda one: isinstance(one, ToolCampaign)))
+    files.write_whole(path, readings_text(given, machine_file), overwrite=overwrite)
 
 
 def in_sequence(given: Sequence[_R]) -> list[_R]:

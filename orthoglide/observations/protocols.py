@@ -80,7 +80,9 @@ def protocol(kind: Kind, geometry: Geometry | None = None) -> Campaign:
     check_word("protocol", kind, get_args(Kind))
     geometry = geometry or Geometry()
     check_dials(geometry)
-    postures = _named(geometry) if kind == "standard" else _swept(geometry)
+    low, high = geometry.stroke
+    named = [("zero", 0.0), ("max", high), ("min", low)]
+    postures = named if kind == "standard" else _swept(geometry)
     visits = [
         (leg, gauge, repeat, posture)
         for leg in range(3)
@@ -163,11 +165,6 @@ def unread(
         line=order + 2,
         moves=Moves(beyond=overshoot(geometry.stroke)),
     )
-
-
-def _named(geometry: Geometry) -> list[Posture]:
-    low, high = geometry.stroke
-    return [("zero", 0.0), ("max", high), ("min", low)]
 
 
 def _swept(geometry: Geometry) -> list[Posture]:

@@ -7,7 +7,7 @@ instrument each, as those of dials are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from orthoglide.errors import check_word
 from orthoglide.frames import html_table
 from orthoglide.geometry import Array
 from orthoglide.instruments import INSTRUMENTS, Instrument
-from orthoglide.observations.approach import Ints, Moves, derive_approach, planned_moves
+from orthoglide.observations.approach import Ints, derive_approach, planned_moves
 from orthoglide.observations.arrays import MAYBE_VECTOR, NUMBER, OF_READINGS, WHOLE, Recorded
 
 
@@ -56,7 +56,6 @@ class ToolCampaign(Recorded):
         axis: base axis that is read ``(n,)``; 0 where the kind has none.
         sign: +1, or -1 where the instrument counts against it ``(n,)``.
         second: the other command of a distance ``(n, 3)``, metres; nan for other kinds.
-        moves: commands gone through between the readings.
         from_frame: readings from a data frame with the columns of their file.
     """
 
@@ -67,7 +66,6 @@ class ToolCampaign(Recorded):
     axis: Ints
     sign: Array
     second: Array
-    moves: Moves = field(default_factory=Moves)
 
     def __repr__(self) -> str:
         kinds = ", ".join(dict.fromkeys(s.kind for s in self.setups))

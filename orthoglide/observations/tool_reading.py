@@ -129,10 +129,10 @@ def _known(table: Table, machine: MachineFile) -> tuple[str, ...]:
 
 def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool) -> ToolCampaign:
     """Readings of the tool from rows of these and of moves."""
-    moved = [kind == "move" for kind in every.values("kind", _KIND)]
+    named = every.values("kind", _KIND)
+    moved, kinds = [kind == "move" for kind in named], [kind for kind in named if kind != "move"]
     names = command_names(every, machine)
     second = second_names(names, machine.geometry.leg_names)
-    kinds = [k for k in every.values("kind", _KIND) if k != "move"]
     reading = [f"reading_{INSTRUMENTS[k].unit}" for k in kinds]
     known = _known(every, machine)
     warnings = every.check_names(known, ("kind", "setup", *names, *dict.fromkeys(reading)))
@@ -151,9 +151,9 @@ def _tool(every: Table, name: str, machine: MachineFile, require_readings: bool)
         **fields
         | {
             "reading": np.where(
-                untouched(table, names), np.nan, _either(table, kinds, "reading_mm", "reading_mrad")
+                untouched(table, names), np.nan, _either(table, kinds, "reading", READING_MRAD)
             ),
-            "sigma": _either(table, kinds, "sigma_mm", "sigma_mrad"),
+            "sigma": _either(table, kinds, "sigma", SIGMA_MRAD),
         },
     )
     if require_readings or np.isfinite(made.reading).all():
@@ -212,10 +212,10 @@ def _second(table: Table, names: tuple[str, ...], kinds: list[Any], machine: Mac
     return found
 
 
-def _either(table: Table, kinds: list[Any], mm: str, mrad: str) -> Array:
+def _either(table: Table, kinds: list[Any], what: str, mrad: Column) -> Array:
     """A column of millimetres or, for inclinations, of milliradians."""
-    lengths = np.array(table.values(mm, ROW_COLUMNS[mm]))
-    angles = np.array(table.values(mrad, READING_MRAD if mm == "reading_mm" else SIGMA_MRAD))
+    lengths = np.array(table.values(f"{what}_mm", ROW_COLUMNS[f"{what}_mm"]))
+    angles = np.array(table.values(f"{what}_mrad", mrad))
     return np.where([INSTRUMENTS[kind].angular for kind in kinds], angles, lengths)
 
 

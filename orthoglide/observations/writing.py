@@ -79,8 +79,11 @@ def campaign_rows(
         From column to text; all rows have the same columns, in the order of FORMAT's table.
     """
     machine = None if machine_file is None else machine_file_of(machine_file)
-    names = _names(campaign.legs, machine, places)
-    legs, angles = _legs(campaign.legs, machine).legs, campaign.angular
+    of, angles = _legs(campaign.legs, machine), campaign.angular
+    plain, legs = machine is None or machine.controller == Controller(), of.legs
+    names = of_commands(of) if plain else by_leg(TRAVELLED, legs)
+    if places and machine is not None and machine.kinematics is not None:
+        names = PLACE
     timed = np.isfinite(campaign.time).any()
     taken = np.isfinite(campaign.reading)  # the time of a reading not taken yet is none
     columns: Columns = {
@@ -113,15 +116,6 @@ def campaign_rows(
 def _legs(own: LegNames, machine: MachineFile | None) -> LegNames:
     """Names of a machine's legs; readings' ``own`` where none is given."""
     return own if machine is None else machine.geometry.layout.names
-
-
-def _names(own: LegNames, machine: MachineFile | None, places: bool = False) -> tuple[str, ...]:
-    """Columns of commands; arguments as for `_legs` and `campaign_rows`."""
-    legs = _legs(own, machine)
-    if places and machine is not None and machine.kinematics is not None:
-        return PLACE
-    plain = machine is None or machine.controller == Controller()
-    return of_commands(legs) if plain else by_leg(TRAVELLED, legs.legs)
 
 
 def _of_dials(campaign: Campaign, approaches: bool) -> Columns:

@@ -5,10 +5,8 @@ Everything here reads a `Result` and computes nothing of its own.
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING
 
-from orthoglide.errors import path_of
 from orthoglide.progress import Progress, Step, silent
 from orthoglide.report.folder import check_folder as check_folder, write_folder as write_folder
 from orthoglide.report.result_json import result_text as result_text
@@ -49,21 +47,3 @@ def report_files(result: Result, progress: Progress = silent) -> dict[str, str |
         "report.html": page(result, drawings, sheet),
         "result.json": text,
     }
-
-
-def write_report(
-    result: Result, folder: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write a result's files into a folder, as the command line does.
-
-    Args:
-        result: what was found.
-        folder: new or empty, or an earlier report that may be replaced.
-        overwrite: whether it may.
-
-    Raises:
-        FileError: where the folder is not empty and not replaced, or cannot be written.
-    """
-    out = path_of(folder)
-    check_folder(out, overwrite)
-    write_folder(out, report_files(result), overwrite)

@@ -18,7 +18,7 @@ from orthoglide.result.actions import loses
 if TYPE_CHECKING:
     from orthoglide.accuracy import ExpectedError
     from orthoglide.fit import Change
-    from orthoglide.posterior import Cause, Curve, Explanation, Located
+    from orthoglide.posterior import Cause, Curve, Explanation
     from orthoglide.result import Result
 
 Data = dict[str, Any]
@@ -99,7 +99,9 @@ def claims(result: Result) -> list[Claim]:
     """Causes, places and changes, each with what else it could be."""
     option = itertools.count()
     causes = [_of_cause(cause, option) for cause in result.effects]
-    causes += [_of_place(found, option) for found in result.located]
+    for found in result.located:
+        first, *others = (_of_curve(c, next(option)) for c in found.members)
+        causes.append(Claim(first, (), tuple(others)))
     if result.word == "partial":
         causes = [
             replace(c, first=replace(c.first, sure=f"among the causes known {c.first.sure}"))
@@ -126,14 +128,8 @@ def _statement(one: Explanation, probability: float, option: int) -> Statement:
     return Statement(sentence(one.words), sure, option)
 
 
-def _of_place(found: Located, option: Iterator[int]) -> Claim:
-    first, *others = (_of_curve(c, next(option)) for c in found.members)
-    return Claim(first, (), tuple(others))
-
-
 def _of_curve(curve: Curve, option: int) -> Statement:
-    words = sentence(f"{curve.place.words}, by {curve_words(curve)}")
-    return Statement(words, sure_words(curve.probability), option)
+    return Statement(sentence(curve_words(curve)), sure_words(curve.probability), option)
 
 
 def _of_change(change: Change, option: Iterator[int]) -> Claim:

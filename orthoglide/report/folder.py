@@ -33,31 +33,28 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
     Raises:
         FileError: saying what would do.
     """
-    with writing(out):
-        return _checked(out, overwrite)
 
-
-def _checked(out: Path, overwrite: bool) -> Path:
     def refuse(why: str) -> NoReturn:
         raise FileError(why, file=shown(out))
 
-    target = Path(os.path.realpath(out))
-    if out.is_symlink() and not target.exists():
-        refuse("is a link to nothing: name a new folder")
-    if target.exists() and not target.is_dir():
-        refuse("is a file: name a new folder for the results")
-    if target == Path.cwd():
-        refuse("is the folder you are in: name a new one inside it")
-    names = {path.name for path in target.iterdir()} if target.is_dir() else set()
-    if names and not overwrite:
-        refuse("is not empty and results are never overwritten: name a new or empty folder")
-    if names - _REPORT:
-        part = sorted(names - _REPORT)[0]
-        refuse(f"holds {part}, which is no part of a report: name another folder")
-    if not target.parent.is_dir():
-        refuse("cannot be made where there is no folder to hold it: make that first")
-    if not os.access(target.parent, os.W_OK | os.X_OK):
-        refuse("cannot be made here: choose a place you may write to")
+    with writing(out):
+        target = Path(os.path.realpath(out))
+        if out.is_symlink() and not target.exists():
+            refuse("is a link to nothing: name a new folder")
+        if target.exists() and not target.is_dir():
+            refuse("is a file: name a new folder for the results")
+        if target == Path.cwd():
+            refuse("is the folder you are in: name a new one inside it")
+        names = {path.name for path in target.iterdir()} if target.is_dir() else set()
+        if names and not overwrite:
+            refuse("is not empty and results are never overwritten: name a new or empty folder")
+        if names - _REPORT:
+            part = sorted(names - _REPORT)[0]
+            refuse(f"holds {part}, which is no part of a report: name another folder")
+        if not target.parent.is_dir():
+            refuse("cannot be made where there is no folder to hold it: make that first")
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            refuse("cannot be made here: choose a place you may write to")
     return target
 
 

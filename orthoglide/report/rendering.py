@@ -24,9 +24,5 @@ def rendered(template: str, **data: Any) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters.update({word.__name__: word for word in _WORDS}, fixed=_fixed)
+    environment.filters.update({word.__name__: word for word in _WORDS}, fixed="{:.{}f}".format)
     return environment.get_template(template).render(**data)
-
-
-def _fixed(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}"

@@ -388,11 +388,9 @@ def _check(check: CrossCheck) -> dict[str, Any]:
 
 def _workspace(result: Result) -> dict[str, Any] | None:
     """The predicted TCP error over the workspace, best translation removed, mean and largest."""
-    return (
-        None
-        if result.workspace is None
-        else {
-            name: {"mean_mm": _mm(values.mean(), _SHORT), "max_mm": _mm(values.max(), _SHORT)}
-            for name, values in result.workspace.figures().items()
-        }
-    )
+    if result.workspace is None:
+        return None
+    return {
+        name: {"mean_mm": _mm(values.mean(), _SHORT), "max_mm": _mm(values.max(), _SHORT)}
+        for name, values in result.workspace.figures().items()
+    }

@@ -30,7 +30,7 @@ from orthoglide.result.unvaried import unshown
 if TYPE_CHECKING:
     from orthoglide.diagnosis.rest import SetupRest
     from orthoglide.observations import Campaign, Setup
-    from orthoglide.posterior import BudgetItem, Located
+    from orthoglide.posterior import BudgetItem
     from orthoglide.result import Result, Workspace
 
 Data = dict[str, Any]
@@ -186,18 +186,15 @@ def controller(result: Result) -> Data:
     spec, numbers, why = result.machine.spec, result.numbers, withheld(result.machine)
     effects = result.catalogue
     zeros = any(effects.effect_of(name).controller == "zero" for name in spec.parameters)
+    places = [found.members[0].place for found in result.located]
     return {
         "drives": numbers.drives if zeros else (),
         "withheld": _WHY if result.cautions else sentence(why) if why else "",
         "counting": COUNTING,
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
-        "beyond": listed([f.members[0].place.words for f in result.located if not _kept(f)]),
+        # What a calibrated machine does not hold.
+        "beyond": listed(place.words for place in places if not place.of_machine),
     }
-
-
-def _kept(found: Located) -> bool:
-    """Whether a calibrated machine holds it."""
-    return found.members[0].place.of_machine
 
 
 def too_early(result: Result) -> tuple[str, str]:

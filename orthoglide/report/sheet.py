@@ -31,11 +31,6 @@ def sheet_page(sheet: Campaign, machine: Machine, file: str) -> str:
     )
 
 
-def _turned(setup: Setup) -> str:
-    """What makes a dial that counts the other way right in the file."""
-    return f"write {replace(setup, sign=-setup.sign).direction} in column direction"
-
-
 def counted(machine: Machine) -> str:
     """What the commands of a sheet count, a sentence."""
     if machine.spec.controller != Controller():
@@ -80,7 +75,11 @@ def _pages(sheet: Campaign, machine: Machine) -> Iterator[dict[str, Any]]:
     stand = {dial.name: dial for dial in dials(posed, [sheet])}
     numbered = enumerate(rows, start=2)
     for names, lines in groupby(numbered, key=lambda line: together[line[1]["setup"]]):
-        told = tuple((n, dial_words(by_name[n], machine, _turned(by_name[n]))) for n in names)
+        told = []
+        for setup in (by_name[n] for n in names):
+            turned = replace(setup, sign=-setup.sign)
+            otherwise = f"write {turned.direction} in column direction"
+            told.append((setup.name, dial_words(setup, machine, otherwise)))
         title = " and ".join(names)
         here = drawing(posed, dials=[stand[n] for n in names], title=f"Where to mount {title}")
         steps = list(_steps(list(lines), names, commands))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide import __version__
-from orthoglide.geometry import LEGS, Geometry
-from orthoglide.machine_file import MachineFile, nominal_machine_file
+from orthoglide.geometry import LEGS
+from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
 from orthoglide.observations.columns import of_commands
 from orthoglide.text import csv_text
 
 if TYPE_CHECKING:
-    from orthoglide.request import Request
     from orthoglide.result import Result
 
 _FIGURES = (
@@ -28,35 +26,21 @@ _FIGURES = (
 _IN_MM, _IN_MRAD = (tuple(name.format(unit) for name in _FIGURES) for unit in ("mm", "mrad"))
 
 
-def _places(geometry: Geometry) -> tuple[str, ...]:
-    before = ("campaign", "line", "setup", "leg", "direction", "posture")
-    return (*before, *of_commands(geometry.layout.names), "gauge_mm", "repeat", "order")
-
-
 def calibrated_machine(result: Result) -> MachineFile:
     """The machine file to go on with, with where its numbers come from."""
     request, spec = result.request, result.machine.spec
+    given, read = request.machine.spec, [i for i in request.inputs if "role" not in i]
+    machine = {"file": Path(given.file).name, "sha256": given.sha256}
     provenance: dict[str, Any] = {
-        **_origin(request),
+        "version": __version__,
+        "command": request.command,
+        "campaigns": [{"file": i["file"], "sha256": i["sha256"]} for i in read],
+        **({"machine": machine} if given.file else {}),
         **spec.provenance,
         "sigma": "noise alone" if result.posterior is None else "everything else allowed",
     }
-    nominal = spec.name == nominal_machine_file().name
-    name = "Orthoglide, calibrated" if nominal else spec.name
+    name = "Orthoglide, calibrated" if spec.name == MachineFile.name else spec.name
     return replace(spec, name=name, provenance=provenance)
-
-
-def _origin(request: Request) -> dict[str, Any]:
-    files = [(i["file"], i["sha256"]) for i in request.inputs if "role" not in i]
-    found: dict[str, Any] = {
-        "version": __version__,
-        "command": request.command,
-        "campaigns": [{"file": name, "sha256": digest} for name, digest in files],
-    }
-    spec = request.machine.spec
-    if spec.file:
-        found["machine"] = {"file": Path(spec.file).name, "sha256": spec.sha256}
-    return found
 
 
 def residual_table(result: Result) -> str:
@@ -86,18 +70,17 @@ def residual_table(result: Result) -> str:
                 add(_point_cells(read, int(factor.point[k]), int(factor.setup[k])), row, "tcp")
             else:
                 add(_cells(read, k), row, read.setups[read.setup[k]].kind)
-    for campaign, row, kind in _set_aside(result):
-        first = [*_cells(campaign, row), _mm(campaign.reading[row]), *none[1:], kind, "leg"]
-        rows.append([*first, *(none if several else ())])
-    last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
-    return csv_text((*_places(problem.machine.geometry), *_IN_MM, *last), rows)
-
-
-def _set_aside(result: Result) -> Iterator[tuple[Campaign, int, str]]:
-    campaigns = result.first.problem.campaigns
     for blunder in result.blunders:
         for place, row in blunder.rows if blunder.sets_aside else ():
-            yield campaigns[place], row, blunder.kind
+            read = result.first.problem.campaigns[place]
+            first = [*_cells(read, row), _mm(read.reading[row]), *none[1:], blunder.kind, "leg"]
+            rows.append([*first, *(none if several else ())])
+    places = (
+        "campaign", "line", "setup", "leg", "direction", "posture",
+        *of_commands(problem.machine.geometry.layout.names), "gauge_mm", "repeat", "order",
+    )  # fmt: skip
+    last = ("set_aside", "kind", *(_IN_MRAD if several else ()))
+    return csv_text((*places, *_IN_MM, *last), rows)
 
 
 def _cells(read: Campaign | ToolCampaign, row: int) -> list[Any]:

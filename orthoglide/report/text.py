@@ -17,7 +17,7 @@ from orthoglide.report.phrases import (
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.sections import too_early
 from orthoglide.report.wording import MEANINGS, headline
-from orthoglide.result.firmware import UNSEEN, Unseen
+from orthoglide.result.firmware import UNSEEN
 from orthoglide.text import is_terminal, text_width
 
 if TYPE_CHECKING:
@@ -56,16 +56,12 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
-        parts += [Text(line) for line in _unseen(result.firmware.unseen)]
+        unseen = [sentence(one.brief) for one in result.firmware.unseen]
+        parts += [Text(f"- {UNSEEN}")] if unseen else []
+        rest = "{} others of the causes above stand in a report."
+        parts += [Text(line) for line in _first(unseen, rest)]
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.cautions]
     return console_text(parts)
-
-
-def _unseen(found: Sequence[Unseen]) -> Iterator[str]:
-    if found:
-        yield f"- {UNSEEN}"
-    rest = "{} others of the causes above stand in a report."
-    yield from _first([sentence(one.brief) for one in found], rest)
 
 
 def to_do(result: Result) -> Iterator[str]:

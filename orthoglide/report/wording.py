@@ -247,7 +247,7 @@ def _causes(result: Result) -> str:
 def located_words(found: Located) -> str:
     """Where something without a name was found, how large it is, and what else it could be."""
     first, *others = found.members
-    text = f"{first.place.words}, by {curve_words(first)}"
+    text = curve_words(first)
     if others:
         named = " or ".join(c.words for c in others[:_MOST_RIVALS])
         more = len(others) - _MOST_RIVALS
@@ -259,11 +259,12 @@ def located_words(found: Located) -> str:
 
 
 def curve_words(curve: Curve) -> str:
-    """Size of a curve, and how it is counted."""
+    """Where a curve was found and its size, as a clause, with how that is counted."""
     of_a_place = " of coming to a place" * (not curve.place.of_dial)
     counted = {"approach": f"between the two ways{of_a_place}", "reversal": "from the turn on"}
     size = curve.size_words.removesuffix(" rms")
-    return f"{size} ({counted.get(curve.place.against, 'root mean square')})"
+    how = counted.get(curve.place.against, "root mean square")
+    return f"{curve.place.words}, by {size} ({how})"
 
 
 def alternatives(cause: Cause) -> str:

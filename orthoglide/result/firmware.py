@@ -65,16 +65,6 @@ class FirmwareAdvice:
     beyond: tuple[str, ...]
     unseen: tuple[Unseen, ...]  # which of them its own seven points cannot see
 
-    @property
-    def paste(self) -> str:
-        """The new numbers as the file has them."""
-        return "\n".join(self.corrections.new.lines()) if self.corrections else ""
-
-    @property
-    def undo(self) -> str:
-        """The old ones, to undo it."""
-        return "\n".join(self.corrections.old.lines()) if self.corrections else ""
-
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
         return {

@@ -88,14 +88,16 @@ def drawing(
     bodies = sorted(_bodies(posed, project), key=lambda body: body[0])
     paper = _occupied(posed, dials, project)
     names = "".join(lettering(*at, name, "ink", 3) for name, at in _named(posed, project))
-    drawn = _marked(options, shown, posed, dials, paper)
-    groups = [
-        f'<g class="option option-{k}{" first" if k in shown else ""}"'
-        f"{'' if k in shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
-        f"<title>{escape(option.words)}</title>"
-        f"{text}</g>"
-        for k, (option, text) in enumerate(zip(options, drawn, strict=True))
-    ]
+    groups = []
+    for k, option in enumerate(options):
+        # Those shown together keep off each other's words.
+        own = paper if k in shown else paper.another()
+        drawn = "".join(marked(mark, posed, dials, own) for mark in option.marks)
+        groups.append(
+            f'<g class="option option-{k}{" first" if k in shown else ""}"'
+            f"{'' if k in shown else ' style=' + chr(34) + 'display:none' + chr(34)}>"
+            f"<title>{escape(option.words)}</title>{drawn}</g>"
+        )
     told = "; or ".join(option.words for option in options)
     return (
         f'<svg class="machine" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
@@ -178,7 +180,7 @@ def line(a: Array, b: Array, project: Projection, colour: str, width: float) -> 
 def _dial(dial: Dial, paper: Paper) -> str:
     """A dial: its stem to the touched point, and an arrow in the way that it counts."""
     face = dial.face(paper.unit)
-    x, y = paper(face)
+    x, y = paper.project(face)
     return (
         f"<g><title>dial {escape(dial.name)}</title>"
         f"{arrow(face, dial.tip(paper.unit), paper, 'dial', 1.3)}"
@@ -209,18 +211,3 @@ def _occupied(posed: Posed, dials: Sequence[Dial], project: Projection) -> Paper
         for ends in posed.lines[leg]:
             paper.line(ends)
     return paper
-
-
-def _marked(
-    options: Sequence[Option],
-    shown: Sequence[int],
-    posed: Posed,
-    dials: Sequence[Dial],
-    paper: Paper,
-) -> list[str]:
-    """Every option as SVG: those shown together keep off each other's words."""
-    drawn = []
-    for k, option in enumerate(options):
-        own = paper if k in shown else paper.another()
-        drawn.append("".join(marked(mark, posed, dials, own) for mark in option.marks))
-    return drawn

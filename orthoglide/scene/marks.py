@@ -28,7 +28,7 @@ def marked(mark: Mark, posed: Posed, dials: Sequence[Dial], paper: Paper) -> str
 
 def arrow(a: Array, b: Array, paper: Paper, colour: str, width: float = 2.6) -> str:
     """An arrow from a to b ``(3,)``."""
-    (x1, y1), (x2, y2) = paper(a), paper(b)
+    (x1, y1), (x2, y2) = paper.project(a), paper.project(b)
     length = math.hypot(x2 - x1, y2 - y1)
     if length < 1e-6:
         return ""
@@ -52,7 +52,7 @@ def _pointing(at: Array, way: Array, mark: Mark, paper: Paper) -> str:
 
 
 def _stroke(points: Sequence[Array], paper: Paper, width: float, dash: str = "") -> str:
-    at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper, points))
+    at = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(paper.project, points))
     paper.line(points)
     return (
         f'<polyline points="{at}" fill="none" stroke="var(--m-mark)" stroke-width="{width:g}" '
@@ -155,7 +155,7 @@ def _plate(mark: Mark, posed: Posed, paper: Paper) -> str:
 
 
 def _dialled(mark: Mark, dial: Dial, paper: Paper) -> str:
-    x, y = paper(dial.face(paper.unit))
+    x, y = paper.project(dial.face(paper.unit))
     found = (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--m-mark)" '
         f'stroke-width="3"/>'

@@ -59,10 +59,6 @@ class Paper:
     # points of lines that words had better not cover
     lines: list[Point] = field(default_factory=list)
 
-    def __call__(self, point: Array) -> Point:
-        """Paper coordinates of a point ``(3,)``."""
-        return self.project(point)
-
     def another(self) -> Paper:
         """The same, to be written on without changing this one."""
         return Paper(self.project, self.unit, list(self.taken), list(self.lines))
