@@ -25,6 +25,7 @@ from orthoglide.fit import (
     sorted_out,
     tempered,
 )
+from orthoglide.fit.change_search import WIDTHS
 from orthoglide.fit.copies import shared
 from orthoglide.fit.doubts import check_slips
 from orthoglide.fit.earlier import vague
@@ -39,6 +40,7 @@ from orthoglide.notes import Note
 from orthoglide.observations import TcpPoints
 from orthoglide.posterior import (
     Cause,
+    FullPosterior,
     Outstanding,
     check_levels,
     full_posterior,
@@ -194,20 +196,13 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     check_repeats(read)
     check_slips(read)
     progress(Step("faults"))
-    before, blunders, changes, causes = _set_right(read)
-    progress(Step("testing"))
-    known = full_posterior(before, causes)
-    progress(Step("allowing"))
-    found = outstanding(known, causes)
-    left = remains(known, found)
-    if not known.settled:
-        found = replace(found, causes=())
-    if _missing(left):  # a place is missing, and others may stand in for it
-        found = replace(found, located=())
-    elif is_misdeclared(known.after):  # scatter that was not reckoned with passes for any curve
-        kept = tuple(one for one in found.located if not one.in_repeats)
-        found = replace(found, located=kept)
-    word = _word(found, left)
+    blunders, changes = _set_right(read)
+    known, found, left, word = _searched(read, blunders, changes, progress)
+    if word == "unexplained" and any(_is_far(c, machine) for c in changes):
+        # What nothing explains takes any change that comes near.
+        changes = ()
+        known, found, left, word = _searched(read, blunders, changes, progress)
+    before = known.before
     if word != "adequate":
         check_levels(known)
     if word == "unexplained":
@@ -239,21 +234,28 @@ def _vague(read: Estimate) -> Iterator[Note]:
         )
 
 
-def _set_right(
-    read: Estimate,
-) -> tuple[Estimate, tuple[Blunder, ...], tuple[Change, ...], list[str]]:
-    """Set faulty rows aside, and let what changed between campaigns change.
+def _set_right(read: Estimate) -> tuple[tuple[Blunder, ...], tuple[Change, ...]]:
+    """Faults of the data, and what changed between campaigns."""
+    from orthoglide.diagnosis.blunders import examine
 
-    Returns:
-        The fit then, the faults, the changes, and the parameters of those that are causes.
+    findings = examine(read)
+    return _weighed(read, findings.blunders), findings.changes
+
+
+def _searched(
+    read: Estimate,
+    blunders: Sequence[Blunder],
+    changes: Sequence[Change],
+    progress: Progress,
+) -> tuple[FullPosterior, Outstanding, Left, Word]:
+    """Everything weighed with faulty rows set aside and what changed let change: what stands out,
+    what is left, and the verdict.
     """
-    from orthoglide.diagnosis.blunders import examine, without
+    from orthoglide.diagnosis.blunders import without
     from orthoglide.diagnosis.changes import separated
 
-    problem, findings = read.problem, examine(read)
-    blunders, changes = _weighed(read, findings.blunders), findings.changes
-    if blunders:
-        problem = without(problem, blunders)
+    progress(Step("testing"))
+    problem = without(read.problem, blunders) if blunders else read.problem
     # What a change put right is no cause now; what is still wrong is named as one. Without dials it
     # is not known which one of several it was.
     causes = [
@@ -264,8 +266,26 @@ def _set_right(
     if changes:
         problem = separated(problem, [c for c in changes if c not in causes])
         problem = replace(problem, own=(*problem.own, *(n for c in causes for n in c.own)))
-    fit = solve(problem, method="nested") if blunders or changes else read
-    return fit, blunders, changes, [c.parameter for c in causes]
+    named = [c.parameter for c in causes]
+    before = solve(problem, method="nested") if blunders or changes else read
+    known = full_posterior(before, named)
+    progress(Step("allowing"))
+    found = outstanding(known, named)
+    left = remains(known, found)
+    if not known.settled:
+        found = replace(found, causes=())
+    if _missing(left):  # a place is missing, and others may stand in for it
+        found = replace(found, located=())
+    elif is_misdeclared(known.after):  # scatter that was not reckoned with passes for any curve
+        kept = tuple(one for one in found.located if not one.in_repeats)
+        found = replace(found, located=kept)
+    return known, found, left, _word(found, left)
+
+
+def _is_far(change: Change, machine: Machine) -> bool:
+    """Whether it is by more than any change is expected to be, of what cannot just be moved."""
+    by, most = abs(change.after - change.before), WIDTHS[-1] * machine.tolerance(change.parameter)
+    return change.parameter.effect not in machine.catalogue.base and by > most
 
 
 def _weighed(read: Estimate, blunders: tuple[Blunder, ...]) -> tuple[Blunder, ...]:
