@@ -171,7 +171,7 @@ def test_priors_are_no_question_to_the_readings() -> None:
         float(np.sum((found.x / found.problem.prior_sd) ** 2))
     )
     assert found.scores.cost == pytest.approx(here.cost)
-    assert here.determined == pytest.approx(np.trace(
+    assert np.sum(here.shares) == pytest.approx(np.trace(
         np.linalg.solve(here.information, here.jacobian.T @ here.jacobian)), rel=1e-6)  # fmt: skip
 
 
