@@ -351,12 +351,8 @@ def effects_named(fit: Estimate) -> str:
     if fit.problem.earlier is not None:
         return "errors calibrated before"
     of = fit.problem.machine.catalogue.effect_of
-    names = dict.fromkeys(of(name).name for name in fit.names)
-    return listed([_plural(name.replace("_", " ")) for name in names])
-
-
-def _plural(name: str) -> str:
-    return f"{name}es" if name.endswith(("sh", "ch", "ss", "x")) else f"{name}s"
+    names = dict.fromkeys(of(name).name.replace("_", " ") for name in fit.names)
+    return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in names)
 
 
 def _by_leg(fit: Estimate, every: Sequence[Parameter], effect: str) -> list[str]:
