@@ -67,6 +67,8 @@ _OUTWEIGHED = 12.0
 """Log Bayes factor by which readings put right must be likelier than as they stand, everything that
 a machine may have weighed in both: about 1 in 1000, and as many hypotheses again as there were."""
 
+_NAMED = ("adequate", "explained", "ambiguous")  # nothing is left but what has a name
+
 SIGNIFICANT = 0.003
 """Probability of calling what is left significant where nothing is: one false alarm in 300."""
 
@@ -198,8 +200,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     progress(Step("faults"))
     blunders, changes = _set_right(read)
     known, found, left, word = _searched(read, blunders, changes, progress)
-    if word == "unexplained" and any(_is_far(c, machine) for c in changes):
-        # What nothing explains takes any change that comes near.
+    if word not in _NAMED and any(_is_far(c, machine) for c in changes):
+        # What has no name takes any change that comes near.
         changes = ()
         known, found, left, word = _searched(read, blunders, changes, progress)
     before = known.before

@@ -19,6 +19,7 @@ from orthoglide.fit import Estimate, identify, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import Campaign, read_campaign
+from orthoglide.simulation import simulate_tcp
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -333,6 +334,18 @@ def test_a_command_of_the_drive_along_its_own_leg_may_be_the_machine(machine):
     assert (blunder.kind, blunder.setups) == ("command", ("yx-0.5", "yz-0.5"))
     assert [row for _, row in blunder.rows] == touched
     assert "or drive y is off at this place alone: measure it again" in blunder.message
+
+
+def test_a_wrong_command_beside_points_of_the_tool(machine):
+    """Their rows were counted among those of dials: a ValueError."""
+    rows = rows_of(seed=2)
+    spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "+20"), 0, 1.0)
+    points = simulate_tcp(machine.with_parameters(BASE), 20, seed=1)
+    estimate = identify([campaign_of(spoilt, machine), points], machine)
+    (blunder,) = examine(estimate).blunders
+    assert blunder.kind == "command"
+    assert [row for _, row in blunder.rows] == touched
+    assert blunder.may_be_the_machine(estimate.problem) is False
 
 
 def test_a_command_of_one_visit_alone(machine):

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,23 @@ def test_own_takes_known_effects_and_campaigns(machine):
 
 
 # -- what changed ----------------------------------------------------------------------------------
+
+
+def test_what_has_no_name_is_no_change_beyond_any_that_is_expected(machine):
+    """A rail that was bent between two visits, into no shape of the catalogue: a bar had grown by
+    38 mm, and a joint had turned by 28 degrees.
+    """
+    sound = campaign(machine, "old", 1, "sweep", **{"axis_tilt.z.x": 3e-3})
+    rig = Rig().with_errors(BASE | {"axis_tilt.z.x": 3e-3})
+    rig = replace(
+        rig.with_background(np.random.default_rng(99), 0.02), extra=(rc.s_curve(0, 1, 1.2e-4),)
+    )
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(2))
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    now = Campaign.from_frame(columns, name="new", machine_file=machine.spec)
+    verdict = close_loop([sound, now], machine)
+    assert verdict.word in ("located", "unexplained")
+    assert verdict.changed == ()
 
 
 def changes_of(*campaigns: Campaign, machine: og.Machine) -> tuple[Change, ...]:

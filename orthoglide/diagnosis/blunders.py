@@ -83,7 +83,8 @@ class Blunder:
         wrong command only where few postures are read.
         """
         if self.kind == "command":  # different commands of the mounting that has most
-            read = np.column_stack([problem.setup_of_row, problem.of_dials("command")])
+            command = problem.of_dials("command")
+            read = np.column_stack([problem.setup_of_row[: len(command)], command])
             each = np.bincount(np.unique(read, axis=0)[:, 0].astype(np.intp))
             if each.max() > _FEW:
                 return False
