@@ -391,11 +391,17 @@ def test_lost_motion_without_a_name_has_its_whole_size_everywhere(
     assert mark.both
 
 
+def test_a_controllers_setting_is_for_the_lost_motion_of_drives() -> None:
+    name = CATALOGUE.parameter("backlash.x")
+    text = screen(made_up("explained", Cause(explained(name, 2e-4, CATALOGUE, 0.97), (), ())))
+    assert "a controller's own setting for it, or orthoglide compensate makes up for it" in text
+
+
 @pytest.mark.parametrize("which", ["platform", "reversal"])
 def test_the_tools_error_says_that_it_leaves_lost_motion_out(which: str) -> None:
     text = screen(lost(which))
     assert "Lost motion is left out: the numbers are for the middle" in text
-    assert "again (lost motion, which the errors of the tool above leave out; a" in text
+    assert "again (lost motion, which the errors of the tool above leave out; neither a" in text
     assert "gains 0 mm" not in text
     page = words(report_files(lost(which))["report.html"])
     assert "in calibrated.toml , but not that" in page.replace("  ", " ")

@@ -19,10 +19,8 @@ if TYPE_CHECKING:
 Kind = Literal["zeros", "confirm", "mend", "compensate", "measure"]
 
 _AGAIN = "numbers and commands made before {} hold no longer: take those of this result"
-_LOST = (
-    "lost motion, which the errors of the tool above leave out; a controller's own setting for it, "
-    "or orthoglide compensate, makes up for it"
-)
+_LOST = "lost motion, which the errors of the tool above leave out; "
+_COMPENSATED = "orthoglide compensate makes up for it"
 _DIAL_TURNS = (
     "come to one gauge block from a shorter and from a longer one: expect {} between the two "
     "readings"
@@ -141,7 +139,7 @@ def _found(
             several = len(options) > 1
             yield Action(kind, what[kind], *gain, options, several, several and _of_plate(one))
         else:
-            lost = f" ({_LOST})" if kind == "mend" else ""
+            lost = f" ({_LOST}{_made_up(one)})" if kind == "mend" else ""
             yield Action(kind, f"{what[kind]}{lost}", options=options)
     of = result.catalogue.effect_of
     for change in result.moved:
@@ -168,6 +166,18 @@ def loses(found: Cause | Located | Change) -> bool:
     one = found.chosen if isinstance(found, Cause) else found
     names = found.members if isinstance(found, Change) else found.parameters
     return any("approach" in one.catalogue.effect_of(name).needs for name in names)
+
+
+def _made_up(found: Cause | Located) -> str:
+    """What makes up for lost motion, if anything does."""
+    if isinstance(found, Located):
+        if not all(curve.place.in_model for curve in found.members):
+            return "neither a controller nor orthoglide compensate makes up for all that it may be"
+        drives = all(curve.place.part == "drive" for curve in found.members)
+    else:
+        each = (e.catalogue.effect_of(e.name) for e in found.explanations)
+        drives = all(effect.controller == "backlash" for effect in each)
+    return f"a controller's own setting for it, or {_COMPENSATED}" if drives else _COMPENSATED
 
 
 def _of_plate(found: Cause | Located) -> bool:
