@@ -18,8 +18,10 @@ from orthoglide.fit.noise import (
     dial_steps,
     repeat_variance,
 )
-from orthoglide.machine_file import Dial
+from orthoglide.instruments import INSTRUMENTS
+from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Campaign, protocol
+from orthoglide.planning.owning import tool_sheet
 from orthoglide.report.wording import headline
 
 SPREAD = 3e-5
@@ -339,6 +341,23 @@ def test_a_datasheets_figure_locates_no_place_in_repeats_that_scatter(told: floa
     assert not verdict.located
     (note,) = scatter_notes(verdict.after)
     assert "where the machine file says 0.000" in note
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
+    times: float,
+) -> None:
+    """A sound machine had something that no effect explains, and its instrument was not doubted."""
+    nominal = og.Machine.nominal()
+    machine = og.Machine(replace(nominal.spec, instruments={"tcp": Instrument(1e-6, 1e-5)}))
+    sheet = tool_sheet(machine, INSTRUMENTS["tcp"])
+    read = og.simulate(machine, sheet, noise=times * 1e-5, seed=4)
+    notes = scatter_notes(og.identify(read, machine))
+    assert len(notes) == (times > 1)
+    for note in notes:
+        assert "the machine file says 0.01: correct repeatability under [instrument.tcp]" in note
+        said = float(note.partition("scatter by ")[2].partition(" mm")[0])
+        assert said == pytest.approx(times * 1e-2, rel=0.2)
 
 
 def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> None:

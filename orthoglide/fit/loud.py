@@ -1,4 +1,4 @@
-"""Repeats of dials that scatter by more than was declared of them.
+"""Repeats that scatter by more than was declared of dials and of instruments at the tool.
 
 Noise that is declared too small makes a broken machine of a sound one: what is left is held against
 it. Repeats show the noise whatever the machine does, so they are held against it as well.
@@ -7,7 +7,7 @@ it. Repeats show the noise whatever the machine does, so they are held against i
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.noise import repeat_steps, total_variance
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
+from orthoglide.machine_file import Instrument
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import source
@@ -64,6 +65,28 @@ def loud_dials(estimate: Estimate) -> Iterator[Note]:
             f"dial, its stand and its leg, and read the setup again",
             "scatter",
         )
+
+
+def loud_instruments(estimate: Estimate) -> Iterator[Note]:
+    """The same of each instrument at the tool of which the machine file says how it repeats."""
+    problem = estimate.problem
+    for k, factor, number, setup in problem.mounted:
+        own, rows = factor.setup == number, problem.factor_rows[k]
+        told = problem.machine.spec.instruments.get(setup.kind, Instrument()).repeatability
+        if told is None or np.isfinite(factor.points.sigma[own]).any():
+            continue
+        rest = replace(factor.points, reading=estimate.residuals[rows]).subset(own)
+        where = f"{source(factor.points)}, setup {setup.name!r}"
+        sigma = float(np.sqrt(np.mean(problem.sigma[rows][own] ** 2)))
+        one = _Repeats(where, repeat_steps(rest), sigma, float(problem.step[rows][own].max()))
+        if _is_loud([one]):
+            yield Note(
+                f"{where}: repeats scatter by {compact(_scatter([one]) * 1e3, 2)} "
+                f"{setup.instrument.unit}, where the machine file says "
+                f"{compact(told * 1e3, 2)}: correct repeatability under "
+                f"[instrument.{setup.kind}], or look for what is loose",
+                "scatter",
+            )
 
 
 def is_misdeclared(estimate: Estimate) -> bool:

@@ -10,7 +10,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.fit.copies import copied, repeated_points, twice
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.instrument_frame import plane_of
-from orthoglide.fit.loud import loud_dials
+from orthoglide.fit.loud import loud_dials, loud_instruments
 from orthoglide.fit.noise import OFF_GRID, off_grid
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.quiet import quieter
@@ -64,6 +64,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     else:
         found += slips(estimate)
     found += [*quieter(estimate), *louder(estimate), *loud_dials(estimate)]
+    found += loud_instruments(estimate)
     found += [*askew(problem), *mirrored(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
