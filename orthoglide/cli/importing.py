@@ -82,7 +82,13 @@ def _next(found: Imported, out: Path) -> Iterator[str]:
         return f"orthoglide close-loop {files} --machine {machine} --out OUT"
 
     folder = click.format_filename(out)
-    names, out_of = found.together, [one.name for one in found.apart]
+    absurd = dict(_absurd(found))
+    for name, reason in absurd.items():
+        yield f"\nclose-loop would refuse {name}.csv ({reason}): probe it again"
+    names = [name for name in found.together if name not in absurd]
+    out_of = list(dict.fromkeys([*(one.name for one in found.apart), *absurd]))
+    if len(absurd) == len(found.campaigns):
+        return
     if not out_of:
         yield f"\nNext: {command(f'{folder}/*.csv')}"
     elif names:
@@ -91,4 +97,20 @@ def _next(found: Imported, out: Path) -> Iterator[str]:
         yield command(" ".join(f"{folder}/{name}.csv" for name in names))
     else:
         yield "\nThese files must not go together. Next, probe again, or take one alone:"
-        yield from (command(f"{folder}/{c.name}.csv") for c in found.campaigns)
+        alone = (c.name for c in found.campaigns if c.name not in absurd)
+        yield from (command(f"{folder}/{name}.csv") for name in alone)
+
+
+def _absurd(found: Imported) -> Iterator[tuple[str, str]]:
+    """Names of readings with touches so far from all others that close-loop refuses them, and why.
+
+    Only of the rough ones is it asked.
+    """
+    import orthoglide as og
+
+    machine = og.Machine(found.machine)
+    for campaign in found.rough:
+        try:
+            og.identify([campaign], machine)
+        except InputError as error:
+            yield campaign.name, str(error).partition(": correct")[0]
