@@ -154,7 +154,7 @@ def test_a_mesh_that_cannot_be_read_is_left_out_alone(kind: str, tmp_path: Path)
     assert spoilt != text
     found = imported(tmp_path, spoilt)
     assert [c.name for c in found.campaigns] == ["calibration", "mesh-default_25Probe"]
-    (note,) = (n for n in found.notes if "'default_9Probe' is left out (line " in n)
+    (note,) = (n for n in found.notes if "left out: mesh 'default_9Probe' (line " in n)
     assert why in note
     head, _, saved = spoilt.partition("#*# <-")
     alone = re.sub(r"#\*# (height|distance)\d+(_pos\d?)? =.*\n", "", f"{head}#*# <-{saved}")

@@ -13,7 +13,7 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, NumericsError
 
 if TYPE_CHECKING:
     from orthoglide.klipper import Imported
@@ -45,6 +45,7 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
     files: dict[str, str | bytes] = dict(machine_files(found.machine, "machine.toml"))
     for campaign in found.campaigns:
         files[f"{campaign.name}.csv"] = campaign_text(campaign, found.machine)
+    proposed = list(_next(found, out))
     write_results(out, files)
     for note in found.notes:
         say(f"warning: {note}", err=True)
@@ -52,7 +53,7 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
         kinds = {s.name: s.kind for s in campaign.setups}
         what = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
         say(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
-    for line in _next(found, out):
+    for line in proposed:
         say(line)
 
 
@@ -112,5 +113,5 @@ def _absurd(found: Imported) -> Iterator[tuple[str, str]]:
     for campaign in found.rough:
         try:
             og.identify([campaign], machine)
-        except InputError as error:
+        except (InputError, NumericsError) as error:
             yield campaign.name, str(error).partition(": correct")[0]

@@ -73,13 +73,17 @@ def stored_campaigns(
                 f"the mesh {profile!r} is {other!r} to the last digit, saved under another "
                 f"name: it is left out, for it would count twice", "mesh",
             ))  # fmt: skip
-    notes += [Note(f"the mesh {profile!r} is left out (line {error.line}): {error.reason}", "mesh")
-              for profile, error in refused.items()]  # fmt: skip
+    why: dict[str, list[str]] = {}
+    for profile, error in refused.items():
+        said = error.reason.removeprefix(f"[bed_mesh {profile}] ")
+        why.setdefault(said, []).append(f"{profile!r} (line {error.line})")
+    notes += [Note(f"left out: mesh {', '.join(names)}: {said}", "mesh")
+              for said, names in why.items()]  # fmt: skip
     if shifts:
         notes.append(Note(
             f"meshes are shifted to z = 0 in the middle: {', '.join(shifts)}. The endstops were "
             f"moved together since the heights were stored, and whether before the mesh or after "
-            f"it is not known", "heights",
+            f"it is not known", "mesh",
         ))  # fmt: skip
 
 
