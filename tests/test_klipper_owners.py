@@ -15,6 +15,7 @@ from orthoglide.closing import close_loop
 from orthoglide.errors import FileError, InputError
 from orthoglide.klipper import WHERE, Imported, import_printer
 from orthoglide.machine import Machine
+from orthoglide.machine_file import machine_text, parse_machine_file
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
 
@@ -100,6 +101,9 @@ def test_of_lines_above_and_below_the_header_the_heights_say_which_are_right(
     (note,) = (n for n in fresh if "above the header" in n)
     assert "By line 2 above the stored heights fit to" in note
     assert "no effect until line 2 is removed" in note
+    # Nothing that cannot be shown comes into the machine's file.
+    odd = f"[bed_mesh default]\nalgo: x\x07\n{own}{below}{saved}"
+    parse_machine_file(machine_text(imported(tmp_path, odd).machine))
     lost = f"[printer]\ndelta_radius: 167\n{own}{below}{meant}"
     (note,) = (n for n in imported(tmp_path, lost).notes if "above the header" in n)
     assert "Remove the lines that are not meant" in note

@@ -116,9 +116,7 @@ def import_printer(
             f"is {kinematics.text[:40]!r}{turning}, not 'delta': only printers whose carriages run "
             f"on three towers are imported, and calibrated",
         )
-    noticed: list[Note] = []
-    if (override := override_note(config)) is not None:
-        noticed.append(override)
+    noticed, override = list[Note](), override_note(config)
     try:
         firmware = firmware_of(config)
         stored = list(stored_campaigns(config, firmware, turned or {}, noticed))
@@ -136,6 +134,7 @@ def import_printer(
     relative = _is_relative(config)
     apart = tuple(disagreements(firmware, stored, relative=relative))
     notes = (
+        *([override] if override is not None else ()),
         *_notes(config, firmware, stored),
         *(one.note for one in apart),
         *lying_apart(firmware, _together(stored, apart), relative=relative),

@@ -8,6 +8,7 @@ from typing import Any
 
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
+from orthoglide.text import shown
 
 WARNINGS, AGAIN = "warnings", "calibrate_again"
 """Keys of a machine file's provenance: sentences, and whether the firmware's own calibration is to
@@ -23,7 +24,7 @@ _APART = re.compile(r"(\S+)\.csv and (\S+)\.csv are not of one plate")
 
 def kept(notes: Iterable[Note]) -> dict[str, Any]:
     """What provenance keeps of notes."""
-    told = [str(note) for note in notes if note.kind not in _OF_READINGS]
+    told = [shown(note) for note in notes if note.kind not in _OF_READINGS]
     again = any(note.kind == CALIBRATE for note in notes)
     return ({WARNINGS: told} if told else {}) | ({AGAIN: True} if again else {})
 
