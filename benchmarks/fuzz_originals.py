@@ -69,6 +69,7 @@ microsteps: 16
 [probe]
 z_offset: 1.5
 #*# [bed_mesh default]
+#*# version = 1
 #*# points =
 #*#   0.05, 0.02, -0.01, 0.03
 #*#   0.01, 0.00, 0.03, -0.02

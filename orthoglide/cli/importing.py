@@ -13,7 +13,7 @@ import orthoglide.cli.options as opt
 from orthoglide.cli.run import Listed
 from orthoglide.cli.terminal import say
 from orthoglide.cli.writing import write_results
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, NumericsError
 
 if TYPE_CHECKING:
     from orthoglide.klipper import Imported
@@ -45,6 +45,7 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
     files: dict[str, str | bytes] = dict(machine_files(found.machine, "machine.toml"))
     for campaign in found.campaigns:
         files[f"{campaign.name}.csv"] = campaign_text(campaign, found.machine)
+    proposed = list(_next(found, out))
     write_results(out, files)
     for note in found.notes:
         say(f"warning: {note}", err=True)
@@ -52,7 +53,7 @@ def klipper(config: Path, out: Path, turned: tuple[str, ...]) -> None:
         kinds = {s.name: s.kind for s in campaign.setups}
         what = ", ".join(f"{name} ({kind})" for name, kind in kinds.items())
         say(f"{campaign.name}.csv: {len(campaign)} readings: {what}")
-    for line in _next(found, out):
+    for line in proposed:
         say(line)
 
 
@@ -82,7 +83,13 @@ def _next(found: Imported, out: Path) -> Iterator[str]:
         return f"orthoglide close-loop {files} --machine {machine} --out OUT"
 
     folder = click.format_filename(out)
-    names, out_of = found.together, [one.name for one in found.apart]
+    absurd = dict(_absurd(found))
+    for name, reason in absurd.items():
+        yield f"\nclose-loop would refuse {name}.csv ({reason}): probe it again"
+    names = [name for name in found.together if name not in absurd]
+    out_of = list(dict.fromkeys([*(one.name for one in found.apart), *absurd]))
+    if len(absurd) == len(found.campaigns):
+        return
     if not out_of:
         yield f"\nNext: {command(f'{folder}/*.csv')}"
     elif names:
@@ -91,4 +98,20 @@ def _next(found: Imported, out: Path) -> Iterator[str]:
         yield command(" ".join(f"{folder}/{name}.csv" for name in names))
     else:
         yield "\nThese files must not go together. Next, probe again, or take one alone:"
-        yield from (command(f"{folder}/{c.name}.csv") for c in found.campaigns)
+        alone = (c.name for c in found.campaigns if c.name not in absurd)
+        yield from (command(f"{folder}/{name}.csv") for name in alone)
+
+
+def _absurd(found: Imported) -> Iterator[tuple[str, str]]:
+    """Names of readings with touches so far from all others that close-loop refuses them, and why.
+
+    Only of the rough ones is it asked.
+    """
+    import orthoglide as og
+
+    machine = og.Machine(found.machine)
+    for campaign in found.rough:
+        try:
+            og.identify([campaign], machine)
+        except (InputError, NumericsError) as error:
+            yield campaign.name, str(error).partition(": correct")[0]

@@ -17,6 +17,7 @@ from orthoglide.fit.quiet import quieter
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import LOUD
 from orthoglide.geometry import LEGS
+from orthoglide.klipper import imported
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Campaign, TcpPoints, source
@@ -43,6 +44,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     problem, scores = estimate.problem, estimate.scores
     given = [f.points for f in problem.factors]
     found = [Note(text, "machine") for text in problem.machine.warnings]
+    found += imported(problem.machine.spec, {points.name for points in given})
     for points in given:
         file = f"{source(points)}: " if len(given) > 1 else ""
         found += [Note(file + text, "campaign") for text in points.warnings]

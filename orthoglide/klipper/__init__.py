@@ -16,3 +16,4 @@ from orthoglide.klipper.importing import (
     import_printer as import_printer,
 )
 from orthoglide.klipper.rods import doubted_rods as doubted_rods
+from orthoglide.klipper.told import AGAIN as AGAIN, imported as imported

@@ -22,7 +22,7 @@ _WIDE = 0.7  # of the radius of the towers: about as far as plates reach
 _BENT = 0.5  # of what a plate's shapes may be: all of it hides that numbers were changed
 _WIDTH = 1e-6
 _MANY = 2 * FITTED  # touches whose scatter says how noisy they are
-_HIGHER, _LEANS = 2e-4, 1.2e-4
+_HIGHER, _LEANS, _TOLD = 2e-4, 1.2e-4, 1.1e-4
 """Metres by which two surfaces of one plate may lie apart, and lean at the rim: between printers'
 own heights and meshes, which are probed warm and cold, a tenth of a millimetre is common."""
 
@@ -84,9 +84,25 @@ def disagreements(
         note = Note(
             f"{own.name}.csv and {other.name}.csv are not of one plate and one set of numbers: "
             f"{said}",
-            "mesh",
+            "apart",
         )
         yield Disagreement(own.name, other.name, note)
+
+
+def lying_apart(
+    firmware: Firmware, campaigns: Sequence[ToolCampaign], *, relative: bool = False
+) -> Iterator[Note]:
+    """How far surfaces that go together lie apart, where that is more than they repeat to."""
+    every = (_surface(firmware, campaign, relative) for campaign in campaigns)
+    height = {one.name: float(one.plane[0]) for one in every if one and not one.relative}
+    low, high = (pick(height, key=height.__getitem__, default="") for pick in (min, max))
+    if height and (apart := height[high] - height[low]) > _TOLD:
+        yield Note(
+            f"readings of the plate lie up to {apart * 1e3:.2f} mm apart in the middle, {low}.csv "
+            f"lowest and {high}.csv highest: a plate may, warm and cold, and they are taken "
+            f"together; if something was changed between them, leave the older one out",
+            "mesh",
+        )
 
 
 def _apart(one: _Surface, own: _Surface) -> str:

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.errors import InputError
+from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
 from orthoglide.instruments import Distance, Probe
 from orthoglide.klipper.config import Config
+from orthoglide.klipper.entries import Section
 from orthoglide.klipper.probe import lies, probe_offset
 from orthoglide.klipper.rows import ROUND, row
+from orthoglide.klipper.told import CALIBRATE
 from orthoglide.machine_file import TOWERS, Firmware
 from orthoglide.notes import Note
 from orthoglide.numerals import signed
@@ -25,6 +27,7 @@ taken off, and pillars differ by a tenth of a millimetre."""
 
 _FULL_STEPS = 200
 _FAR = 3e-3  # metres by which a stored place may miss the one that the stored numbers give
+_HANGS = 1e-3  # metres: a probe's offset that is no setting of the nozzle
 _SAME = 2e-5  # metres: a height that is stored with another offset of the probe differs by more
 _TIMES = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))  # that a step was longer then
 _SET = 3e-5  # metres: heights lie less off where nothing was set since
@@ -52,6 +55,16 @@ class Calibration:
         by_hand = self._heights("manual_height", "manual-heights")
         return [*self._heights("height", "heights"), *by_hand, *self._distances()]
 
+    @property
+    def misfit(self) -> float:
+        """How far the heights are from one height by the stored numbers, metres, rms: what sets the
+        nozzle higher or lower takes no part; nan where there are none.
+        """
+        keys = [f"height{k}" for k in self._numbers("height")]
+        p = [self._believed(f"{key}_pos", self._travel(f"{key}_pos")) for key in keys]
+        off = [float(here[2]) - self._height(key) for here, key in zip(p, keys, strict=True)]
+        return float(np.std(off)) if off else float("nan")
+
     @cached_property
     def step(self) -> Array:
         """Travel of one of the steps that are counted ``(3,)``, metres."""
@@ -60,7 +73,7 @@ class Calibration:
         if times != 1.0:
             self.notes.append(Note(
                 f"the positions of [delta_calibrate] were stored with {1 / times:g} times the "
-                f"microsteps of now, and are taken so", "heights",
+                f"microsteps of now, and are taken so", "readings",
             ))  # fmt: skip
         return now * times
 
@@ -98,8 +111,9 @@ class Calibration:
         if not keys:
             return []
         offset, beside = probe_offset(self.config)
-        touched = beside if word == "height" else np.zeros(2)
         height = np.array([self._height(key) for key in keys])
+        probed = word == "height" and not self._by_nozzle(height, offset)
+        touched = beside if probed else np.zeros(2)
         travel = [self._travel(f"{key}_pos") for key in keys]
         p = np.array([self._believed(f"{k}_pos", t) for k, t in zip(keys, travel, strict=True)])
         off = float(np.median(p[:, 2] - height))
@@ -116,7 +130,7 @@ class Calibration:
                     f"numbers of [printer] and [stepper_*] are of different times or mistyped",
                 )
         lifted = self._lifted(word, p, height, off)
-        set_since = word == "height" and offset and abs(np.median(height) - offset) > _SAME
+        set_since = probed and offset and abs(np.median(height) - offset) > _SAME
         if set_since and not lifted:
             stored = float(np.median(height))
             self.notes.append(Note(
@@ -129,6 +143,22 @@ class Calibration:
         labels = (f"{x * 1e3:.0f} {y * 1e3:.0f}" for x, y, _ in p)
         each = zip(labels, travel, height + lifted, strict=True)
         return [{**row(Probe.kind, setup, *one), "beside": touched} for one in each]
+
+    def _by_nozzle(self, height: Array, offset: float) -> bool:
+        """Whether DELTA_CALIBRATE METHOD=manual touched with the nozzle, which stores heights of 0.
+
+        Of a probe that hung there, whose z_offset was 0 then and was set since, meshes lie as far
+        below z = 0 as it hangs.
+        """
+        meshes = (s for s in self.config.named("bed_mesh") if "points" in s)
+        if height.any() or abs(offset) < _HANGS or any(_lies_at(s) < -offset / 2 for s in meshes):
+            return False
+        self.notes.append(Note(
+            "the heights of [delta_calibrate] are all 0, as DELTA_CALIBRATE METHOD=manual stores "
+            "them: they are taken as touches of the nozzle itself, without the probe's offset; if "
+            "the probe touched, with a z_offset of 0, run DELTA_CALIBRATE again", "heights",
+        ))  # fmt: skip
+        return True
 
     def _lifted(self, word: str, p: Array, height: Array, off: float) -> float:
         """By how much all endstops were moved together since, metres.
@@ -157,7 +187,7 @@ class Calibration:
         self.notes.append(Note(
             f"the {word}s of [delta_calibrate] lie {signed(since * 1e3, 2)} mm off{together}, and "
             f"z = 0 is left where they put it{doubt}",
-            "heights",
+            CALIBRATE if far else "heights",
         ))  # fmt: skip
         return since
 
@@ -191,9 +221,18 @@ class Calibration:
             self._told.add(word)
             lone = ", ".join(f"{word}{k}" for k in sorted(known.difference(read)))
             self.notes.append(Note(
-                f"[delta_calibrate] has a place and no reading of {lone}: it is left out", "heights"
+                f"[delta_calibrate] has a place and no reading of {lone}: it is left out",
+                "readings",
             ))  # fmt: skip
         return read
+
+
+def _lies_at(section: Section) -> float:
+    """Height of a mesh in its middle, metres; 0 of one that cannot be read."""
+    try:
+        return float(np.median([z for row in section.table("points") for z in row] or [0])) * 1e-3
+    except FileError:
+        return 0.0
 
 
 def _step(config: Config, tower: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import re
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.klipper.entries import Entry, Section
-from orthoglide.notes import Note
+from orthoglide.klipper.foreign import foreign
 from orthoglide.text import shown
 
 _SAVED = "#*#"
@@ -21,7 +22,18 @@ _ENTRY = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
 _COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
 _ROW = re.compile(r"[-+.,\d\seE]+$")
 _READ = ("printer", "stepper_a", "stepper_b", "stepper_c", "delta_calibrate", "bed_mesh", "probe")
+_NAMED = 5  # files that are missing
 _DEEPEST = 8  # files that include one another
+
+
+@dataclass(frozen=True)
+class Override:
+    """A value above the header of SAVE_CONFIG, which the firmware takes, and another below it."""
+
+    section: str  # its name
+    key: str
+    own: Entry  # above
+    saved: Entry  # below
 
 
 @dataclass(frozen=True)
@@ -32,7 +44,7 @@ class Config:
     sha256: str  # its digest
     sections: dict[str, Section]  # by name, in the order of the file
     missing: tuple[str, ...]  # files that it includes and that are not beside it
-    notes: tuple[Note, ...]  # what it says twice, and differently
+    overrides: tuple[Override, ...] = ()  # what it says twice, and differently
 
     def section(self, name: str) -> Section:
         """A section that must be there.
@@ -53,9 +65,18 @@ class Config:
         """Sections whose first word is one of these, in the order of the file."""
         return (s for name, s in self.sections.items() if name.split(" ")[0] in kinds)
 
+    @property
+    def as_saved(self) -> Config:
+        """The same by the values below the header of SAVE_CONFIG."""
+        sections = dict(self.sections)
+        for one in self.overrides:
+            own = sections[one.section]
+            sections[one.section] = replace(own, entries={**own.entries, one.key: one.saved})
+        return replace(self, sections=sections, overrides=())
+
 
 def read_config(path: str | os.PathLike[str]) -> Config:
-    """Read a ``printer.cfg`` and the files that it includes, where they stand beside it.
+    """Read a ``printer.cfg``, or that of a folder, and the files that it includes.
 
     As in the firmware, what its owner wrote goes before what SAVE_CONFIG wrote at its end.
 
@@ -63,36 +84,35 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         FileError: where it is missing, no text, a line is neither section nor entry, or the
             firmware would not read what it saved.
     """
-    content = files.read_bytes(path, files.TEXT)
-    reader = _Reader()
+    path = files.inside(path, "printer.cfg")
+    content = files.read_bytes(path)
+    told = foreign(content[: files.TEXT])
+    if told or len(content) > files.TEXT:
+        too_large = f"is larger than {files.TEXT // 2**20} MB: give the right file"
+        raise FileError(told or too_large, file=shown(path))
+    reader = _Reader(Path(path).parent)
     reader.read(content, Path(path), ())
     missing = tuple(dict.fromkeys(reader.missing))
     for section in reader.sections.values():
         section.elsewhere = _elsewhere(missing)
-    notes = tuple(_twice(reader.twice, shown(path)))
-    return Config(shown(path), files.sha256(content), reader.sections, missing, notes)
-
-
-def _twice(found: list[tuple[str, Entry, Entry]], file: str) -> Iterator[Note]:
-    """A note of values that stand above the header of SAVE_CONFIG and otherwise below it."""
-    if not found:
-        return
-
-    def told(entry: Entry) -> str:
-        where = f"line {entry.line}" + f" of {entry.file}" * (entry.file != file)
-        return where if "\n" in entry.text else f"{entry.text[:40]} ({where})"
-
-    named = "; ".join(f"{name}: {told(own)}, below {told(saved)}" for name, own, saved in found)
-    yield Note(
-        f"{file} has other values above the header of SAVE_CONFIG than below it, and the firmware "
-        f"takes those above, as is done here: {named}. Remove the lines that are not meant",
-        "twice",
-        tuple(entry.line for _, own, saved in found for entry in (own, saved)),
+    return Config(
+        shown(path), files.sha256(content), reader.sections, missing, tuple(reader.overrides)
     )
 
 
 def _elsewhere(missing: tuple[str, ...]) -> str:
-    return f" (it may stand in {missing[0]!r}: put that file beside this one)" if missing else ""
+    if not missing:
+        return ""
+    one = "that file" if len(missing) == 1 else "those files"
+    return f" (it may stand in {these(missing)}: put {one} where this one includes them)"
+
+
+def these(missing: tuple[str, ...]) -> str:
+    """Names of files that are not here, as far as there are few."""
+    names = [repr(name) for name in missing[:_NAMED]]
+    names += [f"{len(missing) - _NAMED} more"] * (len(missing) > _NAMED)
+    *most, last = names
+    return f"{', '.join(most)} or {last}" if most else last
 
 
 def _header(lines: list[tuple[int, str]], path: Path) -> int:
@@ -123,10 +143,11 @@ def _header(lines: list[tuple[int, str]], path: Path) -> int:
 class _Reader:
     """Sections as they fill, file by file, line by line."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder  # of the first file: nothing outside it is read
         self.sections: dict[str, Section] = {}
         self.missing: list[str] = []
-        self.twice: list[tuple[str, Entry, Entry]] = []
+        self.overrides: list[Override] = []
 
     def read(self, content: bytes, path: Path, within: tuple[Path, ...]) -> None:
         """One file's text; ``within``: the files that led here."""
@@ -155,7 +176,7 @@ class _Reader:
             for key, entry in section.entries.items():
                 kept = here.entries.setdefault(key, entry)
                 if not kept.same(entry) and name.partition(" ")[0] in _READ:
-                    self.twice.append((f"[{name}] {key}", kept, entry))
+                    self.overrides.append(Override(name, key, kept, entry))
 
     def _parse(
         self,
@@ -202,13 +223,17 @@ class _Reader:
                 )
 
     def _include(self, pattern: str, path: Path, within: tuple[Path, ...]) -> None:
-        """Files beside the one that names them; no others of this computer are read.
+        """Files that one names from where it stands, within the first one's folder; no others of
+        this computer are read.
 
-        What lies elsewhere on the printer's own computer is looked for by its name.
+        What lies elsewhere on the printer's own computer is looked for beside, by its name.
         """
-        inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
+        here = glob.escape(os.path.relpath(path.parent, self.folder))
+        wanted = os.path.normpath(os.path.join(here, pattern))
+        if os.path.isabs(wanted) or wanted.split(os.sep)[0] == os.pardir:
+            wanted = os.path.normpath(os.path.join(here, glob.escape(Path(pattern).name)))
         try:
-            found = sorted(path.parent.glob(pattern if inside else Path(pattern).name))
+            found = sorted(self.folder.glob(wanted))
         except (ValueError, OSError, NotImplementedError):  # no pattern that a folder has
             found = []
         if not found:

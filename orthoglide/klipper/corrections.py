@@ -13,9 +13,10 @@ from orthoglide.numerals import signed
 
 WHERE = (
     "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
-    "printer.cfg, and leave #*# before every line; or put the lines above that header and remove "
-    "the old ones: what stands above goes before what stands below. Then RESTART, and probe the "
-    "mesh again (BED_MESH_CALIBRATE); DELTA_CALIBRATE would put numbers of its own in their place."
+    "printer.cfg, and leave #*# before every line; they have no effect while a line above that "
+    "header gives the same key: remove such lines, or put the new ones in their place. Then "
+    "RESTART, and probe the mesh again (BED_MESH_CALIBRATE); DELTA_CALIBRATE would put numbers of "
+    "its own in their place."
 )
 """How new numbers come into the file."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,14 +12,17 @@ import numpy as np
 from orthoglide.effects import catalogue_of
 from orthoglide.effects.printers import of_printers
 from orthoglide.errors import FileError, InputError
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array, Geometry, plane_columns
 from orthoglide.instruments import Distance, Probe
-from orthoglide.klipper.agreeing import RELATIVE, Disagreement, disagreements
+from orthoglide.klipper.agreeing import RELATIVE, Disagreement, disagreements, lying_apart
 from orthoglide.klipper.calibration import CALLIPER
-from orthoglide.klipper.config import Config, read_config
-from orthoglide.klipper.probe import PROBE, probe_section
+from orthoglide.klipper.config import Config, read_config, these
+from orthoglide.klipper.numbers import ANGLES, firmware_of
+from orthoglide.klipper.overrides import STALE, override_note
+from orthoglide.klipper.probe import PROBE, lies, probe_section
 from orthoglide.klipper.rods import rods_words
 from orthoglide.klipper.stored import CALIBRATION, stored_campaigns
+from orthoglide.klipper.told import kept
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import TOWERS, Firmware, Instrument, MachineFile, ParameterValue
 from orthoglide.notes import Note
@@ -35,10 +38,8 @@ nozzle below the platform's joints. Typical ones; effects that turn the platform
 
 
 _OF_ONE_PLACE = ("zero_reference_position", "relative_reference_index")
-ANGLES = (210.0, 330.0, 90.0)
-"""Degrees at which the towers stand where nothing is said."""
-
 _DRAWN = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
+_ROUGH = 5e-4  # metres: half of what a touch is off by at least that is none of the plate
 _BESIDE = 5e-3  # metres: at a tilt of 5 mrad a probe there is lifted by no more than it repeats
 
 FEW = 30
@@ -67,10 +68,29 @@ class Imported:
 
         Stored heights are steps, and so of whatever numbers; a mesh that is apart from them is not.
         """
-        if any(one.other != CALIBRATION for one in self.apart):
-            return ()
-        out = {one.name for one in self.apart}
-        return tuple(c.name for c in self.campaigns if c.name not in out)
+        return tuple(c.name for c in _together(self.campaigns, self.apart))
+
+    @property
+    def rough(self) -> tuple[ToolCampaign, ...]:
+        """Campaigns with a touch that is so far off the plane of all that it may be none."""
+        firmware = self.machine.printer
+        return tuple(c for c in self.campaigns if firmware and _off_plane(firmware, c) > _ROUGH)
+
+
+def _off_plane(firmware: Firmware, campaign: ToolCampaign) -> float:
+    """How far a touch is off the plane of all at most, metres."""
+    rows = campaign.touching
+    p, height = firmware.points(campaign.command[rows] + firmware.zero), campaign.reading[rows]
+    off = p[:, 2] - height - plane_columns(p) @ lies(p, height)
+    return float(np.abs(off).max(initial=0.0))
+
+
+def _together(
+    stored: Iterable[ToolCampaign], apart: Collection[Disagreement]
+) -> list[ToolCampaign]:
+    out = {one.name for one in apart}
+    known = all(one.other == CALIBRATION for one in apart)
+    return [c for c in stored if known and c.name not in out]
 
 
 def import_printer(
@@ -79,7 +99,7 @@ def import_printer(
     """Read what a printer stores.
 
     Args:
-        path: its ``printer.cfg``.
+        path: its ``printer.cfg``, or the folder that it is in.
         turned: by profile of a mesh, how far the plate was turned on its seat, counter-clockwise
             from above, degrees.
 
@@ -90,59 +110,42 @@ def import_printer(
     config = read_config(path)
     kinematics = config.section("printer").entries.get("kinematics")
     if kinematics is not None and kinematics.text.lower() != "delta":
+        turning = ", arms that turn about shoulders" * kinematics.text.startswith("rotary")
         config.section("printer").fail(
             "kinematics",
-            f"is {kinematics.text[:40]!r}, not 'delta': only printers of three towers are imported",
+            f"is {kinematics.text[:40]!r}{turning}, not 'delta': only printers whose carriages run "
+            f"on three towers are imported, and calibrated",
         )
-    firmware = _firmware(config)
-    noticed: list[Note] = []
-    stored = list(stored_campaigns(config, firmware, turned or {}, noticed))
+    noticed, override = list[Note](), override_note(config)
+    try:
+        firmware = firmware_of(config)
+        stored = list(stored_campaigns(config, firmware, turned or {}, noticed))
+    except FileError:
+        if override is not None and override.kind == STALE:
+            told = override.removeprefix(f"{Path(config.file).name} ")
+            raise FileError(told, file=config.file) from None
+        raise
     if not stored:
         raise FileError(
             "holds no readings: run DELTA_CALIBRATE or BED_MESH_CALIBRATE and SAVE_CONFIG, and "
             "take the file that the firmware saved",
             file=shown(path),
         )
-    machine = _machine(config, firmware, stored)
-    apart = tuple(disagreements(firmware, stored, relative=_is_relative(config)))
+    relative = _is_relative(config)
+    apart = tuple(disagreements(firmware, stored, relative=relative))
     notes = (
-        *config.notes,
+        *([override] if override is not None else ()),
         *_notes(config, firmware, stored),
         *(one.note for one in apart),
+        *lying_apart(firmware, _together(stored, apart), relative=relative),
         *noticed,
     )
-    return Imported(machine, tuple(stored), notes, apart)
+    return Imported(_machine(config, firmware, stored, notes), tuple(stored), notes, apart)
 
 
-def _firmware(config: Config) -> Firmware:
-    printer = config.section("printer")
-    radius = printer.number("delta_radius", low=10, high=5000) * 1e-3
-    towers = [config.section(f"stepper_{name}") for name in TOWERS]
-    first = towers[0]
-    arm_a = first.number("arm_length", low=10, high=5000)
-    endstop_a = first.number("position_endstop", low=1, high=10000)
-    arms, ends, angles = [], [], []
-    for tower, angle in zip(towers, ANGLES, strict=True):
-        arms.append(tower.number("arm_length", arm_a, 10, 5000) * 1e-3)
-        ends.append(tower.number("position_endstop", endstop_a, 1, 10000) * 1e-3)
-        angles.append(tower.number("angle", angle, -720, 720))
-        if not 0.5 * ends[0] < ends[-1] < 2 * ends[0]:
-            tower.fail(
-                "position_endstop",
-                f"is {ends[-1] * 1e3:g} mm, and that of tower {TOWERS[0]} {ends[0] * 1e3:g}: "
-                f"carriages of one machine stop at about one height; give both in millimetres",
-            )
-        if arms[-1] <= 1.02 * radius:
-            tower.fail(
-                "arm_length",
-                f"is {arms[-1] * 1e3:g}, not longer than delta_radius "
-                f"({radius * 1e3:g}): are they exchanged?",
-            )
-    (a, b, c), (d, e, f), (g, h, i) = arms, ends, angles
-    return Firmware(radius, (g, h, i), (a, b, c), (d, e, f))
-
-
-def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> MachineFile:
+def _machine(
+    config: Config, firmware: Firmware, stored: list[ToolCampaign], notes: Iterable[Note]
+) -> MachineFile:
     arm, zero = firmware.mean_arm, firmware.zero
     every = np.concatenate([*(np.concatenate([c.command, c.second]) for c in stored),
                             _around(config, firmware) - zero])  # fmt: skip
@@ -185,6 +188,7 @@ def _machine(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> 
                 "numbers": firmware.mark,
                 **firmware.as_dict(),
                 RELATIVE: _is_relative(config),
+                **kept(notes),
                 ASSUMED: {"r": PLATFORM * 1e3, "d": WIDTH * 1e3, "tool_below": DROP * 1e3},
             }
         },
@@ -233,8 +237,8 @@ def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> It
     meshes = any(c.name.startswith("mesh") for c in stored)
     if meshes and config.missing and probe_section(config) is None:
         yield Note(
-            f"{config.missing[0]!r} is not beside the file that includes it: if the probe is "
-            f"described there, put it there; here the probe is taken to touch where the nozzle is",
+            f"{these(config.missing)} is not where it is included from: if the probe is described "
+            f"there, put it there; here the probe is taken to touch where the nozzle is",
             "probe",
         )
     beside = max(float(np.linalg.norm(c.beside, axis=1).max()) for c in stored)
@@ -250,7 +254,7 @@ def _notes(config: Config, firmware: Firmware, stored: list[ToolCampaign]) -> It
             "[bed_mesh] takes the height at one place out of every mesh (zero_reference_position): "
             "how high the nozzle stands there is not known, and stays as it is; set it by hand "
             "once new numbers are entered, or remove the key and probe again",
-            "mesh",
+            "relative",
         )
     if meshes:
         yield Note(

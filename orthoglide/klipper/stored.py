@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.errors import InputError
+from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array
 from orthoglide.instruments import Probe
 from orthoglide.klipper.calibration import Calibration
@@ -20,8 +20,10 @@ from orthoglide.klipper.probe import lies, probe_offset
 from orthoglide.klipper.rows import ROUND, campaign_of, row
 from orthoglide.machine_file import Firmware
 from orthoglide.notes import Note
+from orthoglide.numerals import signed
 from orthoglide.observations import ToolCampaign
 
+_SHIFTED = 3e-5  # metres: less is not told
 _MOST_TOUCHES = 1000  # of a mesh: a bed's shape is smooth, and a scan's neighbours read alike
 
 CALIBRATION = "calibration"
@@ -40,32 +42,29 @@ def stored_campaigns(
         firmware: its present numbers.
         turned: by profile of a mesh, how far the plate was turned on its seat, degrees.
         notes: to which what was noticed is added, in sentences.
+
+    Raises:
+        FileError: of what cannot be read; of a mesh where nothing else was stored.
+        InputError: where a mesh that is said to be of a turned plate is not stored.
     """
-    set_since = False
+    set_since, rows = False, list[dict[str, Any]]()
     if "delta_calibrate" in config.sections:
         calibration = Calibration(config, firmware, notes)
         if rows := calibration.rows():
             yield campaign_of(CALIBRATION, rows)
         set_since = calibration.set_since
-    taken, unknown = set[str](), set(turned)
+    read, refused = _profiles(config, firmware, turned, notes)
+    if refused and not (read or rows):
+        raise next(iter(refused.values()))
     known: dict[tuple[float, bytes], str] = {}
-    for section in config.named("bed_mesh"):
-        profile = section.name.partition(" ")[2]
-        if not (profile and "points" in section):
-            continue
-        # As files and parameters may carry it.
-        plain, number = re.sub(r"[^A-Za-z0-9_-]+", "-", profile).strip("-")[:60] or "mesh", 1
-        while (name := plain if number == 1 else f"{plain}-{number}").lower() in taken:
-            number += 1
-        taken.add(name.lower())
-        unknown.discard(profile)
-        rows = list(touches(config, firmware, section, name, notes))
-        if not rows:
-            continue
-        mesh = campaign_of(f"mesh-{name}", rows, turn := turned.get(profile, 0.0))
+    shifts = list[str]()
+    for profile, mesh in read:
         if set_since:  # z = 0 is where its owner has set it, before the mesh or after it
             higher, *_ = lies(firmware.points(mesh.command + firmware.zero), mesh.reading)
             mesh = replace(mesh, reading=mesh.reading + higher)
+            if abs(higher) > _SHIFTED:
+                shifts.append(f"{profile!r} by {signed(-higher * 1e3, 2)} mm")
+        turn = turned.get(profile, 0.0)
         other = known.setdefault((turn, mesh.command.tobytes()), profile)
         if other == profile:
             yield mesh
@@ -74,13 +73,50 @@ def stored_campaigns(
                 f"the mesh {profile!r} is {other!r} to the last digit, saved under another "
                 f"name: it is left out, for it would count twice", "mesh",
             ))  # fmt: skip
-    if unknown:
-        meshes = (s.name.partition(" ")[2] for s in config.named("bed_mesh"))
-        have = ", ".join(repr(name) for name in meshes if name)
+    why: dict[str, list[str]] = {}
+    for profile, error in refused.items():
+        said = error.reason.removeprefix(f"[bed_mesh {profile}] ")
+        why.setdefault(said, []).append(f"{profile!r} (line {error.line})")
+    notes += [Note(f"left out: mesh {', '.join(names)}: {said}", "mesh")
+              for said, names in why.items()]  # fmt: skip
+    if shifts:
+        notes.append(Note(
+            f"meshes are shifted to z = 0 in the middle: {', '.join(shifts)}. The endstops were "
+            f"moved together since the heights were stored, and whether before the mesh or after "
+            f"it is not known", "mesh",
+        ))  # fmt: skip
+
+
+def _profiles(
+    config: Config, firmware: Firmware, turned: Mapping[str, float], notes: list[Note]
+) -> tuple[list[tuple[str, ToolCampaign]], dict[str, FileError]]:
+    """Meshes by their profiles' names, and what is wrong with those that cannot be read."""
+    taken, found = set[str](), list[tuple[str, ToolCampaign]]()
+    refused, have = dict[str, FileError](), list[str]()
+    for section in config.named("bed_mesh"):
+        profile = section.name.partition(" ")[2]
+        if not (profile and "points" in section):
+            continue
+        have.append(profile)
+        # As files and parameters may carry it.
+        plain, number = re.sub(r"[^A-Za-z0-9_-]+", "-", profile).strip("-")[:60] or "mesh", 1
+        while (name := plain if number == 1 else f"{plain}-{number}").lower() in taken:
+            number += 1
+        taken.add(name.lower())
+        try:
+            rows = list(touches(config, firmware, section, name, notes))
+        except FileError as error:
+            refused[profile] = error
+            continue
+        if rows:
+            mesh = campaign_of(f"mesh-{name}", rows, turned.get(profile, 0.0))
+            found.append((profile, mesh))
+    if unknown := set(turned).difference(have):
         raise InputError(
             f"there is no mesh {min(unknown)!r} whose plate was turned: take one of "
-            f"{have or 'none'}"
+            f"{', '.join(map(repr, have)) or 'none'}"
         )
+    return found, refused
 
 
 def touches(
@@ -98,6 +134,12 @@ def touches(
     Raises:
         FileError: where the profile is none, or lies beyond the arms.
     """
+    if section.number("version", 0) != 1:
+        section.fail(
+            "version",
+            "is missing or not 1, as in meshes of before December 2019, which the firmware leaves "
+            "out as well: probe the mesh again, or remove the profile",
+        )
     table = section.table("points")
     if not table:
         section.fail("points", "are empty: probe the mesh again")
@@ -126,7 +168,11 @@ def touches(
             travel = firmware.heights(p)[0] - firmware.zero
         except InputError:
             away = float(np.hypot(x, y))
-            section.fail("points", f"reach {away * 1e3:.0f} mm out, beyond the arms")
+            section.fail(
+                "points",
+                f"reach {away * 1e3:.0f} mm out, beyond the arms: probe the mesh again, or remove "
+                f"the profile",
+            )
         label = f"{x * 1e3:.6g} {y * 1e3:.6g}"
         touch = row(Probe.kind, name, label, np.round(travel, ROUND), probe)
         yield {**touch, "beside": offset}

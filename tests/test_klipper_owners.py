@@ -1,0 +1,302 @@
+"""What owners' files have that firmware's examples have not: told in a sentence, and taken so."""
+
+import io
+import json
+import re
+import tarfile
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import orthoglide as og
+from orthoglide.cli import cli
+from orthoglide.closing import close_loop
+from orthoglide.errors import FileError, InputError
+from orthoglide.klipper import WHERE, Imported, import_printer
+from orthoglide.machine import Machine
+from orthoglide.machine_file import machine_text, parse_machine_file
+from tests.klipper_files import DATA, simulated_cfg
+from tests.rig_delta import DeltaRig
+
+ENDSTOP = re.compile(r"(#\*# position_endstop = )([0-9.]+)")
+V400, T1 = (DATA / name for name in ("v400-april.cfg", "t1-stock.cfg"))
+
+
+def imported(folder: Path, text: str) -> Imported:
+    """A file of that text, imported."""
+    (folder / "printer.cfg").write_text(text)
+    return import_printer(folder / "printer.cfg")
+
+
+def moved(text: str, by: float) -> str:
+    """A file of which all endstops were moved together, millimetres."""
+    return ENDSTOP.sub(lambda m: f"{m[1]}{float(m[2]) + by:.6f}", text)
+
+
+def higher(text: str, by: float) -> str:
+    """A file of which the last mesh lies so much higher, millimetres."""
+    head, key, mesh = text.rpartition("[bed_mesh default]")
+    return head + key + re.sub(r"-?\d\.\d{6}", lambda m: f"{float(m[0]) + by:.6f}", mesh)
+
+
+# What import says, in results ---------------------------------------------------------------------
+
+
+def test_what_import_says_is_said_of_results(tmp_path: Path) -> None:
+    """Heights six millimetres off: "run DELTA_CALIBRATE again" was said once, and never again."""
+    (tmp_path / "printer.cfg").write_text(moved(T1.read_text(), 6.0))
+    folder, out = tmp_path / "in", tmp_path / "out"
+    told = CliRunner().invoke(
+        cli, ["import", "klipper", str(tmp_path / "printer.cfg"), "--out", str(folder)]
+    )
+    machine = Machine.load(folder / "machine.toml")
+    stored = machine.spec.provenance["klipper"]
+    (far,) = (text for text in stored["warnings"] if "run DELTA_CALIBRATE again" in text)
+    assert far in told.output
+    assert stored["calibrate_again"] is True
+    assert not any("taken as probed" in text for text in stored["warnings"])
+    verdict = close_loop([folder / "calibration.csv"], machine)
+    assert [w for w in verdict.warnings if w.kind == "imported"] == stored["warnings"]
+    assert " ".join(far.split()) in " ".join(str(verdict).split()).replace(
+        "The heights", "the heights"
+    )
+    verdict.report(out)
+    assert far in json.loads((out / "result.json").read_text())["warnings"]
+    assert far in og.identify([folder / "calibration.csv"], machine).warnings
+    assert far in verdict.machine.spec.provenance["klipper"]["warnings"]
+
+
+def test_files_that_do_not_go_together_are_told_once_and_of_the_right_one(tmp_path: Path) -> None:
+    text = T1.read_text().replace("delta_radius = 171.8", "delta_radius = 172.8")
+    found = imported(tmp_path, text)
+    assert "calibrate_again" not in found.machine.provenance["klipper"]
+    machine, by_name = Machine(found.machine), {c.name: c for c in found.campaigns}
+    heights, mesh = by_name["calibration"], by_name["mesh-default"]
+    for given, once, imported_too in (([heights, mesh], 1, 0), ([mesh], 0, 1), ([heights], 0, 0)):
+        verdict = close_loop(given, machine)
+        assert len([c for c in verdict.cautions if "are not of one plate" in c]) == once
+        assert len([w for w in verdict.warnings if "are not of one plate" in w]) == imported_too
+
+
+# Lines above the header of SAVE_CONFIG ------------------------------------------------------------
+
+
+def test_of_lines_above_and_below_the_header_the_heights_say_which_are_right(
+    tmp_path: Path,
+) -> None:
+    own, below, saved = T1.read_text().partition("#*# <-")
+    right = re.search(r"delta_radius = (\S+)", saved)
+    assert right is not None
+    # Another radius above, the right one above, and neither of them near.
+    stale = imported(tmp_path, f"[printer]\ndelta_radius: 169.9\n{own}{below}{saved}").notes
+    (note,) = (n for n in stale if "above the header" in n)
+    told = re.search(r"heights fit to (\S+) mm, by line 2 above to (\S+) mm: remove line 2 and "
+                     r"RESTART", note)  # fmt: skip
+    assert told is not None
+    assert float(told[1]) < 0.05 < 0.1 < float(told[2])
+    assert "pasted below the header has no effect until then" in note
+    meant = saved.replace(right[0], "delta_radius = 169.9")
+    fresh = imported(tmp_path, f"[printer]\ndelta_radius: {right[1]}\n{own}{below}{meant}").notes
+    (note,) = (n for n in fresh if "above the header" in n)
+    assert "By line 2 above the stored heights fit to" in note
+    assert "no effect until line 2 is removed" in note
+    # Nothing that cannot be shown comes into the machine's file.
+    odd = f"[bed_mesh default]\nalgo: x\x07\n{own}{below}{saved}"
+    parse_machine_file(machine_text(imported(tmp_path, odd).machine))
+    lost = f"[printer]\ndelta_radius: 167\n{own}{below}{meant}"
+    (note,) = (n for n in imported(tmp_path, lost).notes if "above the header" in n)
+    assert "Remove the lines that are not meant" in note
+    assert "fit to" not in note
+    assert "no effect while a line above that header gives the same key" in WHERE
+
+
+@pytest.mark.parametrize("line", ["position_endstop: 110", "position_endstop: 320"])
+def test_an_override_that_makes_another_machine_is_named_with_its_remedy(
+    line: str, tmp_path: Path
+) -> None:
+    """It was refused as mistyped, or as given in inches, where the saved numbers are right."""
+    text = f"[stepper_a]\n{line}\n[bed_mesh default]\ntension: 0.9\n{T1.read_text()}"
+    with pytest.raises(FileError, match=r"remove line 2 \(and of the others .*\) and RESTART"):
+        imported(tmp_path, text)
+
+
+# Heights by the nozzle itself ---------------------------------------------------------------------
+
+
+def test_heights_by_hand_are_touches_of_the_nozzle(tmp_path: Path) -> None:
+    """METHOD=manual stores 0; z_offset is a probe's that had no part in it."""
+    text = re.sub(r"(#\*# height\d = ).*", r"\g<1>0.0", moved(T1.read_text(), 0.24))
+    text = text.replace("z_offset: -0.24", "x_offset: 20\nz_offset: 18.01")
+    for lower, manual in ((0.0, True), (18.0, False)):
+        found = imported(tmp_path, higher(text, -lower))
+        (note,) = (n for n in found.notes if "[delta_calibrate]" in n and "z_offset of 0" in n)
+        assert ("taken as touches of the nozzle itself" in note) == manual
+        assert ("18 mm too high or too low" in note) != manual
+        assert bool(found.campaigns[0].beside.any()) != manual
+    # A nozzle that is its own probe.
+    small = imported(tmp_path, text.replace("z_offset: 18.01", "z_offset: -0.2"))
+    assert any("0.2 mm too high or too low" in note for note in small.notes)
+
+
+# Meshes -------------------------------------------------------------------------------------------
+
+SPOILT = {
+    "ragged": (", 0.014937, 0.014937, 0.014937, 0.014937, 0.014937, 0.014937\n", "\n", "rows of 9"),
+    "turned round": ("max_x = 147.0", "max_x = -148.0", "not above min_x"),
+    "beyond": ("max_x = 147.0", "max_x = 600.0", "beyond the arms: probe the mesh again"),
+    "of 2019": ("version = 1\n", "x_offset = 0\n", "as in meshes of before December 2019"),
+}
+
+
+@pytest.mark.parametrize("kind", SPOILT)
+def test_a_mesh_that_cannot_be_read_is_left_out_alone(kind: str, tmp_path: Path) -> None:
+    old, new, why = SPOILT[kind]
+    text = V400.read_text()
+    mesh = text.index("[bed_mesh default_9Probe]")
+    spoilt = text[:mesh] + text[mesh:].replace(old, new, 1)
+    assert spoilt != text
+    found = imported(tmp_path, spoilt)
+    assert [c.name for c in found.campaigns] == ["calibration", "mesh-default_25Probe"]
+    (note,) = (n for n in found.notes if "left out: mesh 'default_9Probe' (line " in n)
+    assert why in note
+    head, _, saved = spoilt.partition("#*# <-")
+    alone = re.sub(r"#\*# (height|distance)\d+(_pos\d?)? =.*\n", "", f"{head}#*# <-{saved}")
+    last = alone.index("#*# [bed_mesh default_25Probe]")
+    with pytest.raises(FileError, match=re.escape(why[:12])):
+        imported(tmp_path, alone[:last])
+
+
+def test_a_mesh_that_is_shifted_is_told(tmp_path: Path) -> None:
+    """It was left out as 0.3 mm higher before its owner set the nozzle, and shifted silently
+    after.
+    """
+    told = [
+        [
+            n
+            for n in imported(tmp_path, moved(higher(T1.read_text(), 0.5), by)).notes
+            if "shifted" in n
+        ]
+        for by in (0.0, 0.2)
+    ]
+    assert not told[0]
+    size = re.search(r"'default' by (\S+) mm\. The endstops were moved together", told[1][0])
+    assert size is not None
+    assert float(size[1].replace("\N{MINUS SIGN}", "-")) == pytest.approx(-0.5, abs=0.1)
+
+
+# Files that one includes --------------------------------------------------------------------------
+
+
+def test_includes_go_up_within_the_folder(tmp_path: Path) -> None:
+    """As the firmware reads them: from where the including file stands."""
+    own, header, saved = V400.read_text().partition("#*# <-")
+    towers = own.index("[stepper_a]")
+    for folder in ("config/base", "config/hard [1] ware", "other"):
+        (tmp_path / folder).mkdir(parents=True)
+    top = tmp_path / "config" / "printer.cfg"
+    top.write_text(f"[include base/base.cfg]\n{header}{saved}")
+    base = tmp_path / "config" / "base" / "base.cfg"
+    base.write_text("[include ../hard*/*.cfg]\n" + own[:towers])
+    (tmp_path / "config" / "hard [1] ware" / "towers.cfg").write_text(
+        "[include ../printer.cfg]\n[include more.cfg]\n"
+    )
+    (tmp_path / "config" / "hard [1] ware" / "more.cfg").write_text(own[towers:])
+    assert len(import_printer(top).campaigns) == 3
+    base.write_text("[include ../../other/*.cfg]\n" + own[:towers])
+    (tmp_path / "other" / "more.cfg").write_text(own[towers:])
+    with pytest.raises(FileError, match=r"stepper_a.*may stand in '\.\./\.\./other/\*\.cfg'"):
+        import_printer(top)
+
+
+def test_all_files_that_are_missing_are_named(tmp_path: Path) -> None:
+    names = [f"{k}.cfg" for k in range(7)]
+    text = "".join(f"[include {name}]\n" for name in names) + "[printer]\nkinematics: delta\n"
+    for count, told in ((2, "'0.cfg' or '1.cfg': put those files"), (7, "'4.cfg' or 2 more")):
+        with pytest.raises(FileError, match=re.escape(told)):
+            imported(
+                tmp_path,
+                "".join(text.splitlines(keepends=True)[7 - count :])
+                .replace(f"{7 - count}.cfg", "0.cfg")
+                .replace("6.cfg", f"{count - 1}.cfg"),
+            )
+
+
+# What is no printer.cfg ---------------------------------------------------------------------------
+
+OTHERS = {
+    "Configuration.h": (b"/**\n * Marlin\n */\n#pragma once\n#define DELTA\n",
+                        "Marlin's configuration"),
+    "m503.txt": (b"Send: M503\nRecv: echo: M92 X80.00 Y80.00\nRecv: echo:  M665 L280 R142\n",
+                 "Marlin's M503 prints"),
+    "m503.g": (b"echo:  G21    ; mm\necho:  M569 S1 X Y Z\necho:  M666 X-0.3 Y-1 Z0\n",
+               "Marlin's M503 prints"),
+    "config.g": (b"; Configuration\nG90\nM550 P\"Kossel\"\nM665 R105.6 L215\n", "RepRapFirmware's"),
+    "config-override.g": (b"; config-override.g file generated by M500\nM665 L315:315\n",
+                          "RepRapFirmware's"),
+    "klippy.log": (b"Starting Klippy...\n===== Config file =====\n[printer]\nkinematics: delta\n"
+                   + b"Stats 1.0\n" * 200000, "Klipper's log"),
+    "config.zip": (b"PK\x03\x04" + bytes(30), "unpack it"),
+    "rotary.cfg": (b"[printer]\nkinematics: rotary_delta\n", "arms that turn about shoulders"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_no_such_file_is_told_as_what_it_is(name: str, tmp_path: Path) -> None:
+    content, told = OTHERS[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileError, match=re.escape(told)) as caught:
+        import_printer(tmp_path / name)
+    assert ("docs/linear-deltas.md" in str(caught.value)) == name.endswith((".h", ".g", ".txt"))
+
+
+def test_a_folder_with_a_printer_s_file_and_one_packed(tmp_path: Path) -> None:
+    (tmp_path / "printer.cfg").write_text(T1.read_text())
+    assert import_printer(tmp_path).machine == import_printer(tmp_path / "printer.cfg").machine
+    with tarfile.open(tmp_path / "config.tar.gz", "w:gz") as packed:
+        packed.addfile(tarfile.TarInfo("printer.cfg"), io.BytesIO(b""))
+    with pytest.raises(FileError, match="unpack it"):
+        import_printer(tmp_path / "config.tar.gz")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileError, match=r"printer\.cfg: there is no such file"):
+        import_printer(tmp_path / "empty")
+
+
+# Meshes that lie apart, and touches that are none -------------------------------------------------
+
+
+@pytest.mark.parametrize(("lower", "told"), [(0.05, False), (0.15, True), (0.3, False)])
+def test_how_far_meshes_lie_apart_is_told(lower: float, told: bool, tmp_path: Path) -> None:
+    text = simulated_cfg(DeltaRig(), count=5)
+    block = text.partition("#*# [bed_mesh default]")[2]
+    both = f"{text}#*# [bed_mesh second]" + re.sub(
+        r"-?0\.\d{6}", lambda m: f"{float(m[0]) - lower:.6f}", block
+    )
+    found = imported(tmp_path, both)
+    assert bool(found.apart) == (lower > 0.2)
+    notes = [n for n in found.notes if "lie up to" in n]
+    assert bool(notes) == told
+    if told:
+        assert "lie up to 0.15 mm apart in the middle, mesh-second.csv lowest" in notes[0]
+        assert found.together == ("mesh-default", "mesh-second")
+
+
+def test_touches_that_close_loop_refuses_are_not_proposed(tmp_path: Path) -> None:
+    """One is four millimetres lower."""
+    text = simulated_cfg(DeltaRig(), count=5)
+    head, start, block = text.partition("#*# [bed_mesh default]")
+    rows = re.findall(r"#\*# \t(.*\n)", block)
+    cells = rows[2].split(", ")
+    cells[2] = f"{float(cells[2]) - 4:.6f}"
+    low = block.replace(rows[2], ", ".join(cells))
+    file = tmp_path / "printer.cfg"
+    for more, proposed in (("", []), (f"#*# [bed_mesh second]{block}", ["mesh-second.csv"])):
+        file.write_text(head + start + low + more)
+        folder = tmp_path / f"in-{len(proposed)}"
+        run = CliRunner().invoke(cli, ["import", "klipper", str(file), "--out", str(folder)])
+        assert run.exit_code == 0
+        assert re.search(r"would refuse mesh-default.csv \(.*: \S+ mm off what", run.output)
+        commands = re.findall(r"orthoglide close-loop (\S+) --machine", run.output)
+        assert commands == [str(folder / name) for name in proposed]
+        with pytest.raises(InputError, match="correct the row or remove it"):
+            close_loop([folder / "mesh-default.csv"], folder / "machine.toml")
