@@ -53,7 +53,10 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
-        parts += _table(("printer.cfg", "old", "new"), result.firmware.corrections.rows)
+        found = result.firmware.corrections
+        parts += _table(("printer.cfg", "old", "new"), found.rows)
+        of = "left by the firmware's equations, rms, mm"
+        parts += _table((of, "old", "new"), found.left_rows)
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))
