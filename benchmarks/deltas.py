@@ -64,12 +64,21 @@ the command that is proposed; a result that was made of them all the same warns,
 not to be entered.
 
 Where heights are off by the same everywhere, all endstops were moved together since
-(`Z_OFFSET_APPLY_ENDSTOP`): z = 0 stays where it was set, and heights and meshes tell the rest. Of a
-probe beside the nozzle the offset is taken as set in the middle of the plate. Numbers are given
-where the plate was touched out to a third of the towers' radius at least, and not to be entered
-where they gain next to nothing. Where distances were read, prints keep their size as far as heights
-allow, as a part's shrinkage is not known, and arms are fitted as the firmware fits them; by heights
-alone arms stay the rods. Where prints become larger or smaller the report says by how much.
+(`Z_OFFSET_APPLY_ENDSTOP`): z = 0 stays where it was set, and heights and meshes tell the rest. The
+probe's offset is taken as set in the middle of the plate with the stored numbers; where that of a
+probe beside the nozzle no longer fits, `PROBE_CALIBRATE` is asked for. Numbers are given where the
+plate was touched out to a third of the towers' radius at least. Where distances were read, prints
+keep their size as far as heights allow, as a part's shrinkage is not known, and arms are fitted as
+the firmware fits them; by heights alone arms stay the rods. Where prints become larger or smaller
+the report says by how much.
+
+The firmware's z = 0 is the plane of the heights of `DELTA_CALIBRATE` where they are read with a
+mesh, else of all meshes alike; what others lie apart from it counts in the error to expect. Beside
+the numbers stands what the firmware's own equations leave of the readings with the old and the new
+ones. New ones are to be entered only where heights are expected better by a twentieth, and where
+those equations leave a twentieth less of them, every file alike, and no more of the distances.
+Never are they where there is nothing but what `DELTA_CALIBRATE` has fitted the stored ones to,
+where arms would differ by more than rods do, or where `DELTA_CALIBRATE` comes first.
 
 A probe sees one surface. The plate's height and slopes are fitted with every setup and go into the
 endstops; what no polynomial of the fourth degree follows counts as noise of the touches, and a

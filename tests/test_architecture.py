@@ -214,7 +214,7 @@ OF_ONE_LAYOUT = {
     # Lengths of bars
     "control/numbers.py:controller_numbers": "L with its correction",
     "klipper/rods.py:_measured": "the same",
-    "result/corrections.py:corrections": "the same",
+    "result/corrections.py:_arms": "the same",
     "comparison/comparing.py:Comparison._spheres": "the same",
     "machine_file/travel.py:check_travel": "an arm against L",
     "mechanism/seed.py:commands": "how far a point is beyond a bar's reach",

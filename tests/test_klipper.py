@@ -25,7 +25,8 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Firmware, machine_text, parse_machine_file
 from orthoglide.numerals import MINUS
 from orthoglide.observations import campaign_rows, campaign_text, read_readings, readings_from_rows
-from orthoglide.result.corrections import _of_the_probe, _Plate, corrections
+from orthoglide.result.corrections import corrections
+from orthoglide.result.plates import Plate, plane_of
 from tests.klipper_files import DATA, simulated_cfg
 from tests.rig_delta import DeltaRig
 
@@ -470,7 +471,8 @@ def test_the_stored_mesh_ends_in_a_class(tmp_path: Path) -> None:
 
 
 def firmware_keys(firmware: dict[str, object]) -> set[str]:
-    return {"old", "new", "height_rms_mm", "sideways_rms_mm"} & set(firmware)
+    kept = {"z_offset_by_mm", "keep_old_because"}
+    return {"old", "new", "height_rms_mm", "sideways_rms_mm", *kept} & set(firmware)
 
 
 def test_a_printer_without_readings_of_its_plate_is_given_no_numbers() -> None:
@@ -803,14 +805,13 @@ def test_a_probe_beside_the_nozzle_leaves_the_middle_where_it_is(
     (p, turned), (q, _) = rig.pose(middle, np.zeros(3)), rig.pose(there, beside)
     places = np.array([[0.1, 0.0, 0.0], [-0.05, 0.08, 0.0], [-0.02, -0.09, 0.0]])
     touches = old.heights(places) - nominal
-    turns = [rig.pose(s, near)[1] for s, near in zip(touches, places, strict=True)]
-    mean = Rotation.from_rotvec(turns).apply(beside)[:, 2].mean()
-    lifted = q[2] - p[2] - Rotation.from_rotvec(turned).apply(beside)[2] + mean
-    plate = _Plate(0.1, np.zeros(3), touches, places[:, :2], 1e-5, beside)
-    assert (abs(lifted) > 2e-5) == (rolls != 0)
-    assert _of_the_probe(old, machine, plate) == pytest.approx(lifted, abs=2e-6)
-    below = replace(plate, beside=np.array([0.03, -0.01, -5e-3]))
-    assert _of_the_probe(old, machine, below) == pytest.approx(lifted, abs=2e-6)
+    every = [rig.pose(s, near) for s, near in zip(touches, places, strict=True)]
+    higher = [at[2] + Rotation.from_rotvec(turn).apply(beside)[2] for at, turn in every]
+    lies = np.linalg.solve(np.column_stack([np.ones(3), places[:, :2]]), higher)
+    lifted = q[2] - p[2] - Rotation.from_rotvec(turned).apply(beside)[2]
+    plate = Plate("", 0.1, touches, places[:, :2], np.zeros(3), 1e-5, beside, False)
+    assert (abs(lies[0] + lifted) > 2e-5) == (rolls != 0)
+    assert plane_of(plate, old, machine)[0] == pytest.approx(lies[0] + lifted, abs=2e-6)
 
 
 def test_heights_of_another_offset_of_the_probe_are_told(tmp_path: Path) -> None:

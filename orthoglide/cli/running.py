@@ -89,10 +89,10 @@ def execute(
         read = partial(read_request, command, **asked)
         result, files = performed(read, step, draw=out is not None)
         from orthoglide.report import result_text, summary
-        from orthoglide.report.wording import MEANINGS
+        from orthoglide.report.phrases import meaning
 
         told = "" if quiet or as_json else summary(result, command == "diagnose", "machine")
-        line = f"Verdict {result.word}: {MEANINGS[result.word]}."
+        line = f"Verdict {result.word}: {meaning(result)}."
         if as_json and out is None:
             step(Step("suggesting"))
         text = (files.get("result.json") or result_text(result)) if as_json else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from orthoglide.klipper import WHERE, Corrections
+from orthoglide.klipper import Corrections
 from orthoglide.machine_file import Firmware
 
 _LACKING = (
@@ -54,8 +54,8 @@ class FirmwareNumbers:
             "\n".join((f"{'printer.cfg':30}{'old':>14}{'new':>14}", *named)),
             f"Height over the plate to expect: {before} rms off with the old numbers, {after} with "
             f"the new; along the plate {one} and {other}.",
-            *(() if found.gains else (f"They are {found.vain} than the old ones: keep those.",)),
-            WHERE,
+            *((f"Keep the old ones: {found.keep}.",) if found.keep else ()),
+            found.where,
             "\n".join(("To paste:", *found.new.lines())),
             "\n".join(("To undo:", *found.old.lines())),
             "What no number of the firmware holds stands in the report.",

@@ -9,8 +9,10 @@ import numpy as np
 from orthoglide.fit import Estimate
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import INSTRUMENTS
+from orthoglide.machine import Machine
 from orthoglide.numerals import plain
-from orthoglide.observations import Setup, TcpPoints
+from orthoglide.observations import Campaign, Setup, TcpPoints, ToolCampaign
+from orthoglide.observations.approach import Ints
 
 _PLACES = 3  # at which most is left
 
@@ -28,7 +30,8 @@ class SetupRest:
     most: float  # largest mean over one station along +axis, with its sign
     posture: str  # label of that station; may be empty
     command: Array  # at that station (3,), metres
-    # places of the nominal tool at which most is left, most first, in millimetres; none of a dial
+    # places at which most is left, most first, as the machine's controller tells them, in
+    # millimetres; none of a dial
     where: tuple[str, ...]
 
     @property
@@ -66,8 +69,6 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
             _, fresh = np.unique(given.command[where], axis=0, return_index=True)
             worst = where[np.sort(fresh)[:_PLACES]]
             leg = setup.leg if isinstance(setup, Setup) else -1
-            nominal = problem.machine.with_only({})
-            places = nominal.forward(given.command[worst]) * 1e3 if leg < 0 else ()
             one = SetupRest(
                 setup=setup.name,
                 kind=setup.kind,
@@ -78,10 +79,22 @@ def rest_by_setup(estimate: Estimate) -> tuple[SetupRest, ...]:
                 most=float(mean[most[0]]),
                 posture=given.posture[worst[0]],
                 command=given.command[worst[0]],
-                where=tuple(
-                    ", ".join(f"{name} {plain(v, 0)}" for name, v in zip(LEGS, p, strict=True))
-                    for p in places
-                ),
+                where=() if isinstance(given, Campaign) else _where(problem.machine, given, worst),
             )
             found.append(one)
     return tuple(sorted(found, key=lambda one: -one.share))
+
+
+def _where(machine: Machine, campaign: ToolCampaign, rows: Ints) -> tuple[str, ...]:
+    """Places of the tool in rows ``(n,)``, or from there to the second command's; of what touches a
+    plate without the height.
+    """
+    kinematics, own = machine.spec.kinematics, campaign.setups[campaign.setup[rows[0]]].instrument
+    told = machine.with_only({}).forward if kinematics is None else kinematics.places
+    names = LEGS[:2] if own.touches else LEGS
+    each = [
+        [", ".join(f"{n} {plain(v * 1e3, 0)}" for n, v in zip(names, p, strict=False))
+         for p in told(ends[rows])]
+        for ends in ((campaign.command, campaign.second) if own.paired else (campaign.command,))
+    ]  # fmt: skip
+    return tuple(" to ".join(ends) for ends in zip(*each, strict=True))

@@ -6,7 +6,7 @@ The formats and equations are those of the firmware's documentation and sources
 
 from orthoglide.klipper.agreeing import RELATIVE as RELATIVE, disagreements as disagreements
 from orthoglide.klipper.corrections import (
-    WHERE as WHERE,
+    FIRST as FIRST,
     Corrections as Corrections,
     corrections_of as corrections_of,
 )
@@ -16,4 +16,5 @@ from orthoglide.klipper.importing import (
     import_printer as import_printer,
 )
 from orthoglide.klipper.rods import doubted_rods as doubted_rods
+from orthoglide.klipper.stored import CALIBRATION as CALIBRATION
 from orthoglide.klipper.told import AGAIN as AGAIN, imported as imported

@@ -5,7 +5,7 @@ from __future__ import annotations
 from orthoglide.machine import Machine
 from orthoglide.machine_file import TOWERS, Firmware
 
-_SPREAD = 5e-4  # metres by which rods of one set do not differ
+SPREAD = 5e-4  # metres by which rods of one set do not differ
 _EVEN = 5e-5  # within which they are taken as alike
 _NEAR = 1.5e-4  # of the stored ones: less than half of the spread
 
@@ -21,7 +21,7 @@ def rods_words(firmware: Firmware) -> str:
     )
     return (
         f"The arms that the firmware stores ({shown} mm) differ by {spread * 1e3:.2f} mm"
-        f"{doubt if spread > _SPREAD else ''}. They are taken as alike to {_EVEN * 1e3:g} mm: if "
+        f"{doubt if spread > SPREAD else ''}. They are taken as alike to {_EVEN * 1e3:g} mm: if "
         f"you did measure them, give the sigma of your measurement under [parameters] of "
         f"machine.toml."
     )
@@ -32,7 +32,7 @@ def doubted_rods(machine: Machine) -> str:
     file says that they were measured: by a sigma beside lengths near the stored ones.
     """
     firmware = machine.spec.printer
-    if firmware is None or _spread(firmware) <= _SPREAD or _measured(machine, firmware):
+    if firmware is None or _spread(firmware) <= SPREAD or _measured(machine, firmware):
         return ""
     return rods_words(firmware)
 

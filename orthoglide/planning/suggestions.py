@@ -16,6 +16,7 @@ from orthoglide.diagnosis.rest import SetupRest
 from orthoglide.fit import Estimate, WeakDirection
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.instruments import INSTRUMENTS
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, campaign_rows
 from orthoglide.planning.choosing import choose
@@ -308,9 +309,11 @@ def repeating(rest: SetupRest) -> Suggestion:
     """Readings of the instrument at the tool that shows most of what is left, again, at the places
     where that is.
     """
+    own = INSTRUMENTS[rest.kind]
+    sides = "" if own.touches or own.paired else " and coming from either side"
     reason = (
         f"what nothing explains shows most in {rest.reads} ({rest.setup}): read it again with the "
-        f"tool at {'; '.join(rest.where)} mm, three times each and coming from either side. What "
+        f"tool at {'; '.join(rest.where)} mm, three times each{sides}. What "
         f"comes back is of the machine or of what the instrument stands on; what does not is a "
         f"loose part, lost motion, or the instrument itself"
     )

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from orthoglide.control import withheld
 from orthoglide.effects.wording import size_words
 from orthoglide.numerals import compact
-from orthoglide.report.phrases import sentence
-from orthoglide.report.wording import BESIDES, MEANINGS, curve_words, evidence, standing
+from orthoglide.report.phrases import meaning, sentence
+from orthoglide.report.wording import BESIDES, curve_words, evidence, standing
 from orthoglide.result.actions import loses
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def finding(result: Result) -> Data:
     return {
         "first": result.firmware.first if result.firmware else "",
         "word": result.word,
-        "meaning": sentence(MEANINGS[result.word]),
+        "meaning": sentence(meaning(result)),
         "claims": claims(result),
         "drawing": result.picture.svg(),
         "options": len(result.picture.options),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from orthoglide.effects import CATALOGUE, Catalogue
@@ -26,6 +26,16 @@ NOTHING_SHOWN = (
     "These readings show no error at all: either they were made up of a machine that has none, or "
     "the instruments read nothing."
 )
+
+MEANINGS: Mapping[str, str] = {
+    "adequate": "nothing significant is left, and no single cause was added",
+    "explained": "a cause was found, and nothing significant is left",
+    "ambiguous": "explained, but other causes fit these readings as well",
+    "located": "a place was found that no known shape explains, and nothing significant is left",
+    "partial": "something was found, and something significant is left",
+    "unexplained": "something significant is left, and nothing stands out",
+}
+"""What the verdict's words mean."""
 
 WHICHEVER, PLATE = "on average, whichever of these it is", "on average, nothing if it is the plate"
 """Behind what it gains to put right one of several causes."""
@@ -166,3 +176,10 @@ def a_little(result: Result) -> bool:
 def none_left_over(result: Result) -> bool:
     """Whether what was fitted takes up all that the readings say."""
     return result.before.scores.dof < _FEW or result.after.scores.dof < 1.0
+
+
+def meaning(result: Result) -> str:
+    """What its verdict's word means; nothing is judged where too few readings are left over."""
+    if result.word == "adequate" and none_left_over(result):
+        return "no single cause was added, and too few readings are left over to judge what is left"
+    return MEANINGS[result.word]

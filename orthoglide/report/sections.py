@@ -18,7 +18,6 @@ from orthoglide.effects.words import toward
 from orthoglide.figures.causes import MOST_CURVES
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS
-from orthoglide.klipper import WHERE
 from orthoglide.numerals import ByUnit, compact, told_apart
 from orthoglide.report.embed import panels, whole
 from orthoglide.report.phrases import listed, sentence, unvaried_words, weak_sentences
@@ -208,14 +207,15 @@ def too_early(result: Result) -> tuple[str, str]:
     if result.cautions:
         return early, "the verdict warns of what would bend them"
     found = result.firmware.corrections if result.firmware else None
-    if found is None or not found.vain:
+    if found is None or not found.keep:
         return "", ""
-    return "Keep the numbers that are there", f"by what is known the new ones are {found.vain}"
+    instead = early if result.firmware and result.firmware.again else "Keep the stored numbers"
+    return instead, found.keep
 
 
 def firmware(result: Result) -> Data:
     """Numbers for a firmware, old and new, and what it cannot hold."""
-    return {"early": too_early(result), "where": WHERE, "heading": UNSEEN}
+    return {"early": too_early(result), "heading": UNSEEN}
 
 
 _AIMS = {

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from orthoglide.numerals import hundredths, signed
 from orthoglide.report.phrases import (
     gain_words,
+    meaning,
     sentence,
     unshown_words,
     unvaried_words,
@@ -16,7 +17,7 @@ from orthoglide.report.phrases import (
 )
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.sections import too_early
-from orthoglide.report.wording import MEANINGS, headline
+from orthoglide.report.wording import headline
 from orthoglide.result.firmware import UNSEEN
 from orthoglide.text import is_terminal, text_width
 
@@ -39,7 +40,7 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
 
     parts: list[Text | Table] = [
         Text(headline(result), style="bold"),
-        Text(f"Verdict {result.word}: {MEANINGS[result.word]}.\n"),
+        Text(f"Verdict {result.word}: {meaning(result)}.\n"),
     ]
     parts += [Text(f"- data: {b.message}") for b in result.blunders]
     parts += _tables(result, ranked)
@@ -52,7 +53,10 @@ def summary(result: Result, ranked: bool = False, said: str = "") -> str:
     parts += [Text(f"- {line}") for line in remarks]
     parts += [Text(line) for line in to_do(result)]
     if result.firmware is not None and result.firmware.corrections is not None:
-        parts += _table(("printer.cfg", "old", "new"), result.firmware.corrections.rows)
+        found = result.firmware.corrections
+        parts += _table(("printer.cfg", "old", "new"), found.rows)
+        of = "left by the firmware's equations, rms, mm"
+        parts += _table((of, "old", "new"), found.left_rows)
         instead, why = too_early(result)
         if instead:
             parts.append(Text(f"{instead}: {why}.", style="bold"))

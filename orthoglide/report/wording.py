@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from orthoglide.effects.wording import parameter_words
@@ -34,16 +34,6 @@ _CHANCE = 0.01  # of what is left: noise alone leaves as much often enough
 _MOST_ALONE = 8
 _MOST_NAMED = 2
 _MOST_RIVALS = 2
-
-MEANINGS: Mapping[str, str] = {
-    "adequate": "nothing significant is left, and no single cause was added",
-    "explained": "a cause was found, and nothing significant is left",
-    "ambiguous": "explained, but other causes fit these readings as well",
-    "located": "a place was found that no known shape explains, and nothing significant is left",
-    "partial": "something was found, and something significant is left",
-    "unexplained": "something significant is left, and nothing stands out",
-}
-"""What the verdict's words mean."""
 
 BESIDES = "Something else is wrong as well."
 """Behind what was found, where it does not explain all."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from orthoglide.control import withheld
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.fit import Change
+from orthoglide.klipper import FIRST
 from orthoglide.numerals import plain
 from orthoglide.posterior import Cause, Curve, Explanation, Located
 
@@ -60,9 +61,12 @@ class Action:
 def actions(result: Result) -> tuple[Action, ...]:
     """What to do, most gain first; what decides before everything where the verdict is open.
 
-    Nothing is to be entered or mended where the verdict warns against it.
+    Nothing is to be entered or mended where the verdict warns against it, or where the firmware's
+    own calibration comes first.
     """
     decides, told = _measure(result)
+    if result.firmware is not None and result.firmware.again:
+        return (Action("measure", FIRST[:-1]), *told)
     if withheld(result.machine):
         noisy = [
             Action("confirm", f"Before more is measured: {one}")
@@ -106,9 +110,10 @@ def _zeros(result: Result) -> Iterator[Action]:
                 "the plate"
             )
             yield Action("measure", touch)
-        if found is None or not found.gains:
+        if found is None or found.keep:
             return
-        words = f"Enter the numbers for the firmware, {found.words}"
+        probe = f"; after RESTART, before a new mesh, {found.probe}" if found.probe else ""
+        words = f"Enter the numbers for the firmware, {found.words}{probe}"
         yield Action("zeros", words, found.height[0] - found.height[1])
         return
     of = result.catalogue.effect_of

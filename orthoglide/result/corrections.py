@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,19 +11,29 @@ from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
 from orthoglide.geometry import Array, plane_columns
-from orthoglide.klipper import Corrections
+from orthoglide.klipper import AGAIN, RELATIVE, Corrections, doubted_rods
 from orthoglide.klipper.firmware import refitted
+from orthoglide.klipper.left import Left, fitted_already, larger_offset, left_of
+from orthoglide.klipper.rods import SPREAD
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Firmware
+from orthoglide.machine_file.firmware import Triple
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
+from orthoglide.result.plates import (
+    Plate,
+    far_out,
+    for_zero,
+    mean_of,
+    plane_of,
+    plane_slopes,
+    plates,
+    widest,
+)
 
 PROBED = (0.95, 0.90, 0.85, 0.70, 0.75, 0.80)
 """Radii of the firmware's own seven points, one in the centre, over its calibration radius; on rays
 at 90, 150 ... degrees."""
-
-_WIDE = 0.8
-"""Of the widest plate, how far another one of more touches has to reach in its place."""
 
 _SPAN = 1 / 3
 """Of the radius of the towers, how far a plate has to be touched: numbers that fit its middle alone
@@ -39,41 +49,79 @@ def corrections(old: Firmware, machine: Machine, fit: Estimate) -> Corrections |
     """New numbers for a machine's firmware in place of old ones; ``None`` where the fit's readings
     do not touch the plate, or its middle alone.
 
-    The plate is the firmware's z = 0: its height and slopes, as fitted, go into the endstops. Where
-    distances were read, the old numbers were fitted to them, and prints have the size that was
-    measured; as a part's shrinkage is not known, the readings know no better, and it is kept.
+    The plate is the firmware's z = 0: its height and slopes, as touched, go into the endstops.
+    Where distances were read, the old numbers were fitted to them, and prints have the size that
+    was measured; as a part's shrinkage is not known, the readings know no better, and it is kept.
     """
-    plate = _plate(fit)
+    every = plates(fit)
+    plate = widest(every)
     if plate is None or plate.radius < _SPAN * old.delta_radius:
         return None
+    setting = for_zero(every)
+    lies = mean_of((one, plane_of(one, old, machine)) for one in setting)
     wanted = _points(plate.radius)
-    higher = plane_columns(wanted) @ plate.plane + _of_the_probe(old, machine, plate)
-    lifted = wanted + np.outer(higher, [0.0, 0.0, 1.0])
-    geometry, commands = machine.geometry, machine.inverse(lifted)
-    at_zero = _at_zero(machine)
-    below = commands + at_zero - old.at_endstop
-    lengths = machine.catalogue.held_as("bar_length")
-    longer = [
-        sum(machine.values.get(f"{name}.{leg}", 0.0) for name in lengths)
-        for leg in geometry.leg_names
-    ]
-    a, b, c = (geometry.L + v for v in longer)
-    start = replace(old, arm=(a, b, c))
+    columns = plane_columns(wanted)
+    commands = machine.inverse(wanted + np.outer(columns @ lies, [0.0, 0.0, 1.0]))
+    below = commands + _at_zero(machine) - old.at_endstop
     sized = any(s.instrument.paired for tool in fit.problem.tool_campaigns for s in tool.setups)
     kept = _past_moves(wanted, sized)
-    level, along = _spread(machine, plate, wanted, commands, kept)
+    level, along = _spread(old, machine, setting, wanted, commands, kept)
     goal = _of_size(wanted, old.points(below + old.at_endstop)) if sized else wanted
     # Where the plate was touched is known; what a cause that was guessed does far above it is not.
     above = np.where(wanted[:, 2] > 0, _ABOVE, 1.0)
     weight = above / np.sqrt(plate.sigma**2 + level)
+    start = replace(old, arm=_arms(old, machine))
     new, _ = refitted(start, goal, below, weight, _past_moves(wanted, False), arms=sized)
     errors = [f.points(below + f.at_endstop) - goal for f in (old, new)]
     on = wanted[:, 2] == 0
-    before, after = (float(np.sqrt(np.mean(e[on, 2] ** 2 + level[on]))) for e in errors)
+    apart = _apart(every, setting, lies, old, machine) @ columns[on].T
+    before, after = (
+        float(np.sqrt(np.mean((e[on, 2] + apart) ** 2) + level[on].mean())) for e in errors
+    )
     one, other = (
         float(np.sqrt(np.sum((kept @ e[:, :2].ravel()) ** 2) / len(e) + along)) for e in errors
     )
-    return Corrections(old, new, (before, after), (one, other))
+    return Corrections(old, new, (before, after), (one, other), *_by_readings(old, new, fit))
+
+
+def _by_readings(
+    old: Firmware, new: Firmware, fit: Estimate
+) -> tuple[tuple[Left, ...], float, str]:
+    """What the firmware makes of the readings, how much larger the probe's offset will be, and why
+    new numbers are not to be entered whatever they gain.
+    """
+    machine, read = fit.problem.machine, fit.problem.tool_campaigns
+    kept = machine.spec.provenance["klipper"]
+    why = ""
+    if kept.get(AGAIN):
+        why = "DELTA_CALIBRATE comes first, as is said at the top"
+    elif doubted_rods(machine) and (spread := np.ptp(new.arm)) > SPREAD:
+        why = (
+            f"their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do, as those "
+            f"of the firmware do: measure the rods first"
+        )
+    elif fitted_already(old, read):
+        why = (
+            "DELTA_CALIBRATE has fitted those to these very readings, which tell no more than "
+            "that: probe a mesh"
+        )
+    return (
+        tuple(left_of(old, new, read, bool(kept.get(RELATIVE)))),
+        larger_offset(old, new, read),
+        why,
+    )
+
+
+def _apart(
+    every: list[Plate], setting: list[Plate], lies: Array, old: Firmware, machine: Machine
+) -> Array:
+    """By how much each plate that tells of z = 0 lies otherwise than it was taken ``(k, 3)``,
+    metres: none of them is known to be the right one.
+    """
+    told = [one for one in every if one in setting or one in far_out(every)]
+    found = np.array([plane_of(one, old, machine) - lies for one in told])
+    found[[one.relative for one in told], 0] = 0.0
+    return found
 
 
 def _at_zero(machine: Machine) -> Array:
@@ -81,41 +129,39 @@ def _at_zero(machine: Machine) -> Array:
     return np.array([leg.carriage[2] - leg.platform[2] for leg in machine.geometry.legs])
 
 
-def _of_the_probe(old: Firmware, machine: Machine, plate: _Plate) -> float:
-    """By how much the plate lies higher than a probe beside the nozzle says, metres.
-
-    Readings are about the mean of what the platform's turns lift the probe by. But its offset was
-    set in the middle: it touched with the tool there, and then the nozzle touched the same place.
-    """
-    beside = plate.beside * [1, 1, 0]
-    if not beside.any():
-        return 0.0
-    places = np.stack([np.zeros(3), beside])
-    (middle, there), at_zero = old.heights(places), _at_zero(machine)
-    pose = machine.pose(np.vstack([middle - at_zero, plate.commands]))
-    lifted = (pose.R @ beside)[:, 2]
-    higher = machine.forward(there - at_zero)[2] - pose.p[0, 2]
-    return float(higher - lifted[0] + lifted[1:].mean())
+def _arms(old: Firmware, machine: Machine) -> Triple:
+    """Of the calibrated machine; those that are stored where all are known no better, metres."""
+    lengths, known = machine.catalogue.held_as("bar_length"), machine.posterior
+    sd = dict(zip(known.names, np.sqrt(np.diag(known.covariance)), strict=True))
+    names = [[f"{name}.{leg}" for name in lengths] for leg in machine.geometry.leg_names]
+    a, b, c = (machine.geometry.L + sum(machine.values.get(n, 0.0) for n in own) for own in names)
+    off = np.abs(np.subtract((a, b, c), old.arm))
+    unsure = [np.linalg.norm([sd.get(n, 0.0) for n in own]) for own in names]
+    return old.arm if (off <= unsure).all() else (a, b, c)
 
 
 def _spread(
-    machine: Machine, plate: _Plate, points: Array, commands: Array, kept: Array
+    old: Firmware,
+    machine: Machine,
+    setting: list[Plate],
+    points: Array,
+    commands: Array,
+    kept: Array,
 ) -> tuple[Array, float]:
     """Variances of the tool's height over the plate as it was touched ``(g,)``, and along it, the
     mean, of what is kept of errors there ``(2 g, 2 g)``, square metres, at points ``(g, 3)`` with
     their commands ``(g, 3)``.
     """
-    known = machine.posterior
+    known, columns = machine.posterior, plane_columns(points)
     here = tcp_slopes(machine, known.names, Conditions.at(commands))
-    touched = tcp_slopes(machine, known.names, Conditions.at(plate.commands))[:, 2]
-    columns = plane_columns(plate.places)
-    level = here[:, 2] - plane_columns(points) @ np.linalg.lstsq(columns, touched, rcond=None)[0]
+    lies = mean_of((one, plane_slopes(one, old, machine)) for one in setting)
+    level = here[:, 2] - columns @ lies
     along = kept @ here[:, :2].reshape(-1, len(known.names))
-    noise = plate.sigma**2 * np.linalg.pinv(columns.T @ columns)
+    noise = sum(one.sigma**2 * one.taken @ one.taken.T for one in setting) / len(setting) ** 2
     heights, ways = (
         np.einsum("gp,pq,gq->g", rows, known.covariance, rows) for rows in (level, along)
     )
-    touches = np.einsum("gp,pq,gq->g", plane_columns(points), noise, plane_columns(points))
+    touches = np.einsum("gp,pq,gq->g", columns, noise, columns)
     return heights + touches, float(ways.sum()) / len(points)
 
 
@@ -154,7 +200,7 @@ def unseen_by_firmware(
         The largest change that its six numbers do not take up, and the largest before they do, in
         sigmas of a touch; nan where no plate was touched.
     """
-    touched = _plate(fit)
+    touched = widest(plates(fit))
     if touched is None:
         return float("nan"), float("nan")
     radius = touched.radius
@@ -176,37 +222,6 @@ def unseen_by_firmware(
     left = shift - six @ np.linalg.lstsq(six, shift, rcond=1e-9)[0]
     sigma = float(np.median(fit.problem.sigma))
     return float(np.abs(left).max() / sigma), float(np.abs(shift).max() / sigma)
-
-
-@dataclass(frozen=True, eq=False)
-class _Plate:
-    """A plate as it was touched."""
-
-    radius: float  # that was touched
-    plane: Array  # height and slopes (3,)
-    commands: Array  # of the touches (n, 3)
-    places: Array  # where they were (n, 2)
-    sigma: float  # of one
-    beside: Array  # where the probe is, from the nozzle (3,)
-
-
-def _plate(fit: Estimate) -> _Plate | None:
-    """The plate that was touched out to its rim by most touches; ``None`` where none was."""
-    found, problem = list[_Plate](), fit.problem
-    for k, factor, number, setup in problem.mounted:
-        own = np.flatnonzero(factor.setup == number)
-        if not setup.instrument.touches or len(own) < 3:
-            continue
-        rows, places = problem.factor_rows[k], fit.at.slopes[k][own, :2]
-        rest = (problem.measured - fit.at.value)[rows][own]
-        plane = np.asarray(-np.linalg.lstsq(plane_columns(places), rest, rcond=None)[0])
-        found.append(_Plate(
-            float(np.hypot(*places.T).max()), plane, factor.points.command[own], places,
-            float(np.median(problem.sigma[rows][own])), np.array(setup.beside),
-        ))  # fmt: skip
-    widest = max((one.radius for one in found), default=0.0)
-    wide = (one for one in found if one.radius >= _WIDE * widest)
-    return max(wide, key=lambda one: len(one.places), default=None)
 
 
 def _points(radius: float) -> Array:

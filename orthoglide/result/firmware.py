@@ -9,7 +9,15 @@ import numpy as np
 
 from orthoglide.effects.effect import Shape
 from orthoglide.fit import Estimate
-from orthoglide.klipper import ASSUMED, RELATIVE, Corrections, disagreements, doubted_rods
+from orthoglide.klipper import (
+    AGAIN,
+    ASSUMED,
+    FIRST,
+    RELATIVE,
+    Corrections,
+    disagreements,
+    doubted_rods,
+)
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import compact
@@ -64,6 +72,7 @@ class FirmwareAdvice:
     # causes that no number of the firmware holds, each with what to do about it
     beyond: tuple[str, ...]
     unseen: tuple[Unseen, ...]  # which of them its own seven points cannot see
+    again: bool = False  # whether the firmware's own calibration comes first
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
@@ -116,11 +125,13 @@ def firmware_advice(
     if old is None:
         return None
     every = [one for cause in causes for one in cause.explanations]
+    again = bool(machine.spec.provenance["klipper"].get(AGAIN))
     return FirmwareAdvice(
-        doubted_rods(machine),
+        " ".join(text for text in (FIRST * again, doubted_rods(machine)) if text),
         found,
         tuple(f"{one.words}: {confirm(one) or f'look at {one.look_at}'}" for one in every),
         tuple(u for one in every if (u := _unseen(machine, fit, one)) is not None),
+        again,
     )
 
 
