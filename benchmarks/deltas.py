@@ -47,12 +47,16 @@ compensated commands; no values for `M665` and `M666`, and what `M503` prints is
 
 The importer reads what the firmware stores: its numbers, the heights and distances of
 `[delta_calibrate]` with their step positions, and meshes, taken as probed with the numbers that
-are stored now. Where a key stands above the header of SAVE_CONFIG and below it, the one above
-counts, as in the firmware, and both lines are told. What the firmware does not store (the
-platform's radius, the distance of an arm's rods, how far the nozzle hangs below the joints) is
-taken as 32, 50 and 40 mm; the sizes of causes that turn the platform depend on it. Correct them in
-`machine.toml`, the platform's radius `r` together with `radius_mm`: their difference is the
-firmware's `delta_radius`, and another one is refused.
+are stored now; a mesh that cannot be read is left out. It takes a `printer.cfg` or the folder that
+holds it, and reads what that includes from within this folder. Where a key stands above the header
+of SAVE_CONFIG and below it, the one above counts, as in the firmware; both lines are told, and by
+which of them the heights fit. Heights that are all 0 beside a probe that hangs lower are taken as
+`DELTA_CALIBRATE METHOD=manual` stores them, as touches of the nozzle itself. What import says that
+matters to a result stands in `machine.toml`, and results repeat it. What the firmware does not
+store (the platform's radius, the distance of an arm's rods, how far the nozzle hangs below the
+joints) is taken as 32, 50 and 40 mm; the sizes of causes that turn the platform depend on it.
+Correct them in `machine.toml`, the platform's radius `r` together with `radius_mm`: their
+difference is the firmware's `delta_radius`, and another one is refused.
 
 The report gives new numbers for the firmware beside the old ones, to paste and to undo. Its model
 holds three endstops, one radius, three angles and three arms, and no other cause. Where the arms

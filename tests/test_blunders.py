@@ -303,7 +303,7 @@ def posture_of(rows: list[rc.Row], leg: str, label: str) -> int:
     return list(dict.fromkeys(keys)).index((leg, label))
 
 
-@pytest.mark.parametrize("mm", [0.3, 1.0, -10.0])
+@pytest.mark.parametrize("mm", [0.3, pytest.param(1.0, marks=pytest.mark.thorough), -10.0])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.y.z": 2e-3}], ids=["alone", "beside a tilt"])
 @pytest.mark.parametrize(
     "protocol", ["sweep", pytest.param("two-gauges", marks=pytest.mark.thorough)]
@@ -434,7 +434,7 @@ def test_a_dial_in_inches(step, protocol, setup, errors, machine):
     assert "multiplied by 25.4, so they seem to be in inches" in blunder.message
 
 
-@pytest.mark.parametrize("turn", [1.0, 0.5])
+@pytest.mark.parametrize("turn", [1.0, pytest.param(0.5, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
     ("protocol", "errors"),
     [("sweep", {}), ("sweep", {"axis_tilt.y.z": 2e-3}), ("standard", {"axis_tilt.y.z": 2e-3})],

@@ -460,7 +460,10 @@ def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any
     assert len(rows) < 3.5 * len(names)  # two or three lines of words for each
 
 
-@pytest.mark.parametrize(("word", "tilt"), [("unexplained", 0.0), ("partial", 2e-2)])
+@pytest.mark.parametrize(
+    ("word", "tilt"),
+    [("unexplained", 0.0), pytest.param("partial", 2e-2, marks=pytest.mark.thorough)],
+)
 def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt: float) -> None:
     """It was a dead end: neither where it is nor what to measure was told."""
     rng = np.random.default_rng(3)

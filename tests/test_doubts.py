@@ -93,7 +93,7 @@ def test_inches_throughout_are_refused(ask, factor: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["standard", "sweep"])
-@pytest.mark.parametrize("length", [5e-3, -5e-3])
+@pytest.mark.parametrize("length", [5e-3, pytest.param(-5e-3, marks=pytest.mark.thorough)])
 def test_a_bar_wrong_by_five_millimetres_is_told(kind: str, length: float) -> None:
     wrong = MACHINE.with_parameters({"leg_length.y": length})
     verdict = og.close_loop(simulate(wrong, kind, noise=5e-6, seed=1), MACHINE)

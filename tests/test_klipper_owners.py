@@ -13,7 +13,8 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.closing import close_loop
 from orthoglide.errors import FileError, InputError
-from orthoglide.klipper import WHERE, Imported, import_printer
+from orthoglide.klipper import Imported, import_printer
+from orthoglide.klipper.corrections import WHERE
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from tests.klipper_files import DATA, simulated_cfg

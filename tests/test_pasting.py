@@ -115,7 +115,9 @@ def test_numbers_must_do_better_by_the_firmware_too(
     assert bool(made.keep) == bool(said)
 
 
-@pytest.mark.parametrize("name", ["t1-stock", "v400-april", "flight505"])
+@pytest.mark.parametrize(
+    "name", ["t1-stock", "v400-april", pytest.param("flight505", marks=pytest.mark.thorough)]
+)
 def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> None:
     """With distances or without."""
     found = import_printer(DATA / f"{name}.cfg")

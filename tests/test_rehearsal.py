@@ -331,7 +331,7 @@ def delta() -> og.Machine:
 
 
 def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -> None:
-    found = og.rehearse(delta, campaigns=27, owns=["plate", "incline"], seed=3, jobs=2)
+    found = og.rehearse(delta, campaigns=15, owns=["plate", "incline"], seed=3, jobs=2)
     assert not any(t.failed for t in found.campaigns), found
     assert found.readings == 55
     assert not any(t.false for t in found.of(NOTHING))

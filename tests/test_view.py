@@ -340,7 +340,9 @@ def test_on_a_phone_the_drawing_stands_in_the_first_screen_whatever_many_rivals(
     assert rivals >= bottom
 
 
-@pytest.mark.parametrize("which", ["explained", "partial", "unexplained"])
+@pytest.mark.parametrize(
+    "which", ["explained", pytest.param("partial", marks=pytest.mark.thorough), "unexplained"]
+)
 def test_the_page_is_small_and_asks_nothing_of_a_network(which: str) -> None:
     page = files_of(which)["report.html"]
     assert len(page.encode()) < MOST

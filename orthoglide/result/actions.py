@@ -181,7 +181,7 @@ def _made_up(found: Cause | Located) -> str:
         drives = all(curve.place.part == "drive" for curve in found.members)
     else:
         each = (e.catalogue.effect_of(e.name) for e in found.explanations)
-        drives = all(effect.controller == "backlash" for effect in each)
+        drives = all(effect.controller for effect in each)
     return f"a controller's own setting for it, or {_COMPENSATED}" if drives else _COMPENSATED
 
 
