@@ -15,7 +15,7 @@ import numpy as np
 from orthoglide.effects import OF_DRIVES
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
-from orthoglide.mechanism.seed import commands as commands_of
+from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
 from orthoglide.prediction import Conditions
 
 GRID = 5
@@ -40,7 +40,7 @@ def workspace(geometry: Geometry, count: int = GRID, pitch: float | None = None)
     """
     layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
     if (points := layout.points(*sizes, count)) is not None:
-        return commands_of(geometry, points)
+        return commands_of(Spheres.of(geometry), points)
     travel, spacing = np.linspace(*geometry.stroke, count, retstep=True)
     grid = np.stack(np.meshgrid(travel, travel, travel, indexing="ij"), axis=-1).reshape(-1, 3)
     third = min(pitch or 0.0, float(spacing)) / 3

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
-from orthoglide.mechanism.elastic import Deformation, relief_angles, relief_warnings
+from orthoglide.mechanism.engine import placed
+from orthoglide.mechanism.mechanism import Posture
+from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
 from orthoglide.observations import Campaign
 from orthoglide.prediction import Conditions, Model
 from orthoglide.scene import Posed, drawing
@@ -35,20 +38,10 @@ class Pose:
     Attributes:
         p: TCP ``(..., 3)``, metres.
         R: rotation of the platform ``(..., 3, 3)``; the identity while all errors fit together.
-        relief: angles of the relief joints ``(..., leg, joint)``, radians: how far each leg must
-            twist, and its second bar leave the plane, for the loops to close.
-        legs: their names.
     """
 
     p: Array
     R: Array
-    relief: Array
-    legs: tuple[str, str, str]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Legs that give more than a leg plausibly can, one sentence each."""
-        return relief_warnings(self.relief, self.legs)
 
 
 @dataclass(frozen=True)
@@ -123,6 +116,25 @@ class Machine:
                 )
         return cls(spec)
 
+    @classmethod
+    def from_urdf(
+        cls, folder: str | os.PathLike[str], given: MachineSource | None = None
+    ) -> Machine:
+        """Return a machine whose joints are where a URDF says.
+
+        Args:
+            folder: with ``orthoglide.urdf`` and ``orthoglide.closures.toml``, three PRPaR legs.
+            given: everything else of the machine; of its dimensions only the command at mechanical
+                zero, the stroke and the places of dials are used.
+
+        Raises:
+            FileError: where a file is missing or says what cannot be.
+            InputError: where the URDF has not three PRPaR legs.
+        """
+        machine = cls(replace(cls.of(given).spec, urdf=str(Path(folder).resolve())))
+        _ = machine.model.engine  # which reads the files
+        return machine
+
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the machine file at ``path``; :meth:`load` reads back the same machine.
 
@@ -150,8 +162,11 @@ class Machine:
             InputError: where two effects share a name, or a basis does not work on symbols.
         """
         catalogue = self.catalogue.with_effects(effects)
-        same = catalogue.effects == self.catalogue.effects
-        return self if same else Machine(replace(self.spec, catalogue=catalogue))
+        if catalogue.effects == self.catalogue.effects:
+            return self
+        machine = Machine(replace(self.spec, catalogue=catalogue))
+        machine.__dict__["_models"] = [m.with_catalogue(catalogue) for m in self._models]
+        return machine
 
     @property
     def values(self) -> dict[str, float]:
@@ -276,10 +291,21 @@ class Machine:
     def model(self) -> Model:
         """The general mechanism with this machine's dimensions."""
         if not self._models:
-            geometry, pitch, stiffness = self.geometry, self.spec.screw_pitch, self.spec.stiffness
-            built = Model(geometry, pitch, stiffness=stiffness, catalogue=self.catalogue)
+            spec = self.spec
+            built = Model(
+                spec.geometry,
+                spec.screw_pitch,
+                stiffness=spec.stiffness,
+                catalogue=spec.catalogue,
+                urdf=spec.urdf,
+            )
             self._models.append(built)
         return self._models[0]
+
+    @cached_property
+    def _theta(self) -> Array:
+        """All parameters of the machine as the model takes them."""
+        return self.model.vector(self.values)
 
     def pose(self, rho: ArrayLike, **seen: ArrayLike) -> Pose:
         """Pose of the platform.
@@ -295,12 +321,25 @@ class Machine:
                 or commands so large that they must be millimetres.
         """
         commands = self.geometry.commands(rho)
-        closure, given = self.model.closing(self.values, Conditions.at(commands, **seen))
-        x = closure.close(given)
-        out, shape = closure.outputs(x, given), commands.shape[:-1]
-        relief = relief_angles(closure.tree, x)
-        p, R = out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3)
-        return Pose(p, R, relief.reshape(*shape, 3, 2), self.geometry.leg_names)
+        conditions, shape = Conditions.at(commands, **seen), commands.shape[:-1]
+        with placed(shape):
+            out = self.model.posed(self._theta, conditions)
+        return Pose(out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3))
+
+    def close(self, rho: ArrayLike, **seen: ArrayLike) -> Posture:
+        """Close one posture in Pinocchio, with every passive joint, errors of the parts included.
+
+        Args:
+            rho: command ``(3,)``, metres; conditions as for :meth:`pose`.
+
+        Raises:
+            ClosureError: where the posture does not close, with the residual by loop.
+        """
+        command = self.geometry.commands(rho)
+        if command.shape != (3,):
+            raise InputError(f"close takes one command of shape (3,), not {command.shape}")
+        moves = self.model.moves(self.values, Conditions.at(command, **seen))
+        return self.model.mechanism.close(command, moves.reshape(3, -1))
 
     def posed(self, rho: ArrayLike | None = None) -> Posed:
         """The closed machine as pictures show it.
@@ -318,17 +357,13 @@ class Machine:
     def _repr_svg_(self) -> str:
         return drawing(self.posed(), title=f"The machine {self.spec.name}".rstrip(), alone=True)
 
-    def deformation(self, rho: ArrayLike, **seen: ArrayLike) -> Deformation:
-        """What the machine fights against: deformation, forces and energy by joint.
-
-        Under errors of the parts that do not fit together, and under a ``load``, with the stiffness
-        of the machine file; bars are rigid and legs free to twist where it gives none. Arguments
-        as for :meth:`pose`.
+    def bar_tensions(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
+        """Pull in the bars ``(..., leg, bar)`` under a ``load``, newtons; arguments as for
+        :meth:`pose`.
         """
         commands = self.geometry.commands(rho)
-        conditions = Conditions.at(commands, **seen)
-        found = self.model.deformation(self.values, conditions)
-        return found.reshaped(commands.shape[:-1])
+        found = self.model.tensions(self.values, Conditions.at(commands, **seen))
+        return found.reshape(*commands.shape[:-1], 3, 2)
 
     def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""
@@ -355,16 +390,21 @@ class Machine:
             ClosureError: where the drives do not converge.
         """
         goal = vectors(p, "p")
-        rho = self.model.mechanism.inverse(goal)
-        slope = self.jacobian(rho, **seen)
+        with placed(goal.shape[:-1]):
+            rho = commands_of(self._spheres, goal.reshape(-1, 3)).reshape(goal.shape)
         for _ in range(30):
             miss = goal - self.forward(rho, **seen)
-            if np.abs(miss).max(initial=0.0) < 1e-13:
+            largest = np.abs(miss).max(initial=0.0)
+            if largest < 1e-13:
                 return rho
-            rho = rho + np.linalg.solve(slope, miss[..., None])[..., 0]
-        if np.abs(miss).max(initial=0.0) < 1e-11:
+            rho = rho + np.linalg.solve(self.jacobian(rho, **seen), miss[..., None])[..., 0]
+        if largest < 1e-11:
             return rho
         raise ClosureError("the drives do not converge on the wanted points")
+
+    @property
+    def _spheres(self) -> Spheres:
+        return self.model.mechanism.spheres
 
     def readings(self, campaign: Campaign) -> Array:
         """Predicted readings ``(n,)`` of a campaign's rows, datums apart, metres."""

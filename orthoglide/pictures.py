@@ -13,7 +13,7 @@ from orthoglide.effects.wording import cause_words, size_words
 from orthoglide.effects.words import more, toward
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
-from orthoglide.mechanism.batch import Outputs
+from orthoglide.mechanism.engine import Outputs
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 from orthoglide.parameters import Parameter

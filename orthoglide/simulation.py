@@ -18,7 +18,7 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.tool_noise import expected_sigma
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.seed import commands as commands_of
+from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
 from orthoglide.observations import Campaign, Readings, TcpPoints, ToolCampaign, protocol
 from orthoglide.observations.protocols import Kind
 
@@ -187,7 +187,7 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
         places = wanted_points(machine)
         shares = draw.dirichlet(np.full(_BETWEEN, 0.5), count)
         chosen = draw.integers(len(places), size=(count, _BETWEEN))
-        rho = commands_of(geometry, np.einsum("nk,nkx->nx", shares, places[chosen]))
+        rho = commands_of(Spheres.of(geometry), np.einsum("nk,nkx->nx", shares, places[chosen]))
     rho = np.round(rho, 9)
     with _closing(machine):
         p = machine.forward(rho)

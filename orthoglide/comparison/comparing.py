@@ -13,7 +13,7 @@ from orthoglide.comparison.rows import READING_LIMIT, SAME, Difference, Row
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.geometry import LEGS, Array, Geometry, axial
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.seed import commands
+from orthoglide.mechanism.perfect_legs import Spheres, commands
 from orthoglide.observations import Campaign
 from orthoglide.observations.protocols import Kind, protocol
 from orthoglide.prediction import Conditions
@@ -103,7 +103,7 @@ class Comparison:
         self.geometry, self.model = plain.geometry, self.machine.model
         points = grid(self.geometry, self.circumstances.points)
         self.p = np.tile(points, (2, 1))
-        self.seen = self.circumstances.twice(commands(self.geometry, points))
+        self.seen = self.circumstances.twice(commands(Spheres.of(self.geometry), points))
         zero = intersect_spheres(self.geometry.centres, self.geometry.L)
         self.mode: Mode = "machine" if np.abs(zero).max() < SAME else "other"
 
@@ -313,7 +313,7 @@ def slices(
         p = np.stack(np.meshgrid(*map(np.unique, flat.T), indexing="ij"), -1)
         inside = (p[:, :, None] == np.unique(flat, axis=0)).all(axis=-1).any(axis=-1)
         p = np.insert(p, normal, 0.0, -1)
-        seen = comparison.circumstances.twice(commands(machine.geometry, p[inside]))
+        seen = comparison.circumstances.twice(commands(Spheres.of(machine.geometry), p[inside]))
         apart = comparison.mechanism(machine.values, seen)[0] - comparison.reduced(six, seen)
         size = np.full(p.shape[:2], np.nan)
         size[inside] = np.linalg.norm(apart, axis=1).reshape(2, -1).max(axis=0)

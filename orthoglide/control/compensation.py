@@ -17,7 +17,7 @@ from orthoglide.geometry import Array
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.layout.leg import triple
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.seed import UNITS
+from orthoglide.mechanism.perfect_legs import UNITS
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
 from orthoglide.observations.columns import APPROACHED, PLACE, POINT, TRAVELLED, by_leg, of_commands
@@ -291,7 +291,7 @@ def _before(machine: Machine, start: ArrayLike | None) -> Array | None:
 
 
 def _nominal_commands(machine: Machine, goal: Array) -> Array:
-    return _reached(lambda rows: machine.model.mechanism.inverse(goal[rows]), len(goal))
+    return _reached(lambda rows: machine.with_only({}).inverse(goal[rows]), len(goal))
 
 
 def _inverse(machine: Machine, goal: Array, conditions: dict[str, Array]) -> Array:

@@ -19,7 +19,8 @@ from orthoglide.fit.least_squares import Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
-from orthoglide.mechanism.functions import LINES, TCP, closure_functions
+from orthoglide.mechanism.six_bars import LINES, TCP
+from orthoglide.mechanism.symbolic_closure import closure_functions
 from orthoglide.prediction import Model
 from orthoglide.prediction.dial import mountings
 
@@ -70,7 +71,7 @@ class Nlp:
             model.merged(f.conditions(), [*problem.elementary(k)[0], *problem.held[k]])
             for k, f in enumerate(problem.factors)
         ]
-        self._functions = closure_functions(tree, tree.free)
+        self._functions = closure_functions(tree)
         self.postures = sum(len(conditions) for conditions, _ in self._postures)
         x = ca.MX.sym("x", len(problem.unknowns))
         joints = ca.MX.sym("joints", 21, self.postures)
@@ -106,8 +107,9 @@ class Nlp:
             count = len(conditions)
             values = _values(problem, k, x)
             theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
-            moves = model.displacement.map(count)(
-                ca.repmat(theta, 1, count), ca.DM(model.seen(conditions).T)
+            displacement = model.displacement.map("displacements", "serial", count, [0, 1], [])
+            moves = displacement(
+                ca.DM(model.dimensions), theta, ca.DM(model.seen(conditions).T)
             )
             travel = ca.DM((conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
@@ -157,14 +159,14 @@ class Nlp:
         return NlpResult(found[: len(x)] * self._scale, closure, int(stats["iter_count"]))
 
     def start_joints(self, problem: Problem, x: Array) -> Array:
-        """Free joints ``(K, 21)`` that close every posture at the unknowns ``x``."""
+        """Free joints ``(K, 21)`` with which Pinocchio closes every posture at the unknowns ``x``."""
         model = problem.machine.model
-        found = []
+        free, found = model.mechanism.tree.free, []
         for k, (conditions, _) in enumerate(self._postures):
-            moves = model.displacements(problem.values(k, x), conditions)
-            given = model.mechanism.given(conditions.command, moves)
-            found.append(model.mechanism.batch.close(given))
-        return np.concatenate(found)
+            moves = model.displacements(problem.values(k, x), conditions).reshape(-1, 3, 10)
+            for command, displacements in zip(conditions.command, moves, strict=True):
+                found.append(model.mechanism.close(command, displacements).q[free])
+        return np.array(found)
 
 
 def _weighed(rows: Any, weighing: Weighing) -> Any:

@@ -68,10 +68,15 @@ class Controller:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """Elastic constants, where they are known."""
+    """Elastic constants, where they are known.
 
-    torsion: float | None = None  # torsional stiffness of a leg, N m/rad
-    bar: float | None = None  # axial stiffness of a bar, N/m
+    Attributes:
+        torsion: torsional stiffness of a leg, N m/rad; kept with the file, but not modelled.
+        bar: axial stiffness of a bar, N/m; rigid bars where absent.
+    """
+
+    torsion: float | None = None
+    bar: float | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,8 @@ class MachineFile:
         controller: the controller's zero and sign.
         tolerance: standard deviation to expect, by family; defaults fill what is not given.
         stiffness: elastic constants.
+        urdf: folder of a URDF and its closures that say where the joints are; ``""``: the
+            dimensions do.
         parameters: identified parameters of a calibrated machine, by name.
         provenance: where the parameters come from.
         catalogue: the effects that the parameters belong to.
@@ -113,6 +120,7 @@ class MachineFile:
     controller: Controller = field(default_factory=Controller)
     tolerance: Mapping[str, float] = field(default_factory=dict)
     stiffness: Stiffness = field(default_factory=Stiffness)
+    urdf: str = ""
     parameters: Mapping[str, ParameterValue] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     catalogue: Catalogue = CATALOGUE

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
+from pathlib import Path
 from typing import Any, Protocol
 
 from orthoglide import files, units
@@ -162,7 +163,10 @@ _INSTRUMENT: dict[str, Parser] = {
     "resolution": _quantity(1e-3, 0, 10),
     "repeatability": _quantity(1e-3, 0, 10),
 }
-_TOP: dict[str, Parser] = {"schema": _schema, "name": _text}
+_TOP: dict[str, Parser] = {"schema": _schema, "name": _text, "urdf": _text}
+_STIFF_LEG = 1e4
+"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of the
+bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
 _FREE = ("tolerance", "parameters", "provenance", "layout", "instrument")
 
 
@@ -230,6 +234,14 @@ def read_machine_file(
         f"these lengths: it is taken to lie on that line"
         for name in near
     )
+    if machine.stiffness.torsion is not None:
+        warnings += (
+            f"{machine.file}: torsion_Nmm_per_rad is no longer modelled. Below "
+            f"{_STIFF_LEG / 1e-3:.0e} N mm/rad a leg's torsion changes results by less than 5 %; "
+            f"this file has {machine.stiffness.torsion / 1e-3:.3g}",
+        )
+    if machine.urdf:
+        machine = replace(machine, urdf=str((Path(path).parent / machine.urdf).resolve()))
     if posterior is None and any(entry.sigma for entry in machine.parameters.values()):
         warnings += (
             f"{machine.file}: there is no {shown(beside.name)} beside it with the covariance of "
@@ -263,6 +275,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         controller=Controller(**{key.removesuffix("_mm"): v for key, v in controller.items()}),
         tolerance=_tolerance(document, catalogue),
         stiffness=Stiffness(stiffness.get("torsion_Nmm_per_rad"), stiffness.get("bar_N_per_mm")),
+        urdf=top.get("urdf", ""),
         parameters={
             name: _parameter(document, name, catalogue) for name in document.table("parameters")
         },

@@ -133,7 +133,8 @@ def _tables(machine: MachineFile) -> dict[str, Any]:
         for name, table in tables.items()
     }
     kept = {name: table for name, table in given.items() if table}
-    top = {"schema": SCHEMA, "name": machine.name, **kept}
+    urdf = {"urdf": machine.urdf} if machine.urdf else {}
+    top = {"schema": SCHEMA, "name": machine.name, **urdf, **kept}
     return {**top, "provenance": dict(machine.provenance)} if machine.provenance else top
 
 

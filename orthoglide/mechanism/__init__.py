@@ -1,3 +1,3 @@
-"""The general model: a Pinocchio tree with loop closures, and the same tree in CasADi."""
+"""The general model: a Pinocchio tree with loop closures, and six bars derived from it."""
 
 from orthoglide.mechanism.mechanism import Mechanism as Mechanism

@@ -1,76 +1,133 @@
-"""The closed-loop mechanism: drives and virtual joints in, everything else out."""
+"""The closed mechanism as Pinocchio defines it: a tree, constraint models, Newton's method."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, partial
+import os
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array, Geometry, vectors
-from orthoglide.mechanism import seed
-from orthoglide.mechanism.batch import CLOSED, JUMPED, BatchClosure, placed
-from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mobility import Mobility, mobility
-from orthoglide.mechanism.seed import Mode
-from orthoglide.mechanism.tree import VIRTUAL_NAMES, general_tree, nominal_tree
+from orthoglide.mechanism.perfect_legs import Mode, Spheres, free_joints, mode_of, tool
+from orthoglide.mechanism.tree import (
+    VIRTUAL_NAMES,
+    LoopedModel,
+    Tree,
+    general_tree,
+    load,
+    nominal_tree,
+)
 
-VIRTUAL_COUNT = 3 * len(VIRTUAL_NAMES)
-_NONE = np.zeros((3, len(VIRTUAL_NAMES)))  # displacements
+CLOSED = 1e-11
+"""Largest closure residual, metres and radians, that counts as closed."""
+
 _STEPS = 30
 _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping over to the other assembly mode
 
 
 @dataclass(frozen=True)
 class Posture:
-    """One closed posture."""
+    """One closed posture.
 
-    q: Array  # joints of the tree (nq,), metres and radians
-    p: Array  # TCP (3,), metres
-    R: Array  # rotation of the platform (3, 3)
-    residual: dict[str, float]  # closure residual by loop
-    iterations: int  # Newton steps taken
+    Attributes:
+        q: configuration of the tree ``(nq,)``, metres and radians: every passive joint is in it.
+        p: tool ``(3,)``, metres, base frame.
+        R: its rotation ``(3, 3)``.
+        residual: largest closure residual by loop, metres or radians.
+        iterations: Newton's steps taken.
+    """
+
+    q: Array
+    p: Array
+    R: Array
+    residual: dict[str, float]
+    iterations: int
 
 
 class Mechanism:
-    """Three PRPaR legs of any layout with their loops closed at the TCP.
+    """A machine with closed loops: a Pinocchio model and its constraint models.
 
-    By default the closure includes the relief joints: 21 unknowns for 21 rows, which close for any
+    By default three PRPaR legs with relief joints: 21 unknowns for 21 rows, which close for any
     errors of the parts and equal the rigid PRPaR machine where the errors fit together. One object
     serves one thread.
 
     Args:
-        geometry: nominal dimensions.
-        compile: see :class:`~orthoglide.mechanism.batch.BatchClosure`.
+        geometry: nominal dimensions of the three legs, the published ones where absent.
+        urdf: folder with a URDF of three such legs and the file with its closures, which then says
+            where joints are; of the dimensions only the command at mechanical zero counts.
     """
 
-    def __init__(self, geometry: Geometry | None = None, *, compile: bool | None = None) -> None:
+    def __init__(
+        self, geometry: Geometry | None = None, *, urdf: str | os.PathLike[str] = ""
+    ) -> None:
         self.geometry = geometry or Geometry()
-        self.tree = general_tree(self.geometry)
-        self.loops = Loops(self.tree)
-        self._compile = compile
-        self._tcp = self.tree.model.getFrameId(self.tree.tool)
-        self._given = np.concatenate([self.tree.drive, self.tree.virtual])
+        self._looped = load(urdf or self.geometry)
+        self._set(general_tree(self._looped))
 
-    def __reduce__(self) -> tuple[Any, tuple[Geometry]]:
+    def _set(self, tree: Tree) -> None:
+        self.tree = tree
+        self.constraints = Constraints(tree)
+        self.tool = tree.frame(tree.tool)
+        by_velocity = {joint.idx_v: joint.idx_q for joint in list(tree.model.joints)[1:]}
+        self._drives = [by_velocity[int(v)] for v in tree.drive]
+
+    @classmethod
+    def from_urdf(cls, folder: str | os.PathLike[str], tool: str = "") -> Mechanism:
+        """Return any machine with loops, from a folder with its URDF and what closes it.
+
+        The folder holds ``orthoglide.urdf`` with ``orthoglide.closures.toml``, or ``robot.urdf`` with
+        ``robot.yaml`` in the convention of Gepetto's parallel robots. No joints are added.
+
+        Args:
+            folder: with both files.
+            tool: the link whose place :meth:`close` reports; the first one named by the last
+                closure where absent.
+
+        Raises:
+            FileError: where a file is missing or says what cannot be.
+            InputError: where the tree has no link ``tool``.
+        """
+        found = cls.__new__(cls)
+        found.geometry, found._looped = Geometry(), load(folder)
+        tree = nominal_tree(found._looped)
+        if tool:
+            tree = replace(tree, tool=tool)
+        found._set(tree)
+        return found
+
+    def __reduce__(self) -> tuple[Any, ...]:
         # Constraint objects do not pickle: another process builds its own.
-        return partial(Mechanism, compile=self._compile), (self.geometry,)
+        return _rebuilt, (self.geometry, self._looped, self.tree)
+
+    def __repr__(self) -> str:
+        model, rows = self.tree.model, sum(loop.rows for loop in self.tree.loops)
+        return (
+            f"<Mechanism {model.name!r}: {model.njoints - 1} joints, {len(self.tree.motors)} driven, "
+            f"{len(self.tree.loops)} loops of {rows} rows>"
+        )
+
+    @property
+    def has_legs(self) -> bool:
+        """Whether it is three PRPaR legs with relief and virtual joints."""
+        return len(self.tree.virtual) > 0
 
     @cached_property
-    def batch(self) -> BatchClosure:
-        """Closure of many postures with all virtual joints."""
-        return BatchClosure(self.tree, compile=self._compile)
+    def spheres(self) -> Spheres:
+        """Legs without errors, of which closure in a given assembly mode starts."""
+        return Spheres.of_tree(self.tree, self._zero)
 
-    @cached_property
-    def nominal_batch(self) -> BatchClosure:
-        """Closure of many postures of the nominal machine, rigid legs: smaller and faster."""
-        return BatchClosure(nominal_tree(self.geometry), compile=self._compile)
-
-    # One posture, by Pinocchio -------------------------------------------------------------
+    @property
+    def _zero(self) -> Array:
+        """Command where the drives' joints are at zero."""
+        return self.geometry.zero if self.has_legs else np.zeros(len(self.tree.drive))
 
     def close(
         self,
@@ -81,14 +138,13 @@ class Mechanism:
         legs: Literal["relieved", "rigid"] = "relieved",
         guess: Posture | None = None,
     ) -> Posture:
-        """Direct kinematics: from the drives to every joint, by Newton on the constraint Jacobian.
-
-        By compiled code where there is some, else, and where that does not close, by Pinocchio.
+        """Close the loops by Newton's method on Pinocchio's constraint Jacobian.
 
         Args:
-            command: rho ``(3,)``, metres (2008, eq. 2).
+            command: of the drives ``(3,)``, metres: rho of an Orthoglide (2008, eq. 2). Of a foreign
+                machine the positions ``(m,)`` of its driven joints.
             displacements: of the virtual joints ``(3, 10)``, as in ``VIRTUAL_NAMES``.
-            mode: assembly mode.
+            mode: assembly mode of three legs.
             legs: ``"rigid"`` keeps the relief joints at zero: least squares on all rows, which
                 refuses errors of the parts that do not fit together.
             guess: a nearby posture to start from.
@@ -98,83 +154,54 @@ class Mechanism:
             InputError: where the arguments have the wrong shape or are not finite.
         """
         q = self._start(command, displacements, guess)
-        if guess is None and mode == "machine":  # from the neutral posture, which is quicker
-            try:
-                return self._closed(q.copy(), mode, legs)
-            except ClosureError:
-                pass
-        if guess is None:
+        if mode != "machine" and guess is None:
             travel = q[None, self.tree.drive]
-            p = seed.tool(self.geometry, travel, mode)
+            p = tool(self.spheres, travel, mode)
             if np.isfinite(p).all():
-                q[self.tree.free] = seed.free_joints(self.tree, travel, p)[0]
-        return self._closed(q, mode, legs)
-
-    def _closed(self, q: Array, mode: Mode, legs: Literal["relieved", "rigid"]) -> Posture:
-        """The posture that is reached from ``q``, which changes."""
-        if legs == "relieved" and self._compile is not False:
-            found = self._by_compiled_code(q, mode)
-            if found is not None:
-                return found
+                q[self.tree.free] = free_joints(self.tree, self.spheres, travel, p)[0]
         moving = self.tree.passive if legs == "rigid" else self.tree.free
-        iterations, info = 0, 0
-        while iterations < _STEPS:
-            iterations += 1
-            residual = self.loops.update(q)
-            jacobian = self.loops.newton_matrix()[:, moving]
-            if legs == "rigid":
-                change = np.linalg.lstsq(jacobian, residual, rcond=1e-9)[0]
-            else:
-                _, _, change, info = dgesv(jacobian, residual)
-            largest = float(np.abs(change).max())
-            if info != 0 or not np.isfinite(largest):
-                break
-            q[moving] -= change * min(1.0, _LONGEST_STEP / max(largest, _LONGEST_STEP))
-            if largest < 1e-8:  # quadratic: the step just made leaves its square
-                break
+        q, iterations = self._newton(q, moving)
         return self._checked(q, iterations, mode, legs)
 
-    def _by_compiled_code(self, q: Array, mode: Mode) -> Posture | None:
-        """The posture that is reached from ``q``; ``None`` where that is not closed in the mode."""
-        found = self.batch.single(q[self.tree.free], q[self._given])
-        if found is None:
-            return None
-        x, residual, steps, shown = found
-        by_loop, p = self.tree.by_loop(residual), shown.p
-        if not all(v <= CLOSED for v in by_loop.values()) or x @ x > JUMPED:
-            return None
-        if self._mode(q, p) != mode:
-            return None
-        closed = q.copy()
-        closed[self.tree.free] = x
-        return Posture(closed, p, shown.R, by_loop, steps)
-
-    def _mode(self, q: Array, p: Array) -> Mode:
-        # Far from any plausible error of the parts the nominal plane of the carriages will do.
-        below = seed.below_carriages(self.geometry, q[self.tree.drive], p)
-        return "machine" if below else "other"
+    def _newton(self, q: Array, moving: np.ndarray[Any, np.dtype[np.intp]]) -> tuple[Array, int]:
+        """Return the configuration where Newton's method ends, and its steps."""
+        step = np.zeros(self.tree.model.nv)
+        for iteration in range(1, _STEPS + 1):
+            residual = self.constraints.residual(q)
+            jacobian = self.constraints.newton_matrix()[:, moving]
+            change = _solved(jacobian, residual)
+            largest = float(np.abs(change).max(initial=0.0))
+            if not np.isfinite(largest):
+                break
+            step[moving] = -change * min(1.0, _LONGEST_STEP / max(largest, _LONGEST_STEP))
+            q = pin.integrate(self.tree.model, q, step)
+            if largest < 1e-8:  # quadratic: the step just made leaves its square
+                break
+        return q, iteration
 
     def _start(
         self, command: ArrayLike, displacements: ArrayLike | None, guess: Posture | None
     ) -> Array:
-        rho = np.asarray(command, dtype=float)
-        moves = _NONE if displacements is None else np.asarray(displacements, dtype=float)
-        if rho.shape != (3,) or moves.shape != _NONE.shape:
-            raise InputError("close takes one command (3,) and displacements (3, 10)")
-        if not (np.isfinite(rho).all() and (moves is _NONE or np.isfinite(moves).all())):
-            raise InputError("the command and the displacements must be finite numbers")
-        q = np.zeros(self.tree.model.nq) if guess is None else guess.q.copy()
-        q[self.tree.drive] = rho - self.geometry.zero
-        q[self.tree.virtual] = moves.ravel()
+        tree, given = self.tree, np.asarray(command, dtype=float)
+        if given.shape != tree.drive.shape or not np.isfinite(given).all():
+            raise InputError(f"close takes one command {tree.drive.shape} of finite numbers")
+        q = pin.neutral(tree.model) if guess is None else guess.q.copy()
+        q[self._drives] = given - self._zero
+        if displacements is not None and not self.has_legs:
+            raise InputError("this machine has no virtual joints, so it takes no displacements")
+        if self.has_legs:
+            moves = np.zeros((3, len(VIRTUAL_NAMES))) if displacements is None else displacements
+            moves = np.asarray(moves, dtype=float)
+            if moves.shape != (3, len(VIRTUAL_NAMES)) or not np.isfinite(moves).all():
+                raise InputError("displacements must be finite numbers of shape (3, 10)")
+            q[tree.virtual] = moves.ravel()
         return q
 
     def _checked(self, q: Array, iterations: int, mode: Mode, legs: str) -> Posture:
-        import pinocchio as pin
-
-        residual = self.loops.update(q)
+        residual = self.constraints.residual(q)
         by_loop = self.tree.by_loop(residual)
-        if not float(np.abs(residual).max()) <= CLOSED:
-            worst, size = max(by_loop.items(), key=lambda item: item[1])
+        if not float(np.abs(residual).max(initial=0.0)) <= CLOSED:
+            worst, size = max(by_loop.items(), key=lambda item: np.nan_to_num(item[1], nan=np.inf))
             reason = (
                 "rigid PRPaR legs cannot take up these errors of the parts"
                 if legs == "rigid" and iterations < _STEPS
@@ -185,105 +212,84 @@ class Mechanism:
                 f"mrad at {worst}",
                 residuals=by_loop,
             )
-        pin.updateFramePlacement(self.tree.model, self.loops.data, self._tcp)
-        placement = self.loops.data.oMf[self._tcp]
+        placement = pin.updateFramePlacement(self.tree.model, self.constraints.data, self.tool)
         p, R = placement.translation.copy(), placement.rotation.copy()
-        found = self._mode(q, p)
-        if found != mode:
-            raise ClosureError(
-                f"closure ended in the {found} assembly mode instead of {mode}", residuals=by_loop
-            )
+        if self.has_legs:
+            found = mode_of(self.spheres, q[self.tree.drive], p)
+            if found != mode:
+                raise ClosureError(
+                    f"closure ended in the {found} assembly mode instead of {mode}",
+                    residuals=by_loop,
+                )
         return Posture(q, p, R, by_loop, iterations)
 
     def velocity_jacobian(self, posture: Posture) -> Array:
-        """dp/drho ``(3, 3)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
-        import pinocchio as pin
+        """Return dp/drho ``(3, m)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
+        return self.sensitivities(posture, self.tree.drive)[:3]
 
-        rows = self.loops.jacobian(posture.q)
-        tcp = pin.getFrameJacobian(
-            self.tree.model, self.loops.data, self._tcp, pin.LOCAL_WORLD_ALIGNED
-        )[:3]
-        free, drive = self.tree.free, self.tree.drive
-        moved = -np.linalg.solve(rows[:, free], rows[:, drive])
-        return np.asarray(tcp[:, drive] + tcp[:, free] @ moved)
+    def sensitivities(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
+        """Return how the tool moves ``(6, k)`` with joints ``by`` while the loops stay closed.
+
+        The first three rows are its velocity, the others its angular velocity, base frame.
+
+        Args:
+            posture: closed.
+            by: positions of drives or virtual joints in the velocity vector ``(k,)``.
+        """
+        moved = self.joint_rates(posture, by)
+        tool_rows = pin.getFrameJacobian(
+            self.tree.model, self.constraints.data, self.tool, pin.LOCAL_WORLD_ALIGNED
+        )
+        return np.asarray(tool_rows @ moved)
+
+    def joint_rates(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
+        """Return the rates of all joints ``(nv, k)`` for unit rates of joints ``by``."""
+        rows, free = self.constraints.jacobian(posture.q), self.tree.free
+        rates = np.zeros((self.tree.model.nv, len(by)))
+        rates[by, np.arange(len(by))] = 1.0
+        rates[free] = -_solved(rows[:, free], rows[:, by])
+        return rates
 
     def mobility(self, command: ArrayLike) -> Mobility:
-        """Mobility and redundancy of the rigid PRPaR machine at a command ``(3,)``."""
+        """Return mobility and redundancy of the machine with rigid legs at a command ``(m,)``."""
+        if not self.has_legs:
+            return mobility(self.constraints, self.close(command).q)
         posture = self.close(command, legs="rigid")
-        nominal = self.nominal_batch.tree
+        nominal = nominal_tree(self._looped)
         q = np.zeros(nominal.model.nq)
         q[nominal.drive] = posture.q[self.tree.drive]
         q[nominal.passive] = posture.q[self.tree.passive]
-        return mobility(Loops(nominal), q)
-
-    # Batches, by CasADi --------------------------------------------------------------------
+        return mobility(Constraints(nominal), q)
 
     def given(self, commands: Array, displacements: ArrayLike | None = None) -> Array:
-        """``[drives; virtual]`` ``(..., 33)`` for ``commands`` ``(..., 3)`` and ``displacements``
-        ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
+        """Return ``[travel; displacements]`` ``(..., 33)`` for ``commands`` ``(..., 3)`` and
+        ``displacements`` ``(..., 3, 10)`` or ``(..., 30)``, zero where absent.
         """
-        given = np.zeros((*commands.shape[:-1], 3 + VIRTUAL_COUNT))
-        given[..., :3] = commands - self.geometry.zero
+        count = len(self.tree.virtual)
+        given = np.zeros((*commands.shape[:-1], 3 + count))
+        given[..., :3] = commands - self._zero
         if displacements is not None:
-            moves = np.asarray(displacements)
-            if moves.shape[-1] != VIRTUAL_COUNT:
-                moves = moves.reshape(*moves.shape[:-2], VIRTUAL_COUNT)
-            given[..., 3:] = moves
+            given[..., 3:] = np.reshape(displacements, (*commands.shape[:-1], count))
         return given
 
-    def _closing(
-        self, commands: Array, displacements: ArrayLike | None
-    ) -> tuple[BatchClosure, Array]:
-        """The smallest closure that will do, and what is given of it ``(N, 3 or 33)``."""
-        given = self.given(commands, displacements).reshape(-1, 3 + VIRTUAL_COUNT)
-        return (self.nominal_batch, given[:, :3]) if displacements is None else (self.batch, given)
 
-    def forward(
-        self, commands: ArrayLike, displacements: ArrayLike | None = None, *, mode: Mode = "machine"
-    ) -> Array:
-        """TCP ``(..., 3)`` for commands rho ``(..., 3)``, metres.
+def _rebuilt(
+    geometry: Geometry, looped: LoopedModel, tree: Tree
+) -> Mechanism:
+    found = Mechanism.__new__(Mechanism)
+    found.geometry, found._looped = geometry, looped
+    found._set(tree)
+    return found
 
-        Args:
-            commands: rho, metres.
-            displacements: of the virtual joints ``(..., 3, 10)``; a nominal machine where absent.
-            mode: assembly mode.
 
-        Raises:
-            ClosureError: naming the first posture that does not close.
-        """
-        rho = self.geometry.commands(commands, "commands")
-        batch, given = self._closing(rho, displacements)
-        with placed(rho.shape[:-1]):
-            return batch.outputs(batch.close(given, mode=mode), given).p.reshape(rho.shape)
+def _solved(matrix: Array, right: Array) -> Array:
+    """Return the least-squares solution of a linear system, by elimination where it is square.
 
-    def inverse(self, p: ArrayLike, displacements: ArrayLike | None = None) -> Array:
-        """Commands rho ``(..., 3)`` that bring the TCP to ``p`` ``(..., 3)``, metres.
-
-        Newton on the closed mechanism with its velocity Jacobian, under ``displacements`` as for
-        :meth:`given`.
-
-        Raises:
-            UnreachableError: naming the leg that is too short, and by how much.
-            ClosureError: where the drives do not converge.
-        """
-        target = vectors(p, "the wanted points")
-        goal = target.reshape(-1, 3)
-        with placed(target.shape[:-1]):
-            start = seed.commands(self.geometry, goal)
-            batch, given = self._closing(start.reshape(target.shape), displacements)
-            return self._inverse(goal, batch, given).reshape(target.shape)
-
-    def _inverse(self, goal: Array, batch: BatchClosure, given: Array) -> Array:
-        given = given.copy()
-        x = seed.free_joints(batch.tree, given[:, :3], goal)
-        for _ in range(_STEPS):
-            x = batch.close(given, x)
-            out, by_given = batch.tangent(x, given)
-            miss = goal - out.p
-            largest = np.abs(miss).max(initial=0.0)
-            if largest < 1e-13:
-                break
-            given[:, :3] += np.linalg.solve(by_given[:, :3, :3], miss[..., None])[..., 0]
-        if largest < 1e-12:
-            return given[:, :3] + self.geometry.zero
-        raise ClosureError("the drives do not converge on the wanted points")
+    Rows of a rigid mechanism repeat each other (a planar loop closed in space), so the system is
+    consistent and its rank is less than its number of rows.
+    """
+    if matrix.shape[0] == matrix.shape[1]:
+        _, _, solution, info = dgesv(matrix, right)
+        if info == 0:
+            return np.asarray(solution)
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.constraints import Constraints
 
 # Singular values of the 21 rows that vanish do so to rounding; the smallest that does not is 0.01.
 _RANK_TOLERANCE = 1e-7
@@ -38,10 +38,10 @@ class Mobility:
         )
 
 
-def mobility(loops: Loops, q: Array) -> Mobility:
+def mobility(constraints: Constraints, q: Array) -> Mobility:
     """Rank of the constraint Jacobian at a closed posture ``q`` of the nominal tree."""
-    rows = loops.jacobian(q)
-    rank, by_loop = _rank(rows), {n: _rank(rows[own]) for n, own in loops.tree.rows.items()}
+    rows = constraints.jacobian(q)
+    rank, by_loop = _rank(rows), {n: _rank(rows[own]) for n, own in constraints.tree.rows.items()}
     count, joints = rows.shape
     return Mobility(joints, count, rank, joints - rank, count - rank, by_loop)
 

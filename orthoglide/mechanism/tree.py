@@ -1,4 +1,4 @@
-"""The kinematic tree: the URDF in Pinocchio, with the joints a real machine has besides.
+"""The kinematic tree: a URDF in Pinocchio, with the joints a real machine has besides.
 
 Four kinds of joint, and nothing else: *drives* move by command, *passive* joints close the loops,
 *relief* joints are the two a leg in which the PRPaR machine is overconstrained, *virtual* joints
@@ -8,7 +8,9 @@ here, from the tables below, so a new place for an error is one line.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,8 +19,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.urdf import Closure, closures, to_urdf
+from orthoglide.text import brief, shown
+from orthoglide.urdf import Closure, read_looped_urdf, shipped_folder, write
 
 Joint = Callable[[], Any]
 """Makes the Pinocchio model of a joint that the URDF lacks."""
@@ -59,23 +63,34 @@ VIRTUAL_NAMES: tuple[str, ...] = (
 PASSIVE_NAMES: tuple[str, ...] = ("theta", "bar1", "knuckle", "platform", "bar2")
 RELIEF_NAMES: tuple[str, ...] = ("relief_bar", "relief_link")
 
+# Cosine of the angle between rails, less than 1 by this, that still counts as parallel: rails of a
+# calibrated delta lean by some milliradians.
+_PARALLEL = 1e-3
+
 
 @dataclass(frozen=True)
 class Tree:
-    """A Pinocchio model of the three legs with its joints sorted by who moves them."""
+    """A Pinocchio model with its loop closures, its joints sorted by who moves them.
 
-    geometry: Geometry  # the nominal dimensions
-    model: pin.Model  # the tree. Never changed after it is built.
-    loops: tuple[Closure, ...]  # the closures, naming frames of the model
-    drive: NDArray[np.intp]  # positions in q of the drives, (3,), by leg
-    passive: NDArray[np.intp]  # positions of the passive joints, (15,), five a leg
-    relief: NDArray[np.intp]  # positions of the relief joints, (6,) or empty
-    virtual: NDArray[np.intp]  # positions of the virtual joints, (30,), ten a leg, or empty
+    Attributes:
+        model: the tree. Never changed after it is built.
+        loops: the closures, naming frames of the model.
+        motors: names of the driven joints, one degree of freedom each.
+        drive: positions in the velocity vector of the drives.
+        passive: positions of the passive joints; of three legs five each, leg by leg.
+        relief: positions of the relief joints ``(6,)``, or empty.
+        virtual: positions of the virtual joints ``(30,)``, ten a leg, or empty.
+        tool: name of the frame that is the tool.
+    """
 
-    @property
-    def tool(self) -> str:
-        """Name of the frame that is the tool."""
-        return f"{self.geometry.leg_names[0]}_tcp"
+    model: pin.Model
+    loops: tuple[Closure, ...]
+    motors: tuple[str, ...]
+    drive: NDArray[np.intp]
+    passive: NDArray[np.intp]
+    relief: NDArray[np.intp]
+    virtual: NDArray[np.intp]
+    tool: str
 
     @cached_property
     def free(self) -> NDArray[np.intp]:
@@ -83,8 +98,37 @@ class Tree:
         return np.concatenate([self.passive, self.relief])
 
     @cached_property
+    def leg_names(self) -> tuple[str, ...]:
+        """Names of the legs: what stands before ``_slide`` in the names of the drives."""
+        return tuple(motor.removesuffix("_slide") for motor in self.motors)
+
+    @cached_property
+    def slides(self) -> Array:
+        """Directions of the three rails ``(3, 3)``, by leg, where all joints are at zero."""
+        data = self.model.createData()
+        pin.computeJointJacobians(self.model, data, pin.neutral(self.model))
+        return np.stack([data.J[:3, k] for k in self.drive])
+
+    @cached_property
+    def hanging(self) -> bool:
+        """Whether the platform hangs below parallel rails."""
+        return bool((self.slides @ self.slides[0] > 1 - _PARALLEL).all())
+
+    def frame(self, name: str) -> int:
+        """Return the number of a link's frame.
+
+        Raises:
+            InputError: where the model has no such frame.
+        """
+        # A joint and a link may share a name: then the link is meant.
+        named = [k for k, frame in enumerate(self.model.frames) if frame.name == name]
+        if not named:
+            raise InputError(f"the URDF has no link {name!r}, which its closures name")
+        return next((k for k in named if self.model.frames[k].type != pin.FrameType.JOINT), named[0])
+
+    @cached_property
     def rows(self) -> dict[str, slice]:
-        """Each loop's rows among the 21 of the closure residual."""
+        """Each loop's rows in the closure residual."""
         ends = np.cumsum([loop.rows for loop in self.loops]).tolist()
         return {
             loop.name: slice(end - loop.rows, end)
@@ -92,45 +136,109 @@ class Tree:
         }
 
     def by_loop(self, residual: Array) -> dict[str, float]:
-        """Largest entry of a closure residual ``(21,)`` by loop: metres, or radians for turns."""
+        """Return the largest entry of a closure residual by loop: metres, or radians for turns."""
         starts = [rows.start for rows in self.rows.values()]
         largest = np.maximum.reduceat(np.abs(residual), starts).tolist()
         return dict(zip(self.rows, largest, strict=True))
 
 
-def nominal_tree(geometry: Geometry | None = None) -> Tree:
-    """The URDF as it is: 18 joints, rigid PRPaR legs."""
-    geometry = geometry or Geometry()
-    return _sorted(geometry, _load(geometry))
+@dataclass(frozen=True)
+class LoopedModel:
+    """A Pinocchio model as its URDF has it, the frames that coincide, and the driven joints."""
+
+    model: pin.Model
+    loops: tuple[Closure, ...]
+    motors: tuple[str, ...]
 
 
-def general_tree(geometry: Geometry | None = None) -> Tree:
-    """The URDF with relief and virtual joints inserted: 54 joints."""
-    geometry = geometry or Geometry()
-    return _sorted(geometry, _with_extras(_load(geometry)))
+def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel:
+    """Return a machine's model and closures, read from its URDF and the file beside it.
+
+    Args:
+        source: dimensions, whose files the generator writes first; or a folder with both files;
+            the published machine's files, which the package ships, where absent.
+
+    Raises:
+        FileError: where a file is missing or says what cannot be.
+    """
+    if isinstance(source, Geometry) and source != Geometry():
+        with tempfile.TemporaryDirectory() as folder:
+            write(folder, source)
+            return load(folder)
+    folder_of = shipped_folder() if source is None or isinstance(source, Geometry) else source
+    found = read_looped_urdf(folder_of)
+    try:
+        model = pin.buildModelFromUrdf(str(found.path))
+    except (ValueError, RuntimeError) as error:
+        raise FileError(
+            f"Pinocchio cannot read it ({brief(str(error))}): correct it", file=shown(found.path)
+        ) from None
+    for motor in found.motors:
+        if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
+            raise FileError(
+                f"{motor} is driven and no joint of one degree of freedom", file=shown(found.path)
+            )
+    return LoopedModel(_replaced(model, found.replaced), found.closures, found.motors)
 
 
-def _load(geometry: Geometry) -> pin.Model:
-    return pin.buildModelFromXML(to_urdf(geometry))
+def nominal_tree(looped: LoopedModel) -> Tree:
+    """Return the tree as its URDF has it; of three PRPaR legs 18 joints, the legs rigid."""
+    return _sorted(looped, looped.model)
 
 
-def _sorted(geometry: Geometry, model: pin.Model) -> Tree:
-    def places(names: tuple[str, ...]) -> NDArray[np.intp]:
-        full = [f"{leg}_{name}" for leg in geometry.leg_names for name in names]
-        return np.array(
-            [model.joints[model.getJointId(n)].idx_q for n in full if model.existJointName(n)],
-            dtype=np.intp,
-        )
+def general_tree(looped: LoopedModel) -> Tree:
+    """Return the tree of three PRPaR legs with relief and virtual joints inserted: 54 joints.
 
+    Raises:
+        InputError: where the URDF has not the joints of three PRPaR legs.
+    """
+    legs = [motor.removesuffix("_slide") for motor in looped.motors]
+    wanted = [f"{leg}_{name}" for leg in legs for name in ("slide", *PASSIVE_NAMES)]
+    missing = [name for name in wanted if not looped.model.existJointName(name)]
+    if len(legs) != 3 or missing:
+        what = f"no joint {missing[0]}" if missing else f"{len(legs)} driven slides"
+        raise InputError(f"a machine of this package has three PRPaR legs, and this URDF has {what}")
+    return _sorted(looped, _with_extras(looped.model))
+
+
+def _sorted(looped: LoopedModel, model: pin.Model) -> Tree:
+    legs = [motor.removesuffix("_slide") for motor in looped.motors]
+
+    def places(names: tuple[str, ...]) -> list[int]:
+        full = [f"{leg}_{name}" for leg in legs for name in names]
+        return [model.joints[model.getJointId(n)].idx_v for n in full if model.existJointName(n)]
+
+    def array(positions: list[int]) -> NDArray[np.intp]:
+        return np.array(positions, dtype=np.intp)
+
+    drive = [model.joints[model.getJointId(motor)].idx_v for motor in looped.motors]
+    relief, virtual, passive = places(RELIEF_NAMES), places(VIRTUAL_NAMES), places(PASSIVE_NAMES)
+    sorted_already = {*drive, *relief, *virtual, *passive}
+    passive += [k for k in range(model.nv) if k not in sorted_already]
+    tool = looped.loops[-1].frame_1 if looped.loops else model.frames[-1].name
     return Tree(
-        geometry,
-        model,
-        closures(geometry),
-        places(("slide",)),
-        places(PASSIVE_NAMES),
-        places(RELIEF_NAMES),
-        places(VIRTUAL_NAMES),
+        model, looped.loops, looped.motors, *map(array, (drive, passive, relief, virtual)), tool
     )
+
+
+def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
+    """Return the model with some joints made spherical or fixed."""
+    if not replaced:
+        return source
+    model = pin.Model()
+    model.name = source.name
+    for j in range(1, source.njoints):
+        name = source.names[j]
+        joint = pin.JointModelSpherical() if replaced.get(name) == "SPHERICAL" else source.joints[j]
+        model.addJoint(source.parents[j], joint, source.jointPlacements[j], name)
+        model.appendBodyToJoint(j, source.inertias[j], pin.SE3.Identity())
+    for frame in source.frames[1:]:
+        if frame.type == pin.FrameType.BODY:
+            model.addFrame(
+                pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, frame.type)
+            )
+    fixed = [model.getJointId(name) for name, kind in replaced.items() if kind == "FIXED"]
+    return pin.buildReducedModel(model, fixed, pin.neutral(model)) if fixed else model
 
 
 def _with_extras(source: pin.Model) -> pin.Model:

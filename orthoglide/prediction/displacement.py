@@ -1,35 +1,47 @@
-"""From parameters and conditions to displacements of the virtual joints, as one CasADi function."""
+"""From parameters and conditions to displacements of the virtual joints, as CasADi functions."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from orthoglide.effects import Catalogue, LegConditions
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS, Geometry
+from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
 CONDITIONS = 11
-"""Length of a vector of conditions: command (3), approach (3), time, warming, force (3), ... in
-the order rho_x, rho_y, rho_z, approach_x ... z, time, warming, force_x, force_y, force_z."""
+"""Length of a vector of conditions: command (3), approach (3), time, warming, force (3), in the
+order rho_x, rho_y, rho_z, approach_x ... z, time, warming, force_x, force_y, force_z."""
 COMMAND, FORCE = slice(0, 3), slice(8, 11)
 
+DIMENSIONS = 5
+"""Length of a vector of dimensions: bar length, lower and upper end of the stroke, command at
+mechanical zero, pitch of the screws; metres."""
 
-def displacement_function(catalogue: Catalogue, geometry: Geometry, pitch: float | None) -> Any:
-    """CasADi function (parameters ``(P,)``, conditions ``(11,)``) -> displacements ``(30,)``.
+
+def dimensions(geometry: Geometry, pitch: float | None) -> Array:
+    """Return what the effects' bases need to know of a machine ``(5,)``, metres."""
+    zero = geometry.layout.zero(geometry.L)
+    return np.array([geometry.L, *geometry.stroke, zero, pitch or 0.0])
+
+
+def displacement_function(catalogue: Catalogue, has_pitch: bool) -> Any:
+    """CasADi function (dimensions ``(5,)``, parameters ``(P,)``, conditions ``(11,)``) ->
+    displacements ``(30,)``.
 
     Drives are summed first: what the rail does follows the carriage's true travel.
 
     Args:
         catalogue: whose machine parameters these are, in its order.
-        geometry: nominal dimensions.
-        pitch: of the screws, metres.
+        has_pitch: whether the pitch of the screws is known.
 
     Raises:
         InputError: where an effect moves a joint that does not exist.
     """
+    size = ca.SX.sym("dimensions", DIMENSIONS)
     theta = ca.SX.sym("theta", len(catalogue.parameters))
     seen = ca.SX.sym("conditions", CONDITIONS)
     joints: dict[tuple[int, str], Any] = {}
@@ -43,46 +55,48 @@ def displacement_function(catalogue: Catalogue, geometry: Geometry, pitch: float
                     )
                 if (motion.joint == "travel") is on_the_drive:
                     driven = None if on_the_drive else joints[leg, "travel"]
-                    conditions = leg_conditions(geometry, pitch, seen, leg, driven)
+                    conditions = leg_conditions(size, seen, leg, driven, has_pitch)
                     place = (leg, motion.joint)
                     joints[place] = joints.get(place, 0) + motion.basis(conditions) * theta[k]
     moves = [
         joints.get((leg, name), ca.SX(1, 1)) for leg in range(len(LEGS)) for name in VIRTUAL_NAMES
     ]
-    return ca.Function("displacement", [theta, seen], [ca.densify(ca.vertcat(*moves))])
+    return ca.Function("displacement", [size, theta, seen], [ca.densify(ca.vertcat(*moves))])
 
 
-def displacement_tangent(function: Any) -> Any:
-    """The same function with its derivative ``(30, P)`` by the parameters."""
-    theta = ca.SX.sym("theta", function.size1_in(0))
-    seen = ca.SX.sym("conditions", function.size1_in(1))
-    moves = function(theta, seen)
-    return ca.Function(
-        "displacement_tangent", [theta, seen], [moves, ca.densify(ca.jacobian(moves, theta))]
-    )
+def displacement_derivative(function: Any, by: int, name: str) -> Any:
+    """CasADi function of the derivative of the displacements by one of their arguments.
 
-
-def displacement_by_conditions(function: Any) -> Any:
-    """Derivative ``(30, 11)`` of the displacements by the conditions.
-
-    What rails and drives do follows the command, and the give of drives the force on them.
+    Args:
+        function: as :func:`displacement_function` returns it.
+        by: 1 for the parameters ``(30, P)``, 2 for the conditions ``(30, 11)``: what rails and
+            drives do follows the command, and the give of drives the force on them.
+        name: of the function.
     """
-    theta = ca.SX.sym("theta", function.size1_in(0))
-    seen = ca.SX.sym("conditions", function.size1_in(1))
-    by_seen = ca.jacobian(function(theta, seen), seen)
-    return ca.Function("displacement_by_conditions", [theta, seen], [ca.densify(by_seen)])
+    arguments = [ca.SX.sym(f"a{k}", function.size1_in(k)) for k in range(3)]
+    derivative = ca.jacobian(function(*arguments), arguments[by])
+    return ca.Function(name, arguments, [ca.densify(derivative)])
 
 
 def leg_conditions(
-    geometry: Geometry, pitch: float | None, seen: Any, leg: int, driven: Any
+    size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool
 ) -> LegConditions:
-    """What the effects of one leg see, of a vector of conditions or ``(11, n)`` of them."""
-    command, zero = seen[leg], geometry.layout.zero(geometry.L)
+    """Return what the effects of one leg see.
+
+    Args:
+        size: dimensions ``(5,)``.
+        seen: conditions ``(11,)``, or ``(11, n)``.
+        leg: 0, 1 or 2.
+        driven: what the drive adds to the commanded travel; ``None`` for the drive's own effects.
+        has_pitch: whether the pitch of the screws is known.
+    """
+    length, low, high, zero, pitch = (size[k] for k in range(DIMENSIONS))
+    command = seen[leg]
     return LegConditions(
         command=command,
-        length=geometry.L,
-        stroke=geometry.stroke,
-        pitch=pitch,
+        length=length,
+        stroke=(low, high),
+        pitch=pitch if has_pitch else None,
         approach=seen[3 + leg],
         time=seen[6],
         warming=seen[7],

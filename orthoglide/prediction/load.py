@@ -1,43 +1,93 @@
-"""What a load at the TCP does to the drives: forces by virtual work, by command."""
+"""What a load at the TCP does: forces on the drives, and bars that give under their tension."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from orthoglide.geometry import Array
-from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.batch import Outputs
-from orthoglide.prediction.conditions import Conditions
+from orthoglide.mechanism.engine import Engine, Outputs
+from orthoglide.mechanism.six_bars import LINES, MOVES, TCP
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+
+_STRETCH = VIRTUAL_NAMES.index("stretch1")
+STRETCHES = [MOVES * leg + _STRETCH + bar for leg in range(3) for bar in range(2)]
+"""Places of the bars' stretches among displacements ``(30,)``."""
 
 
-def force(mechanism: Mechanism, conditions: Conditions) -> Array:
-    """Force on each carriage along its axis under the load ``(n, 3)``, newtons.
+def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
+    """Return the force on each carriage along its axis under the load ``(n, 3)``, newtons.
 
-    By virtual work on the nominal machine: ``f = (dp/drho)^T (0, 0, -load)``.
+    By virtual work on the machine without errors: ``f = (dp/drho)^T (0, 0, -load)``.
+
+    Args:
+        engine: closes postures.
+        travel: of the drives ``(n, 3)``, metres.
+        load: at the TCP along base -z ``(n,)``, newtons.
     """
-    if not conditions.load.any():
-        return np.zeros_like(conditions.command)
-    _, by_command = _nominal(mechanism, conditions)
-    return -conditions.load[:, None] * by_command[:, 2]
+    if not load.any():
+        return np.zeros_like(travel)
+    _, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * MOVES)))
+    return np.asarray(-load[:, None] * by_given[:, 2, :3])
 
 
-def force_by_command(mechanism: Mechanism, conditions: Conditions) -> Array:
-    """Derivative of :func:`force` by the command ``(n, 3, 3)``, newtons a metre.
+def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array:
+    """Return the derivative of :func:`drive_forces` by the command ``(n, 3, 3)``, newtons a metre.
 
     The bars ``b_i`` keep their length: ``b_i . dp/drho_j = b_i . s_i`` for j = i, else 0, along the
     slides ``s_i``. Once more by rho_k: ``b_i . d2p/drho_j drho_k = -d_ij . d_ik``, where
     ``d_ij = db_i/drho_j``.
     """
-    shown, by_command = _nominal(mechanism, conditions)
+    shown, by_given = engine.tangent(travel, np.zeros((len(travel), 3 * MOVES)))
     bars = shown.lines[:, :, 0, 1] - shown.lines[:, :, 0, 0]
+    by_command = by_given[:, :3, :3]
     moved = np.repeat(np.swapaxes(by_command, 1, 2)[:, None], 3, axis=1)  # (n, i, j, xyz)
-    moved[:, range(3), range(3)] -= mechanism.geometry.slides
+    moved[:, range(3), range(3)] -= engine.mechanism.spheres.slides
     up = np.linalg.inv(bars)[:, 2]
-    return np.asarray(np.einsum("n,ni,nijx,nikx->njk", conditions.load, up, moved, moved))
+    return np.asarray(np.einsum("n,ni,nijx,nikx->njk", load, up, moved, moved))
 
 
-def _nominal(mechanism: Mechanism, conditions: Conditions) -> tuple[Outputs, Array]:
-    """Postures of the nominal machine, and dp/drho ``(n, 3, 3)``."""
-    batch, given = mechanism.nominal_batch, mechanism.given(conditions.command)[:, :3]
-    shown, by_given = batch.tangent(batch.close(given), given)
-    return shown, by_given[:, :3]
+def tensions(shown: Outputs, load: Array) -> Array:
+    """Return the pull in the six bars ``(n, 6)`` that holds the platform under a load, newtons.
+
+    Six bars are statically determinate: ``sum_k t_k u_k = (0, 0, -load)`` and, about the TCP,
+    ``sum_k t_k (arm_k x u_k) = 0``.
+
+    Args:
+        shown: closed postures.
+        load: at the TCP along base -z ``(n,)``, newtons.
+    """
+    wrench = np.zeros((len(load), 6, 1))
+    wrench[:, 2, 0] = -load
+    return np.asarray(np.linalg.solve(_wrenches(shown), wrench)[..., 0])
+
+
+def tensions_tangent(shown: Outputs, by_given: Array, tension: Array) -> Array:
+    """Return the derivative of :func:`tensions` ``(n, 6, k)``, from that of the outputs."""
+    n, k = len(tension), by_given.shape[2]
+    start, end = _ends(shown)
+    span = end - start
+    length = np.linalg.norm(span, axis=2)[..., None]
+    unit = span / length
+    moved = by_given[:, LINES].reshape(n, 6, 2, 3, k)
+    by_span = moved[:, :, 1] - moved[:, :, 0]
+    by_unit = (by_span - unit[..., None] * np.einsum("nbx,nbxk->nbk", unit, by_span)[:, :, None]) / (
+        length[..., None]
+    )
+    by_arm = moved[:, :, 1] - by_given[:, None, TCP]
+    arm = end - shown.p[:, None]
+    turning = np.cross(by_arm, unit[..., None], axis=2) + np.cross(arm[..., None], by_unit, axis=2)
+    change = np.einsum("nb,nbxk->nxk", tension, np.concatenate([by_unit, turning], axis=2))
+    return np.asarray(-np.linalg.solve(_wrenches(shown), change))
+
+
+def _ends(shown: Outputs) -> tuple[Array, Array]:
+    lines = shown.lines.reshape(len(shown.values), 6, 2, 3)
+    return lines[:, :, 0], lines[:, :, 1]
+
+
+def _wrenches(shown: Outputs) -> Array:
+    """Wrench on the platform's TCP of a unit pull in each bar, reversed: columns ``(n, 6, 6)``."""
+    start, end = _ends(shown)
+    unit = (end - start) / np.linalg.norm(end - start, axis=2)[..., None]
+    both = np.concatenate([unit, np.cross(end - shown.p[:, None], unit)], axis=2)
+    return np.swapaxes(both, 1, 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,10 +16,9 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.batch import BatchClosure, Outputs
-from orthoglide.mechanism.elastic import Deformation, ElasticClosure
-from orthoglide.mechanism.functions import LINES, OUTPUTS
-from orthoglide.mechanism.mapped import Mapped, blocks
+from orthoglide.mechanism.engine import ByPinocchio, Engine, Outputs, SixBars
+from orthoglide.mechanism.rows import Functions, Rows, blocks
+from orthoglide.mechanism.six_bars import LINES, MOVES, OUTPUTS
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Campaign
 from orthoglide.prediction.conditions import Conditions
@@ -32,18 +31,32 @@ from orthoglide.prediction.dial import (
 )
 from orthoglide.prediction.displacement import (
     COMMAND,
+    CONDITIONS,
     FORCE,
-    displacement_by_conditions,
+    dimensions,
+    displacement_derivative,
     displacement_function,
-    displacement_tangent,
     leg_conditions,
 )
-from orthoglide.prediction.load import force, force_by_command
+from orthoglide.prediction.load import (
+    STRETCHES,
+    drive_forces,
+    drive_forces_by_command,
+    tensions,
+    tensions_tangent,
+)
 
 _POSTURES = 4096
 """Whose derivatives by all parameters are held at once."""
 
 _ALL = slice(None)
+
+# Interpreted displacements that take as long as compiling them does.
+_WORTH_COMPILING = 200_000
+
+# A bar gives by a hundred-thousandth of its length at the most: each round of stretching leaves that
+# share of the last one's error.
+_ELASTIC_ROUNDS = 3
 
 
 def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.intp]]]:
@@ -71,9 +84,11 @@ class Model:
     Args:
         geometry: nominal dimensions.
         pitch: of the drives' screws, metres; ``None`` where unknown.
-        stiffness: of bars and legs, where known.
+        stiffness: of the bars, where known.
         catalogue: the effects that move it.
-        compile: see :class:`~orthoglide.mechanism.batch.BatchClosure`.
+        urdf: folder of the machine's URDF; the one of ``geometry`` where absent.
+        compile: see :class:`~orthoglide.mechanism.engine.SixBars`.
+        engine: ``"pinocchio"`` closes every posture with Pinocchio's constraint Jacobian.
     """
 
     def __init__(
@@ -83,64 +98,123 @@ class Model:
         *,
         stiffness: Stiffness | None = None,
         catalogue: Catalogue = CATALOGUE,
+        urdf: str = "",
         compile: bool | None = None,
+        engine: Literal["six bars", "pinocchio"] = "six bars",
     ) -> None:
         self.catalogue = catalogue
         self._place: dict[str, int] = {name: k for k, name in enumerate(catalogue.parameters)}
         self.geometry = geometry or Geometry()
         self.pitch = pitch
         self.stiffness = stiffness or Stiffness()
-        self.mechanism = Mechanism(self.geometry, compile=compile)
-        self._compile = compile
+        self.urdf = urdf
+        self._compile, self._engine = compile, engine
 
     def __getstate__(self) -> dict[str, Any]:
         """What it was made with: CasADi functions do not travel and are built again."""
         built = {n for n, v in vars(type(self)).items() if isinstance(v, cached_property)}
         return {n: v for n, v in vars(self).items() if n not in built}
 
+    def judged(self) -> Model:
+        """Return the same model, every posture closed by Pinocchio."""
+        return Model(
+            self.geometry,
+            self.pitch,
+            stiffness=self.stiffness,
+            catalogue=self.catalogue,
+            urdf=self.urdf,
+            engine="pinocchio",
+        )
+
+    def with_catalogue(self, catalogue: Catalogue) -> Model:
+        """Return the same model moved by other effects, which shares the engine."""
+        found = Model(
+            self.geometry,
+            self.pitch,
+            stiffness=self.stiffness,
+            catalogue=catalogue,
+            urdf=self.urdf,
+            compile=self._compile,
+            engine=self._engine,
+        )
+        found.__dict__.update({n: vars(self)[n] for n in ("mechanism", "engine") if n in vars(self)})
+        return found
+
     @cached_property
-    def elastic(self) -> ElasticClosure:
-        """Elastic equilibrium of the mechanism with this machine's stiffness."""
-        bar, torsion = self.stiffness.bar, self.stiffness.torsion
-        tree = self.mechanism.tree
-        return ElasticClosure(tree, bar=bar, torsion=torsion, compile=self._compile)
+    def mechanism(self) -> Mechanism:
+        """The Pinocchio model with its constraints, without errors."""
+        return Mechanism(self.geometry, urdf=self.urdf)
+
+    @cached_property
+    def engine(self) -> Engine:
+        """What closes postures."""
+        if self._engine == "pinocchio":
+            return ByPinocchio(self.mechanism)
+        return SixBars(self.mechanism, compile=self._compile)
 
     def is_elastic(self, conditions: Conditions) -> bool:
-        """Whether stiffness moves these postures: rigid bars leave it no say."""
-        strained = bool(self.stiffness.torsion) or bool(conditions.load.any())
-        return self.stiffness.bar is not None and strained
+        """Whether the bars give under a load in these postures."""
+        return self.stiffness.bar is not None and bool(conditions.load.any())
 
-    def closing(
-        self, values: Mapping[str, float], conditions: Conditions
-    ) -> tuple[BatchClosure, Array]:
-        """How these postures close, elastic or not, and what is given of them ``(n, 33 or 34)``."""
-        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
+    def _travel(self, conditions: Conditions) -> Array:
+        return conditions.command - self.geometry.zero
+
+    def moves(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """Displacements of the virtual joints ``(n, 30)``, elastic bars included."""
+        return self._moved(self.vector(values), conditions)
+
+    def _moved(self, theta: Array, conditions: Conditions) -> Array:
+        moves = self.displaced(theta, conditions)
+        if not self.is_elastic(conditions):
+            return moves
+        travel, loaded = self._travel(conditions), moves.copy()
+        for _ in range(_ELASTIC_ROUNDS):
+            tension = tensions(self.engine.outputs(travel, loaded), conditions.load)
+            loaded[:, STRETCHES] = moves[:, STRETCHES] + tension / self.stiffness.bar
+        return loaded
+
+    def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """Pull in the bars ``(n, leg, bar)`` that holds the platform under the load, newtons."""
+        return tensions(self.outputs(values, conditions), conditions.load).reshape(-1, 3, 2)
+
+    def tangent(self, values: Mapping[str, float], conditions: Conditions) -> tuple[Outputs, Array]:
+        """What postures show, and its derivative ``(n, 48, 33)`` by travel and displacements."""
+        moves = self.moves(values, conditions)
+        shown, by_given = self.engine.tangent(self._travel(conditions), moves)
         if self.is_elastic(conditions):
-            return self.elastic, np.column_stack([given, conditions.load])
-        return self.mechanism.batch, given
+            tension = tensions(shown, conditions.load)
+            by_stretch = by_given[:, :, [3 + k for k in STRETCHES]]
+            stretched = tensions_tangent(shown, by_given, tension) / self.stiffness.bar
+            by_given = by_given + by_stretch @ stretched
+        return shown, by_given
 
-    def deformation(self, values: Mapping[str, float], conditions: Conditions) -> Deformation:
-        """What the machine fights against in closed postures: deformation, forces, energy."""
-        given = self.mechanism.given(conditions.command, self.displacements(values, conditions))
-        loaded = np.column_stack([given, conditions.load])
-        return self.elastic.deformation(self.elastic.close(loaded), loaded)
+    @cached_property
+    def dimensions(self) -> Array:
+        """Dimensions as the displacement function takes them ``(5,)``."""
+        return dimensions(self.geometry, self.pitch)
 
     @cached_property
     def displacement(self) -> Any:
-        """CasADi function of the virtual joints' displacements, for the NLP."""
-        return displacement_function(self.catalogue, self.geometry, self.pitch)
+        """CasADi function of the virtual joints' displacements, for the NLP too."""
+        return displacement_function(self.catalogue, self.pitch is not None)
 
     @cached_property
-    def _displacement(self) -> Mapped:
-        return Mapped(self.displacement)
+    def _displacement(self) -> Functions:
+        worth = -1 if self._compile is False else _WORTH_COMPILING
+        found = Functions(
+            ("displacement",), self.displacement.serialize(), lambda: [self.displacement], 2, worth
+        )
+        if self._compile:
+            found.compile()
+        return found
 
     @cached_property
-    def _displacement_tangent(self) -> Mapped:
-        return Mapped(displacement_tangent(self.displacement))
+    def _displacement_by_parameters(self) -> Rows:
+        return Rows(displacement_derivative(self.displacement, 1, "by_parameters"), 2)
 
     @cached_property
-    def _displacement_by_conditions(self) -> Mapped:
-        return Mapped(displacement_by_conditions(self.displacement))
+    def _displacement_by_conditions(self) -> Rows:
+        return Rows(displacement_derivative(self.displacement, 2, "by_conditions"), 2)
 
     @cached_property
     def reading(self) -> Any:
@@ -148,12 +222,12 @@ class Model:
         return reading_function(self.catalogue.of_dials)
 
     @cached_property
-    def _reading(self) -> Mapped:
-        return Mapped(self.reading)
+    def _reading(self) -> Rows:
+        return Rows(self.reading)
 
     @cached_property
-    def _reading_tangent(self) -> Mapped:
-        return Mapped(reading_tangent(self.reading))
+    def _reading_tangent(self) -> Rows:
+        return Rows(reading_tangent(self.reading))
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """All parameters of the machine ``(P,)``, SI, zero where not named; dials are skipped.
@@ -173,33 +247,35 @@ class Model:
 
     def seen(self, conditions: Conditions) -> Array:
         """Conditions as the displacement function takes them ``(n, 11)``."""
-        return np.column_stack(
-            [
-                conditions.command,
-                conditions.approach,
-                conditions.time,
-                conditions.warming,
-                force(self.mechanism, conditions),
-            ]
-        )
+        seen = np.empty((len(conditions), CONDITIONS))
+        seen[:, COMMAND], seen[:, 3:6] = conditions.command, conditions.approach
+        seen[:, 6], seen[:, 7] = conditions.time, conditions.warming
+        seen[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
+        return seen
 
     def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Displacements of the virtual joints ``(n, 30)``, metres and radians."""
-        theta = self.vector(values)
+        """Displacements of the virtual joints ``(n, 30)`` by parameters, metres and radians."""
+        return self.displaced(self.vector(values), conditions)
+
+    def displaced(self, theta: Array, conditions: Conditions) -> Array:
+        """As :meth:`displacements`, for a vector ``(P,)`` of all parameters of the machine."""
         if not len(conditions) or not theta.any():
-            return np.zeros((len(conditions), self.displacement.size1_out(0)))
-        return self._displacement(theta, self.seen(conditions))[0]
+            return np.zeros((len(conditions), 3 * MOVES))
+        return self._displacement("displacement", self.dimensions, theta, self.seen(conditions))[0]
 
     def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """dp/drho ``(n, 3, 3)``; what rails and drives do moves along with the command."""
-        batch, given = self.closing(values, conditions)
-        _, by_given = batch.tangent(batch.close(given), given)
-        (by_seen,) = self._displacement_by_conditions(self.vector(values), self.seen(conditions))
+        _, by_given = self.tangent(values, conditions)
+        (by_seen,) = self._displacement_by_conditions(
+            self.dimensions, self.vector(values), self.seen(conditions)
+        )
         moves = by_seen[:, :, COMMAND]
         if conditions.load.any():
-            moves = moves + by_seen[:, :, FORCE] @ force_by_command(self.mechanism, conditions)
-        by_virtual = by_given[:, :3, 3 : 3 + moves.shape[1]]
-        return np.asarray(by_given[:, :3, :3] + by_virtual @ moves)
+            forces = drive_forces_by_command(
+                self.engine, self._travel(conditions), conditions.load
+            )
+            moves = moves + by_seen[:, :, FORCE] @ forces
+        return np.asarray(by_given[:, :3, :3] + by_given[:, :3, 3:] @ moves)
 
     def outputs(self, values: Mapping[str, float], conditions: Conditions) -> Outputs:
         """Poses and bars of closed postures.
@@ -207,8 +283,11 @@ class Model:
         Raises:
             ClosureError: naming the first posture that does not close.
         """
-        batch, given = self.closing(values, conditions)
-        return batch.outputs(batch.close(given), given)
+        return self.posed(self.vector(values), conditions)
+
+    def posed(self, theta: Array, conditions: Conditions) -> Outputs:
+        """As :meth:`outputs`, for a vector ``(P,)`` of all parameters of the machine."""
+        return self.engine.outputs(self._travel(conditions), self._moved(theta, conditions))
 
     def sensitivities(
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
@@ -216,17 +295,18 @@ class Model:
         """Poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed; zero by
         those of dials.
         """
-        batch, given = self.closing(values, conditions)
-        x, n, theta = batch.close(given), len(conditions), self.vector(values)
+        n, theta = len(conditions), self.vector(values)
         machine = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
         places = [self._place[names[k]] for k in machine]
         outputs, by_name = np.empty((n, OUTPUTS)), np.zeros((n, OUTPUTS, len(names)))
         for part in blocks(n):  # small enough for the cache
-            shown, by_given = batch.tangent(x[part], given[part])
-            _, by_theta = self._displacement_tangent(theta, self.seen(conditions.part(part)))
-            by_virtual = by_given[:, :, 3 : 3 + by_theta.shape[1]]
+            some = conditions.part(part)
+            shown, by_given = self.tangent(values, some)
+            (by_theta,) = self._displacement_by_parameters(
+                self.dimensions, theta, self.seen(some)
+            )
             outputs[part] = shown.values
-            by_name[part][:, :, machine] = by_virtual @ by_theta[:, :, places]
+            by_name[part][:, :, machine] = by_given[:, :, 3:] @ by_theta[:, :, places]
         return Outputs(outputs), by_name
 
     def merged(
@@ -285,9 +365,7 @@ class Model:
 
     def by_joints(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Derivative of poses and bars by the virtual joints ``(n, 48, 30)``, loops closed."""
-        batch, given = self.closing(values, conditions)
-        _, by_given = batch.tangent(batch.close(given), given)
-        return np.asarray(by_given[:, :, 3 : 3 + self.displacement.size1_out(0)])
+        return np.asarray(self.tangent(values, conditions)[1][:, :, 3:])
 
     def readings_by_joints(self, values: Mapping[str, float], campaign: Campaign) -> Array:
         """Derivative of the readings by the virtual joints ``(n, 30)``, loops closed."""
@@ -296,7 +374,7 @@ class Model:
         _, by_ends, _, _ = self._reading_tangent(
             *self._dial_arguments(values, campaign, lines[place])
         )
-        found = np.empty((len(campaign), self.displacement.size1_out(0)))
+        found = np.empty((len(campaign), 3 * MOVES))
         for part, rows, at in _parts(place):
             moved = self.by_joints(values, conditions.part(part))[:, LINES]
             ends = moved.reshape(len(moved), 3, 12, moved.shape[2])
@@ -309,9 +387,9 @@ class Model:
         """What the effects of each leg see in ``n`` postures, as arrays."""
         seen = self.seen(conditions).T
         moves = self.displacements(values, conditions)
-        drives = range(0, moves.shape[1], len(VIRTUAL_NAMES))
+        size, drives = self.dimensions, range(0, moves.shape[1], len(VIRTUAL_NAMES))
         return tuple(
-            leg_conditions(self.geometry, self.pitch, seen, leg, moves[:, k])
+            leg_conditions(size, seen, leg, moves[:, k], self.pitch is not None)
             for leg, k in enumerate(drives)
         )
 

@@ -12,7 +12,7 @@ from orthoglide.geometry import Array, plane_columns
 from orthoglide.klipper import CALIBRATION, RELATIVE
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Firmware
-from orthoglide.mechanism.batch import ROTATION, TCP
+from orthoglide.mechanism.six_bars import ROTATION, TCP
 from orthoglide.prediction import Conditions
 
 _WIDE = 0.8

@@ -14,6 +14,7 @@ al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not 
 from orthoglide.urdf.parallel import (
     ParallelRobot as ParallelRobot,
     parallel_robot_files as parallel_robot_files,
+    read_looped_urdf as read_looped_urdf,
     read_parallel_robot as read_parallel_robot,
 )
 from orthoglide.urdf.tree import (
@@ -22,6 +23,7 @@ from orthoglide.urdf.tree import (
     Closure as Closure,
     closures as closures,
     closures_text as closures_text,
+    shipped_folder as shipped_folder,
     to_urdf as to_urdf,
     write as write,
 )

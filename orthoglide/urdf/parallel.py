@@ -1,18 +1,21 @@
-"""URDF with loops in the convention of Gepetto's parallel robots: a folder with two files.
+"""URDF with loops, read from a folder with two files: the tree, and what closes it.
 
-``robot.urdf`` holds the tree, ``robot.yaml`` what closes it: ``closed_loop``, pairs of frames that
-coincide; ``type`` of each, ``3d`` (origins) or ``6d`` (axes too); ``name_mot``, the joints that are
-driven; ``joint_name`` and ``joint_type``, joints of the tree that stand for others, such as
-spherical ones (here none, and none are read: a tree read without them is another machine). See
-github.com/Gepetto/example-parallel-robots and arXiv 2504.04767; the code is our own.
+Two pairs of files are read. ``orthoglide.urdf`` with ``orthoglide.closures.toml`` is this package's
+own. ``robot.urdf`` with ``robot.yaml`` follows the convention of Gepetto's parallel robots:
+``closed_loop``, pairs of frames that coincide; ``type`` of each, ``3d`` (origins) or ``6d`` (axes
+too); ``name_mot``, the joints that are driven; ``joint_name`` and ``joint_type``, joints of the tree
+that stand for others, ``SPHERICAL`` or ``FIXED``. See github.com/Gepetto/example-parallel-robots and
+arXiv 2504.04767; the code is our own.
 """
 
 from __future__ import annotations
 
 import ast
 import os
+import tomllib
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,20 +23,32 @@ from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.geometry import Geometry
 from orthoglide.text import brief, shown
-from orthoglide.urdf.tree import Closure, closures, to_urdf
+from orthoglide.urdf.tree import CLOSURES_FILE, URDF_FILE, Closure, closures, to_urdf
 
 ROBOT_URDF, ROBOT_YAML = "robot.urdf", "robot.yaml"
 
 _KINDS: dict[str, Literal["point", "frame"]] = {"3d": "point", "6d": "frame"}
+_REPLACEMENTS = ("SPHERICAL", "FIXED")
+_OPTIONAL = ("joint_name", "joint_type")
 
 
 @dataclass(frozen=True)
 class ParallelRobot:
-    """A machine with loops as its two files say it."""
+    """A machine with loops as its two files say it.
 
-    urdf: str  # text of the tree
-    closures: tuple[Closure, ...]  # what closes it, in the order of the file
-    motors: tuple[str, ...]  # names of the joints that are driven
+    Attributes:
+        path: the URDF.
+        urdf: its text.
+        closures: what closes the tree, in the order of the file.
+        motors: names of the joints that are driven.
+        replaced: joints of the tree that stand for others: name to ``"SPHERICAL"`` or ``"FIXED"``.
+    """
+
+    path: Path
+    urdf: str
+    closures: tuple[Closure, ...]
+    motors: tuple[str, ...]
+    replaced: Mapping[str, str] = field(default_factory=dict)
 
 
 def parallel_robot_files(geometry: Geometry, urdf: str = "") -> dict[str, str]:
@@ -56,24 +71,63 @@ def parallel_robot_files(geometry: Geometry, urdf: str = "") -> dict[str, str]:
     return {ROBOT_URDF: urdf or to_urdf(geometry), ROBOT_YAML: text}
 
 
-def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
-    """Read the two files of a folder.
+def read_looped_urdf(folder: str | os.PathLike[str]) -> ParallelRobot:
+    """Read whichever pair of files a folder holds, this package's own or Gepetto's.
 
     Raises:
-        FileError: where one is missing, or says what cannot be: a frame or motor that the tree
-            lacks, a loop without its kind, joints that stand for others.
+        FileError: where a file is missing, or says what cannot be.
+    """
+    theirs = not (Path(folder) / URDF_FILE).exists() and (Path(folder) / ROBOT_URDF).exists()
+    return read_parallel_robot(folder) if theirs else _read_own(folder)
+
+
+def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
+    """Read ``orthoglide.urdf`` and ``orthoglide.closures.toml`` of a folder."""
+    urdf_path, toml_path = (Path(folder) / name for name in (URDF_FILE, CLOSURES_FILE))
+    urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
+    text, file = files.decode(files.read_bytes(toml_path, files.TEXT), toml_path), shown(toml_path)
+    names = _names(urdf, shown(urdf_path))
+    try:
+        tables = tomllib.loads(text).get("closure", [])
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(f"is no TOML ({brief(str(error))}): correct it", file=file) from None
+    loops = []
+    for table in tables if isinstance(tables, list) else []:
+        loop = {key: str(table.get(key, "")) for key in ("name", "kind", "frame_1", "frame_2")}
+        if loop["kind"] not in _KINDS.values():
+            raise FileError(
+                f"closure {brief(loop['name'])!r} has the kind {brief(loop['kind'])!r}: it is "
+                f'"point" or "frame"',
+                file=file,
+            )
+        for frame in (loop["frame_1"], loop["frame_2"]):
+            if frame not in names:
+                raise FileError(
+                    f"closure {brief(loop['name'])!r} names {brief(frame)!r}, no link of "
+                    f"{URDF_FILE}: correct it",
+                    file=file,
+                )
+        loops.append(Closure(**loop))  # type: ignore[arg-type]
+    if not loops:
+        raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
+    motors = [
+        str(e.get("name")) for e in ET.fromstring(urdf).iter("joint") if e.get("type") == "prismatic"
+    ]
+    return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors))
+
+
+def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
+    """Read ``robot.urdf`` and ``robot.yaml`` of a folder.
+
+    Raises:
+        FileError: where one is missing, or says what cannot be: a frame, joint or motor that the
+            tree lacks, a loop without its kind, a kind of joint that is not known.
     """
     urdf_path, yaml_path = (Path(folder) / name for name in (ROBOT_URDF, ROBOT_YAML))
     urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
     names = _names(urdf, shown(urdf_path))
     found = _Lists(files.decode(files.read_bytes(yaml_path, files.TEXT), yaml_path), yaml_path)
     pairs, kinds, motors = (found.of(key) for key in ("closed_loop", "type", "name_mot"))
-    if replaced := found.of("joint_name"):
-        found.fail(
-            "joint_name",
-            f"replaces joints such as {brief(str(replaced[0]))} by others, which is not read: "
-            f"write those joints into {ROBOT_URDF} and leave the list empty",
-        )
     if len(kinds) != len(pairs):
         found.fail("type", f"has {len(kinds)} kinds for {len(pairs)} loops: give one for each")
     loops = []
@@ -86,7 +140,23 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
     for motor in motors:
         if motor not in names:
             found.fail("name_mot", f"names {brief(str(motor))}, no joint of {ROBOT_URDF}")
-    return ParallelRobot(urdf, tuple(loops), tuple(motors))
+    replaced = _replaced(found, names)
+    return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
+
+
+def _replaced(found: _Lists, names: frozenset[str]) -> dict[str, str]:
+    joints, kinds = found.of("joint_name"), found.of("joint_type")
+    if len(joints) != len(kinds):
+        found.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
+    for joint, kind in zip(joints, kinds, strict=True):
+        if joint not in names:
+            found.fail("joint_name", f"names {brief(str(joint))}, no joint of {ROBOT_URDF}")
+        if kind not in _REPLACEMENTS:
+            found.fail(
+                "joint_type",
+                f"has {brief(str(kind))}, which is not read: it is {' or '.join(_REPLACEMENTS)}",
+            )
+    return dict(zip(joints, kinds, strict=True))
 
 
 def _names(urdf: str, file: str) -> frozenset[str]:
@@ -119,9 +189,9 @@ class _Lists:
         raise FileError(f"{key} {message}", file=self.file, line=self.lines.get(key))
 
     def of(self, key: str) -> list[Any]:
-        """The list of a key; empty where ``joint_name`` is not there."""
+        """The list of a key; empty where an optional one is not there."""
         if key not in self.texts:
-            return [] if key == "joint_name" else list(self.fail(key, "is missing: add it"))
+            return [] if key in _OPTIONAL else list(self.fail(key, "is missing: add it"))
         try:
             value = ast.literal_eval(self.texts[key].strip())
         except (ValueError, SyntaxError, MemoryError, RecursionError):

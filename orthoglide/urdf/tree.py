@@ -201,3 +201,10 @@ def write(folder: str | Path, geometry: Geometry | None = None) -> tuple[Path, P
     for path, text in zip(paths, (to_urdf(geometry), closures_text(geometry)), strict=True):
         path.write_text(text, encoding="utf-8", newline="\n")
     return paths
+
+
+def shipped_folder() -> Path:
+    """Return the folder with the two files of the published machine that the package ships."""
+    package = Path(__file__).parents[1]
+    installed = package / "_urdf"
+    return installed if installed.is_dir() else package.parent / "urdf"

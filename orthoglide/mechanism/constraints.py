@@ -1,4 +1,4 @@
-"""The loop closures of a tree in Pinocchio: closure residual and constraint Jacobian."""
+"""The loop closures of a tree as Pinocchio constraint models: residual and constraint Jacobian."""
 
 from __future__ import annotations
 
@@ -9,25 +9,27 @@ from orthoglide.geometry import Array
 from orthoglide.mechanism.tree import Tree
 
 
-class Loops:
+class Constraints:
     """Closure residual and constraint Jacobian of a tree, row by row in the order of its closures.
 
     Three rows a point closure (second frame's origin seen from the first), six a frame closure
     (``log6(c1Mc2)``). Holds Pinocchio's scratch data: use one object a thread.
 
     Args:
-        tree: as built by :func:`~orthoglide.mechanism.tree.nominal_tree` or ``general_tree``.
+        tree: what :func:`~orthoglide.mechanism.tree.nominal_tree` or ``general_tree`` returns.
+
+    Attributes:
+        models, datas: Pinocchio's containers of constraint models and data.
     """
 
     def __init__(self, tree: Tree) -> None:
         self.tree = tree
         self.data = tree.model.createData()
-        self._models = pin.StdVec_ConstraintModel()
-        self._datas = pin.StdVec_ConstraintData()
+        self.models = pin.StdVec_ConstraintModel()
+        self.datas = pin.StdVec_ConstraintData()
         for loop in tree.loops:
             first, second = (
-                tree.model.frames[tree.model.getFrameId(name)]
-                for name in (loop.frame_1, loop.frame_2)
+                tree.model.frames[tree.frame(name)] for name in (loop.frame_1, loop.frame_2)
             )
             anchor = (
                 pin.PointAnchorConstraintModel
@@ -35,39 +37,36 @@ class Loops:
                 else pin.FrameAnchorConstraintModel
             )
             places = (first.parentJoint, first.placement, second.parentJoint, second.placement)
-            self._models.append(pin.ConstraintModel(anchor(tree.model, *places)))
-        for model in self._models:
-            self._datas.append(model.createData())
+            self.models.append(pin.ConstraintModel(anchor(tree.model, *places)))
+        for model in self.models:
+            self.datas.append(model.createData())
         # The containers hold copies: what is calculated with must be taken back from them.
         self._pairs = [
-            (self._models[k], self._datas[k], self._datas[k].extract())
+            (self.models[k], self.datas[k], self.datas[k].extract())
             for k in range(len(tree.loops))
         ]
 
-    def update(self, q: Array) -> Array:
-        """Evaluate the closures at ``q`` ``(nq,)``.
-
-        Returns:
-            Closure residual ``(21,)``, metres and radians.
-        """
+    def residual(self, q: Array) -> Array:
+        """Return the closure residual at ``q`` ``(nq,)``, metres and radians."""
         pin.computeJointJacobians(self.tree.model, self.data, q)
+        # Without calc first, Pinocchio's constraint Jacobian is silently wrong.
         for model, data, _ in self._pairs:
             model.calc(self.tree.model, self.data, data)
         return np.concatenate([view.constraint_position_error for _, _, view in self._pairs])
 
     def newton_matrix(self) -> Array:
-        """Constraint Jacobian ``(21, nq)`` at the last update, exact where the loops are closed.
+        """Return the constraint Jacobian ``(rows, nv)`` where the residual was last evaluated.
 
-        The rows of frame closures are relative twists; away from closure they lack the factor
-        Jlog6, which a Newton step does not miss.
+        It is exact where the loops are closed. Elsewhere the rows of frame closures are relative
+        twists without the factor Jlog6, which does not keep Newton's method from converging.
         """
         return np.asarray(
-            pin.getConstraintsJacobian(self.tree.model, self.data, self._models, self._datas)
+            pin.getConstraintsJacobian(self.tree.model, self.data, self.models, self.datas)
         )
 
     def jacobian(self, q: Array) -> Array:
-        """Constraint Jacobian ``(21, nq)``: the exact derivative of :meth:`update` anywhere."""
-        self.update(q)
+        """Return the constraint Jacobian ``(rows, nv)``, the derivative of the residual anywhere."""
+        self.residual(q)
         rows = self.newton_matrix()
         for loop, (_, _, view) in zip(self.tree.loops, self._pairs, strict=True):
             if loop.kind == "frame":

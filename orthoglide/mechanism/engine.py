@@ -1,0 +1,268 @@
+"""Closed postures of three legs in numbers, many at once: by six bars, or judged by Pinocchio.
+
+Both engines take travel of the drives ``(n, 3)`` from mechanical zero and displacements of the
+virtual joints ``(n, 30)``, metres and radians, and return the same outputs and sensitivities.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from orthoglide.errors import ClosureError, UnreachableError
+from orthoglide.geometry import Array
+from orthoglide.mechanism import six_bars
+from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
+from orthoglide.mechanism.rows import Functions
+from orthoglide.mechanism.six_bars import GIVEN, LINES, OUTPUTS, ROTATION, TCP
+
+# Bars off by less than this share of their length are closed to rounding.
+_ROUNDING = 3e-15
+# Trace of a rotation by 60 degrees: a platform that turned by more is in another assembly mode.
+_TURNED = 2.0
+# Rounds of Newton's steps for postures that the first did not close: errors of centimetres.
+_ROUNDS = 5
+# Interpreted closures that take as long as compiling does.
+_WORTH_COMPILING = 50_000
+
+
+class Outputs:
+    """What a posture shows: views into an array ``(..., 48)``.
+
+    Attributes:
+        values: the array itself.
+    """
+
+    def __init__(self, values: Array) -> None:
+        self.values = values
+
+    @property
+    def p(self) -> Array:
+        """TCP ``(..., 3)``, metres."""
+        return self.values[..., TCP]
+
+    @property
+    def R(self) -> Array:
+        """Rotation of the platform ``(..., 3, 3)``."""
+        return self.values[..., ROTATION].reshape(*self.values.shape[:-1], 3, 3)
+
+    @property
+    def lines(self) -> Array:
+        """Ends of the bars ``(..., leg, bar, end, 3)``, carriage's end first, metres."""
+        return self.values[..., LINES].reshape(*self.values.shape[:-1], 3, 2, 2, 3)
+
+
+class Engine(Protocol):
+    """What closes postures."""
+
+    mechanism: Mechanism
+
+    def outputs(self, travel: Array, moves: Array) -> Outputs:
+        """Return what closed postures show.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
+        ...
+
+    def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
+        """Return what postures show, and its derivative ``(n, 48, 33)`` by travel and displacements.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
+        ...
+
+
+@contextmanager
+def placed(shape: tuple[int, ...]) -> Iterator[None]:
+    """Let errors from within name their place in a batch of ``shape`` that was flattened."""
+    try:
+        yield
+    except (ClosureError, UnreachableError) as error:
+        if error.index:
+            error.index = tuple(int(k) for k in np.unravel_index(error.index[0], shape))
+        raise
+
+
+class ByPinocchio:
+    """Closes postures one by one with Pinocchio's constraint Jacobian: slow, and the definition.
+
+    Args:
+        mechanism: three legs with virtual joints.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism = mechanism
+
+    def outputs(self, travel: Array, moves: Array) -> Outputs:
+        """See :class:`Engine`."""
+        return self._each(travel, moves, tangents=False)[0]
+
+    def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
+        """See :class:`Engine`."""
+        return self._each(travel, moves, tangents=True)
+
+    def _each(self, travel: Array, moves: Array, tangents: bool) -> tuple[Outputs, Array]:
+        n = len(travel)
+        values, by_given = np.empty((n, OUTPUTS)), np.empty((n if tangents else 0, OUTPUTS, GIVEN))
+        zero = self.mechanism.geometry.zero
+        for k in range(n):
+            with _numbered(k, n):
+                posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
+            values[k] = self._shown(posture)
+            if tangents:
+                by_given[k] = self._moved(posture)
+        return Outputs(values), by_given
+
+    @cached_property
+    def _ends(self) -> list[tuple[bool, int]]:
+        """Whether each bar end is a frame, and its number or the joint's, in the order of LINES."""
+        tree, found = self.mechanism.tree, list[tuple[bool, int]]()
+        for leg in tree.leg_names:
+            joints = [tree.model.getJointId(f"{leg}_{name}") for name in ("bar1", "knuckle", "bar2")]
+            found += [(False, j) for j in joints] + [(True, tree.frame(f"{leg}_bar2_tip"))]
+        return found
+
+    def _shown(self, posture: Posture) -> Array:
+        """Outputs ``(48,)`` of the posture that was closed last."""
+        model, data = self.mechanism.tree.model, self.mechanism.constraints.data
+        places = [
+            (pin.updateFramePlacement(model, data, k) if framed else data.oMi[k]).translation
+            for framed, k in self._ends
+        ]
+        return np.concatenate([posture.p, posture.R.ravel(), *places])
+
+    def _moved(self, posture: Posture) -> Array:
+        """Derivative ``(48, 33)`` of the outputs by travel and displacements."""
+        tree, constraints = self.mechanism.tree, self.mechanism.constraints
+        rates = self.mechanism.joint_rates(posture, np.concatenate([tree.drive, tree.virtual]))
+        model, data, axes = tree.model, constraints.data, pin.LOCAL_WORLD_ALIGNED
+        tool = pin.getFrameJacobian(model, data, self.mechanism.tool, axes) @ rates
+        turned = np.cross(tool[3:].T[:, :, None], posture.R[None], axis=1).reshape(GIVEN, 9).T
+        ends = [
+            (
+                pin.getFrameJacobian(model, data, k, axes)
+                if framed
+                else pin.getJointJacobian(model, data, k, axes)
+            )[:3]
+            @ rates
+            for framed, k in self._ends
+        ]
+        return np.concatenate([tool[:3], turned, *ends])
+
+
+@contextmanager
+def _numbered(index: int, count: int) -> Iterator[None]:
+    """Let an error of one posture say which of a batch it is."""
+    try:
+        yield
+    except ClosureError as error:
+        which = f"posture {index} of {count}: " if count > 1 else ""
+        raise ClosureError(f"{which}{error}", residuals=error.residuals, index=(index,)) from None
+
+
+class SixBars:
+    """Closes many postures as a platform on six bars; Pinocchio closes what Newton leaves open.
+
+    Args:
+        mechanism: three legs with virtual joints, from whose tree the bars are read.
+        compile: ``True`` to compile at once, ``False`` never, ``None`` once many postures have been
+            asked for or an earlier run has left a compiled copy. Without a C compiler nothing
+            changes but speed.
+    """
+
+    def __init__(self, mechanism: Mechanism, *, compile: bool | None = None) -> None:
+        self.mechanism = mechanism
+        self.constants = six_bars.constants(mechanism.tree)
+        self._exact = _ROUNDING * float(mechanism.spheres.lengths.max())
+        worth = -1 if compile is False else _WORTH_COMPILING
+        # Apart, as most runs need the closure first, and the tangent takes longest to compile.
+        self._close = Functions(
+            ("close", "close_from"), _key("close"), _closing, shared=1, worth=worth
+        )
+        self._tangent = Functions(
+            ("tangent",), _key("tangent"), lambda: [six_bars.tangent_function()], 1, worth
+        )
+        if compile:
+            self._close.compile()
+            self._tangent.compile()
+
+    @property
+    def compiled(self) -> bool:
+        """Whether closures run compiled."""
+        return self._close.compiled
+
+    def outputs(self, travel: Array, moves: Array) -> Outputs:
+        """See :class:`Engine`."""
+        values, check = self._close("close", self.constants, travel, moves)
+        if not len(travel):
+            return Outputs(values)
+        # Also False for a check that is no number.
+        if not (
+            check[:, 0].max() <= self._exact
+            and check[:, 1].max() < 0
+            and check[:, 2].min() > _TURNED
+        ):
+            self._again(values, check, travel, moves)
+        return Outputs(values)
+
+    def _again(self, values: Array, check: Array, travel: Array, moves: Array) -> None:
+        """Close what the first round left open, in place; Pinocchio has the last word."""
+        for _ in range(_ROUNDS):
+            rows = np.flatnonzero(~_right(check, self._exact) & np.isfinite(values).all(axis=1))
+            if not rows.size:
+                break
+            values[rows], check[rows] = self._close(
+                "close_from", self.constants, travel[rows], moves[rows], values[rows, :12]
+            )
+        judge = ByPinocchio(self.mechanism)
+        for row in np.flatnonzero(~_right(check, CLOSED)):
+            with _numbered(int(row), len(travel)), self._counted_from_zero(travel[row]):
+                part = slice(row, row + 1)
+                values[row] = judge.outputs(travel[part], moves[part]).values[0]
+
+    @contextmanager
+    def _counted_from_zero(self, travel: Array) -> Iterator[None]:
+        """Let an error hint at commands that would be within the stroke if they were travel."""
+        geometry = self.mechanism.geometry
+        try:
+            yield
+        except ClosureError as error:
+            zero = geometry.zero
+            if zero.any() and geometry.in_stroke(travel + 2 * zero).all():
+                message = f"{error}: at mechanical zero every command is {zero[0]:g} m, not 0"
+                raise ClosureError(message, residuals=error.residuals) from None
+            raise
+
+    def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
+        """See :class:`Engine`."""
+        outputs = self.outputs(travel, moves)
+        (by_given,) = self._tangent(
+            "tangent", self.constants, travel, moves, outputs.values[:, :12]
+        )
+        return outputs, by_given
+
+
+def _closing() -> list[Any]:
+    return list(six_bars.closing_functions())
+
+
+def _right(check: Array, most: float) -> NDArray[np.bool_]:
+    """Which postures ``(n,)`` are closed, in the machine's own assembly mode."""
+    return np.asarray((check[:, 0] <= most) & (check[:, 1] < 0) & (check[:, 2] > _TURNED))
+
+
+@cache
+def _key(name: str) -> str:
+    """Key of a compiled library: the functions depend on the text of their module alone."""
+    text = Path(six_bars.__file__).read_bytes()
+    return f"{name} {hashlib.sha256(text).hexdigest()}"

@@ -1,0 +1,187 @@
+"""Legs without errors: where closure starts, and which commands bring the tool to a point.
+
+While the platform is not turned, leg i lets the tool move on a sphere about ``centre_i + slide_i t_i``,
+the middle of its bars' carriage ends less the middle of their platform ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from orthoglide.errors import UnreachableError
+from orthoglide.geometry import Array, Geometry
+from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
+
+Mode = Literal["machine", "other"]
+"""The machine's own assembly mode, or its mirror image in the plane of the carriages."""
+
+_FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
+UNITS = "give metres in Python, millimetres on the command line and in files"
+"""What to do about a point so far away."""
+
+
+@dataclass(frozen=True)
+class Spheres:
+    """Three spheres on which the tool lies while the platform is not turned.
+
+    Attributes:
+        centres: at mechanical zero ``(leg, 3)``, metres.
+        slides: directions in which they move ``(leg, 3)``.
+        lengths: radii ``(leg,)``, metres.
+        zero: command at mechanical zero ``(3,)``, metres.
+        hanging: whether the platform hangs below parallel rails.
+        names: of the legs.
+    """
+
+    centres: Array
+    slides: Array
+    lengths: Array
+    zero: Array
+    hanging: bool
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, geometry: Geometry) -> Spheres:
+        """Return the spheres of nominal dimensions."""
+        lengths, names = np.full(3, geometry.L), geometry.leg_names
+        hanging = geometry.layout.hanging
+        return cls(geometry.centres, geometry.slides, lengths, geometry.zero, hanging, names)
+
+    @classmethod
+    def of_tree(cls, tree: Tree, zero: Array) -> Spheres:
+        """Return the spheres of a tree of three legs; ``zero`` is the command at mechanical zero."""
+        from orthoglide.mechanism.six_bars import constants, nominal_spheres
+
+        centres, slides, lengths = nominal_spheres(constants(tree))
+        return cls(centres, slides, lengths, zero, tree.hanging, tree.leg_names)
+
+    def at(self, travel: Array) -> Array:
+        """Return the centres ``(N, leg, 3)`` for carriages at ``travel`` ``(N, 3)``, metres."""
+        return np.asarray(self.centres + travel[:, :, None] * self.slides)
+
+
+def free_joints(tree: Tree, spheres: Spheres, travel: Array, p: Array) -> Array:
+    """Return passive joints of legs without errors that hold the platform unturned at ``p``.
+
+    With the leg's span ``w`` from carriage to platform in its axes (a, b, c), the bars lie along
+    ``L (-cos theta cos phi, -sin theta cos phi, sin phi)``.
+
+    Args:
+        tree: nominal or general; relief joints start at zero.
+        spheres: of the same machine.
+        travel: of the carriages from mechanical zero, ``(N, 3)``, metres.
+        p: TCP ``(N, 3)``, metres.
+
+    Returns:
+        Free joints ``(N, n)`` in the order of ``tree.free``. Where a leg is out of reach its
+        angles are clipped: closure then says by how much.
+    """
+    spans = p[:, None] - spheres.at(travel)
+    passive = [_angles(tree, spheres.lengths[leg], leg, spans[:, leg]) for leg in range(3)]
+    relief = np.zeros((len(p), 3 * len(RELIEF_NAMES) if len(tree.relief) else 0))
+    return np.concatenate([*passive, relief], axis=1)
+
+
+def commands(spheres: Spheres, p: Array) -> Array:
+    """Return commands ``(N, 3)`` of legs without errors that hold the TCP at ``p`` ``(N, 3)``, metres.
+
+    Raises:
+        UnreachableError: naming the leg that is too short, and the point that it misses most; or
+            the point that lies farthest beyond the plane of the carriages.
+    """
+    reach = p[:, None] - spheres.at(np.zeros((1, 3)))  # from each leg's sphere at zero
+    along = np.einsum("nli,li->nl", reach, spheres.slides)
+    # Far points overflow a square.
+    across = np.hypot.reduce(np.cross(reach, spheres.slides), axis=-1)
+    excess = across - spheres.lengths
+    short = np.flatnonzero((excess >= 0).any(axis=0))
+    if short.size:
+        leg, worst = int(short[0]), int(np.argmax(excess[:, short[0]]))
+        size = float(excess[worst, leg])
+        shown = f"{size * 1e3:.3f}" if size < 1e3 else f"{size * 1e3:g}"
+        away = float(np.hypot.reduce(p[worst]))
+        far = f" for a point {away:g} m away: {UNITS}" if away > _FAR * spheres.lengths[leg] else ""
+        raise UnreachableError(
+            f"{_which(worst, p)}leg {spheres.names[leg]} is {shown} mm too short{far}",
+            leg=spheres.names[leg],
+            excess=size,
+            index=(worst,),
+        )
+    travel = along + np.sqrt(spheres.lengths**2 - across**2)
+    normal, offset = _carriage_plane(spheres, spheres.at(travel))
+    beyond = np.sum(normal * p, axis=1) - offset
+    if (beyond >= 0).any():
+        worst = int(np.argmax(beyond))
+        raise UnreachableError(
+            f"{_which(worst, p)}the machine does not come to the far side of its carriages: the "
+            f"tool would stand {beyond[worst] * 1e3:.3f} mm beyond their plane, in the other "
+            f"assembly mode",
+            excess=float(beyond[worst]),
+            index=(worst,),
+        )
+    return np.asarray(spheres.zero + travel)
+
+
+def _which(point: int, p: Array) -> str:
+    return f"point {point + 1}: " if len(p) > 1 else ""
+
+
+def _angles(tree: Tree, length: float, leg: int, span: Array) -> Array:
+    model, name = tree.model, tree.leg_names[leg]
+    slide, pivot = (model.jointPlacements[model.getJointId(f"{name}_{j}")] for j in ("slide", "theta"))
+    lean = np.arctan2(pivot.rotation[1, 0], pivot.rotation[0, 0])
+    a, b, c = np.moveaxis(span @ slide.rotation, -1, 0)
+    phi = np.arcsin(np.clip(c / length, -1, 1))
+    theta = np.arctan2(-b, -a) - lean
+    by_name = {"theta": theta, "bar1": phi, "knuckle": -phi, "platform": -theta, "bar2": phi}
+    return np.stack([by_name[name] for name in PASSIVE_NAMES], axis=1)
+
+
+def tool(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
+    """Return the TCP ``(N, 3)`` of legs without errors, where the three spheres meet, metres.
+
+    Args:
+        spheres: of the machine.
+        travel: of the carriages from mechanical zero, ``(N, 3)``, metres.
+        mode: which of the two points, mirror images in the plane of the carriages.
+
+    Returns:
+        NaN where the legs do not meet, or the carriages stand in one line.
+    """
+    centres, squares = spheres.at(travel), spheres.lengths**2
+    u, v = centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0]
+    w = np.cross(u, v)
+    along_u = (np.sum(u * u, axis=1, keepdims=True) + squares[0] - squares[1]) / 2
+    along_v = (np.sum(v * v, axis=1, keepdims=True) + squares[0] - squares[2]) / 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        foot = along_u * np.cross(v, w) + along_v * np.cross(w, u)
+        foot /= np.sum(w * w, axis=1, keepdims=True)
+        height = np.sqrt(squares[0] - np.sum(foot * foot, axis=1, keepdims=True))
+        normal, _ = _carriage_plane(spheres, centres)
+    return np.asarray(centres[:, 0] + foot + height * normal * (-1 if mode == "machine" else 1))
+
+
+def mode_of(spheres: Spheres, travel: Array, p: Array) -> Mode:
+    """Return the assembly mode in which a machine stands with its TCP at ``p`` ``(3,)``.
+
+    Far from any plausible error of the parts the plane of the carriages without errors will do.
+    """
+    normal, offset = _carriage_plane(spheres, spheres.at(travel[None]))
+    return "machine" if float(normal[0] @ p - offset[0]) < 0 else "other"
+
+
+def _carriage_plane(spheres: Spheres, centres: Array) -> tuple[Array, Array]:
+    """Plane through the carriages ``(N, leg, 3)``, the platform's size taken out: unit normal
+    ``(N, 3)`` away from the machine's side, and offset.
+
+    A machine in its own assembly mode has ``normal . p < offset``.
+    """
+    normal = np.cross(centres[:, 1] - centres[:, 0], centres[:, 2] - centres[:, 0])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    offset = np.sum(normal * centres[:, 0], axis=-1)
+    up = normal @ spheres.slides[0] if spheres.hanging else offset
+    side = np.where(up < 0, -1.0, 1.0)
+    return normal * side[:, None], offset * side

@@ -1,0 +1,110 @@
+"""CasADi functions evaluated for many rows at once, without a loop in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from orthoglide.geometry import Array
+from orthoglide.mechanism.compiled import compiled
+
+_CHUNK = 256
+
+
+def blocks(count: int, size: int = _CHUNK) -> Iterator[slice]:
+    """Yield rows in pieces, by default such that one mapped call takes and the cache holds."""
+    for start in range(0, count, size):
+        yield slice(start, min(start + size, count))
+
+
+class Rows:
+    """A CasADi function of vectors, for rows of them. Holds buffers: one object serves one thread.
+
+    Args:
+        function: of column vectors; its results are dense.
+        shared: how many of its first arguments are the same for all rows.
+    """
+
+    def __init__(self, function: Any, shared: int = 0) -> None:
+        self.function, self._shared = function, shared
+        # CasADi stores columns.
+        self._shapes = [
+            (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
+        ]
+        self._buffers: dict[int, tuple[Any, Any]] = {}
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Return results ``(n, rows)``, or ``(n, rows, columns)`` where they are matrices.
+
+        Args:
+            arguments: ``(k,)`` the shared ones, ``(n, k)`` the others; the last sets n.
+        """
+        n, shared = len(arguments[-1]), self._shared
+        values = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+        results = [np.empty((n, *shape)) for shape in self._shapes]
+        for part in blocks(n):
+            buffer, evaluate = self._buffer(part.stop - part.start)
+            for k, value in enumerate(values):
+                buffer.set_arg(k, memoryview(value if k < shared else value[part]))  # type: ignore[arg-type]
+            for k, result in enumerate(results):
+                buffer.set_res(k, memoryview(result[part]))  # type: ignore[arg-type]
+            evaluate()
+        return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
+
+    def _buffer(self, size: int) -> tuple[Any, Any]:
+        if size not in self._buffers:
+            name, same = f"{self.function.name()}_{size}", list(range(self._shared))
+            one = size == 1
+            mapped = self.function if one else self.function.map(name, "serial", size, same, [])
+            self._buffers[size] = mapped.buffer()
+        return self._buffers[size]
+
+
+class Functions:
+    """Functions of rows that are interpreted until it pays to compile them.
+
+    Args:
+        names: of the functions.
+        key: tells compiled libraries apart; see :func:`~orthoglide.mechanism.compiled.compiled`.
+        build: returns the CasADi functions.
+        shared: how many first arguments are the same for all rows, of each function.
+        worth: rows after which compiling has paid; less than 0 for never.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        key: str,
+        build: Callable[[], list[Any]],
+        shared: int,
+        worth: int,
+    ) -> None:
+        self._names, self._key, self._build = tuple(names), key, build
+        self._shared, self._worth, self._asked = shared, worth, 0
+        self._rows: dict[str, Rows] = {}
+        self.compiled = worth >= 0 and self._take(compiled(self._names, key, None))
+
+    def _take(self, found: list[Any] | None) -> bool:
+        if found is None:
+            return False
+        self._rows = {
+            name: Rows(function, self._shared)
+            for name, function in zip(self._names, found, strict=True)
+        }
+        return True
+
+    def __call__(self, name: str, *arguments: Array) -> list[Array]:
+        """Return what function ``name`` gives for rows of arguments, as :class:`Rows` does."""
+        self._asked += len(arguments[-1])
+        if not self.compiled and 0 <= self._worth <= self._asked:
+            self.compile()
+        if not self._rows:
+            self._take(self._build())
+        return self._rows[name](*arguments)
+
+    def compile(self) -> None:
+        """Compile the functions now, where there is a compiler."""
+        self.compiled = self._take(compiled(self._names, self._key, self._build))
+        self._worth = -1  # tried once

@@ -1,0 +1,372 @@
+"""The closed machine as a platform on six bars: the engine behind everything that needs speed.
+
+With the relief joints every bar is a link between two ball joints, so closing the loops means
+finding the pose (p, R) of the platform at which six distances equal six bar lengths. In the axes A
+of leg i's carriage, with slide direction ``s``, travel ``t`` and virtual joints ``v``::
+
+    root_k   = start + A (s t + (v_travel, v_b, v_c) + Rot(v_turns) root0_k)       base frame
+    point_k  = point0_k +- v_width_k c                                             platform frame
+    length_k = length0_k + v_stretch_k
+
+One Newton step on (dp, dw), ``e_k = p + R point_k - root_k``, solves
+
+    e_k . dp + (R point_k x e_k) . dw = (length_k^2 - e_k . e_k) / 2
+
+and then ``p += dp``, ``R = Cayley(dw) R``. Sum and difference of a leg's two rows split the system
+into 3 x 3 blocks, which are inverted by cofactors: elimination without pivoting would lose digits on
+linear deltas, where a first pivot can vanish although the system is well conditioned.
+
+The constants are read from the Pinocchio tree (:func:`constants`). They are inputs of the CasADi
+functions, so one compiled library serves every machine.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from orthoglide.errors import InputError
+from orthoglide.geometry import Array
+from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, VIRTUAL_NAMES, Tree
+
+TCP, ROTATION, LINES = slice(0, 3), slice(3, 12), slice(12, 48)
+"""Parts of an output vector: p, the platform's rotation row by row, and the ends of the bars
+indexed (leg, bar, end, xyz), the carriage's end first."""
+OUTPUTS = 48
+
+MOVES = len(VIRTUAL_NAMES)
+GIVEN = 3 + 3 * MOVES
+"""Length of what is given of a posture: travel of the drives, then the virtual joints leg by leg."""
+
+_START, _AXES, _SLIDE, _ROOTS, _POINTS, _WIDTHS, _LENGTHS, _SIZE = 0, 3, 12, 15, 21, 27, 33, 35
+CONSTANTS = 3 * _SIZE + 1
+"""Length of a machine's constants: 35 a leg, and 1 where the platform hangs below parallel rails."""
+
+# From the three spheres three steps leave the eighth power of some milliradians, rounding. The last
+# keeps the matrix of the third: it costs a third of a step, and mends what rounding left.
+_NEWTON, _CHORD = 3, 1
+# Metres a bar's end may move with the passive joints: rounding of a chain of five joints.
+_FIXED = 1e-12
+
+
+def constants(tree: Tree) -> Array:
+    """Return the constants ``(106,)`` of a machine's six bars, read from its Pinocchio tree.
+
+    Raises:
+        InputError: where the end of a bar moves with a passive joint (its pivots do not meet in a
+            point), so that the legs are no bars between ball joints.
+    """
+    values = np.zeros(CONSTANTS)
+    for leg, name in enumerate(tree.leg_names):
+        values[leg * _SIZE : (leg + 1) * _SIZE] = _leg_constants(tree, name)
+    values[-1] = float(tree.hanging)
+    return values
+
+
+def _leg_constants(tree: Tree, leg: str) -> Array:
+    """Constants of one leg: bar ends seen from carriage and platform, checked to be constant."""
+    model, data = tree.model, tree.model.createData()
+    carriage, tool = model.getJointId(f"{leg}_turn_c"), tree.frame(f"{leg}_tcp")
+    bars = [model.getJointId(f"{leg}_bar{k}") for k in (1, 2)]
+    knuckle = model.getJointId(f"{leg}_knuckle")
+    tip, loose = tree.frame(f"{leg}_knuckle_tip"), tree.frame(f"{leg}_bar2_tip")
+
+    def place(**joints: float) -> tuple[pin.SE3, list[Array], list[Array], list[float]]:
+        q = np.zeros(model.nq)
+        for joint, value in joints.items():
+            q[model.joints[model.getJointId(f"{leg}_{joint}")].idx_q] = value
+        pin.framesForwardKinematics(model, data, q)
+        base_from_carriage, base_from_tool = data.oMi[carriage], data.oMf[tool]
+        roots = [data.oMi[bar].translation for bar in bars]
+        ends = [data.oMi[knuckle].translation, data.oMf[tip].translation]
+        lengths = [
+            float(np.linalg.norm(end - root))
+            for end, root in zip((ends[0], data.oMf[loose].translation), roots, strict=True)
+        ]
+        return (
+            base_from_carriage.copy(),
+            [base_from_carriage.actInv(root) for root in roots],
+            [base_from_tool.actInv(end) for end in ends],
+            lengths,
+        )
+
+    rest = place()
+    probes = [place(slide=0.01), place(width1=1.0), place(width2=1.0)]
+    names = (*PASSIVE_NAMES, *RELIEF_NAMES)
+    draws = np.random.default_rng(0)
+    for _ in range(3):  # any angles will do to see whether the ends stay where they are
+        angles = {joint: float(draws.uniform(-0.5, 0.5)) for joint in names}
+        for what, here, there in zip(
+            ("carriage", "platform", "bar's other"), rest[1:], place(**angles)[1:], strict=True
+        ):
+            if np.abs(np.subtract(here, there)).max() > _FIXED:
+                raise InputError(
+                    f"leg {leg}: a bar's {what} end moves with the leg's pivots, so the pivots do "
+                    f"not meet in one point: correct the joint origins in the URDF"
+                )
+    base_from_carriage, roots, points, lengths = rest
+    slide = base_from_carriage.actInv(probes[0][0].translation) / 0.01
+    widths = [probes[1][2][0] - points[0], probes[2][2][1] - points[1]]
+    return np.concatenate(
+        [base_from_carriage.translation, base_from_carriage.rotation.ravel(), slide, *roots,
+         *points, *widths, lengths]
+    )  # fmt: skip
+
+
+def nominal_spheres(values: Array) -> tuple[Array, Array, Array]:
+    """Return centres, slide directions ``(3, 3)`` and radii ``(3,)`` of the spheres on which the TCP
+    lies while the platform is not turned, at mechanical zero and without errors; metres.
+    """
+    legs = values[:-1].reshape(3, _SIZE)
+    axes = legs[:, _AXES:_SLIDE].reshape(3, 3, 3)
+    roots, points = (
+        legs[:, start : start + 6].reshape(3, 2, 3).mean(axis=1) for start in (_ROOTS, _POINTS)
+    )
+    centres = legs[:, _START:_AXES] + np.einsum("lij,lj->li", axes, roots) - points
+    slides = np.einsum("lij,lj->li", axes, legs[:, _SLIDE:_ROOTS])
+    return centres, slides, legs[:, _LENGTHS:].mean(axis=1)
+
+
+class _Leg:
+    """Symbols of one leg: its constants ``c`` (35,), travel, displacements ``v`` (10,)."""
+
+    def __init__(self, c: Any, travel: Any, v: Any) -> None:
+        self.axes = ca.reshape(c[_AXES:_SLIDE], 3, 3).T
+        self.slide = c[_SLIDE:_ROOTS]
+        turn_a, turn_b, turn_c = (_turn(axis, v[3 + axis]) for axis in range(3))
+        turned = turn_a @ turn_b
+        # Axes about which the three turns act, seen from the carriage before it is turned.
+        self.spins = (ca.SX([1, 0, 0]), turn_a[:, 1], turned[:, 2])
+        turned = turned @ turn_c
+        self.arms = [turned @ c[_ROOTS + 3 * k : _ROOTS + 3 * k + 3] for k in range(2)]
+        centre = self.slide * travel + v[0:3]
+        self.roots = [c[_START:_AXES] + self.axes @ (centre + arm) for arm in self.arms]
+        self.widths = [c[_WIDTHS + 3 * k : _WIDTHS + 3 * k + 3] for k in range(2)]
+        self.points = [
+            c[_POINTS + 3 * k : _POINTS + 3 * k + 3] + v[8 + k] * self.widths[k] for k in range(2)
+        ]
+        self.lengths = [c[_LENGTHS + k] + v[6 + k] for k in range(2)]
+        self.tip = (c[_POINTS : _POINTS + 3] + c[_POINTS + 3 : _POINTS + 6]) / 2
+
+
+def _turn(axis: int, angle: Any) -> Any:
+    """Rotation about axis 0, 1 or 2."""
+    cosine, sine = ca.cos(angle), ca.sin(angle)
+    R = ca.SX.eye(3)
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    R[j, j], R[k, k], R[j, k], R[k, j] = cosine, cosine, -sine, sine
+    return R
+
+
+class _Symbols:
+    """Inputs of the functions, and the legs that they make."""
+
+    def __init__(self) -> None:
+        self.constants = ca.SX.sym("constants", CONSTANTS)
+        self.travel, self.moves = ca.SX.sym("travel", 3), ca.SX.sym("moves", 3 * MOVES)
+        self.legs = [
+            _Leg(
+                self.constants[leg * _SIZE : (leg + 1) * _SIZE],
+                self.travel[leg],
+                self.moves[leg * MOVES : (leg + 1) * MOVES],
+            )
+            for leg in range(3)
+        ]
+        self.inputs = [self.constants, self.travel, self.moves]
+
+    def centres(self) -> list[Any]:
+        """Centres of the spheres on which the TCP lies while the platform is not turned."""
+        return [(leg.roots[0] + leg.roots[1]) / 2 - leg.tip for leg in self.legs]
+
+    def upward(self, normal: Any, centres: list[Any]) -> Any:
+        """A number, positive where ``normal`` of the carriages' plane points to its far side.
+
+        Below parallel rails the far side is up the rails; else it is away from the origin.
+        """
+        first, hanging = self.legs[0], self.constants[CONSTANTS - 1]
+        along_rail, outward = first.axes @ first.slide, centres[0]
+        return ca.dot(normal, hanging * along_rail + (1 - hanging) * outward)
+
+
+def closing_functions() -> tuple[Any, Any]:
+    """Return CasADi functions that close the machine: from the three spheres, and from a pose.
+
+    The first takes (constants, travel (3,), moves (30,)), the second a pose (12,) besides: p and R
+    row by row. Both return (outputs (48,), check (3,)): the largest difference between a bar and its
+    length, metres; a number that is negative in the machine's own assembly mode; and the trace of R.
+    """
+    symbols = _Symbols()
+    pose = ca.SX.sym("pose", 12)
+    names = ["outputs", "check"]
+    start = _spheres(symbols)
+    first = _closed(symbols, start, ca.SX.eye(3))
+    again = _closed(symbols, pose[0:3], ca.reshape(pose[3:12], 3, 3).T)
+    inputs = ["constants", "travel", "moves"]
+    return (
+        ca.Function("close", symbols.inputs, first, inputs, names),
+        ca.Function("close_from", [*symbols.inputs, pose], again, [*inputs, "pose"], names),
+    )
+
+
+def _spheres(symbols: _Symbols) -> Any:
+    """TCP of an unturned platform, where three spheres about the carriages meet."""
+    centres = symbols.centres()
+    squares = [((leg.lengths[0] + leg.lengths[1]) / 2) ** 2 for leg in symbols.legs]
+    u, v = centres[1] - centres[0], centres[2] - centres[0]
+    w = ca.cross(u, v)
+    along_u = (ca.sumsqr(u) + squares[0] - squares[1]) / 2
+    along_v = (ca.sumsqr(v) + squares[0] - squares[2]) / 2
+    foot = (along_u * ca.cross(v, w) + along_v * ca.cross(w, u)) / ca.sumsqr(w)
+    height = ca.sqrt(ca.fmax(squares[0] - ca.sumsqr(foot), 0) / ca.sumsqr(w))
+    return centres[0] + foot - ca.sign(symbols.upward(w, centres)) * height * w
+
+
+def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
+    """Outputs and check after Newton's steps from a pose."""
+    blocks = None
+    for step in range(_NEWTON + _CHORD):
+        rows, misses = _rows(symbols, p, R)
+        if step < _NEWTON:
+            blocks = _blocks(rows)
+        dp, dw = _solve(blocks, misses)
+        p, half = p + dp, dw / 2
+        # Cayley's map of a small turn, column by column: R + 2 / (1 + h.h) h x (R + h x R).
+        factor, old = 2 / (1 + ca.sumsqr(half)), ca.horzsplit(R)
+        R = ca.horzcat(*[c + factor * ca.cross(half, c + ca.cross(half, c)) for c in old])
+    lines, off = [], ca.SX(0)
+    for leg in symbols.legs:
+        for k in range(2):
+            end = p + R @ leg.points[k]
+            lines += [leg.roots[k], end]
+            off = ca.fmax(off, ca.fabs(ca.norm_2(end - leg.roots[k]) - leg.lengths[k]))
+    outputs = ca.densify(ca.vertcat(p, ca.vec(R.T), *lines))
+    centres = symbols.centres()
+    normal = ca.cross(centres[1] - centres[0], centres[2] - centres[0])
+    side = ca.dot(normal, p - centres[0]) * symbols.upward(normal, centres)
+    return ca.cse([outputs, ca.vertcat(off, side, ca.trace(R))])
+
+
+def _rows(symbols: _Symbols, p: Any, R: Any) -> tuple[list[list[Any]], list[Any]]:
+    """Rows of the Newton system ``[e, R point x e]`` of the six bars, and their right sides."""
+    rows, misses = [], []
+    for leg in symbols.legs:
+        for k in range(2):
+            arm = R @ leg.points[k]
+            e = p + arm - leg.roots[k]
+            rows.append([*ca.vertsplit(e), *ca.vertsplit(ca.cross(arm, e))])
+            misses.append((leg.lengths[k] ** 2 - ca.sumsqr(e)) / 2)
+    return rows, misses
+
+
+def _solve(blocks: Any, right: list[Any]) -> tuple[Any, Any]:
+    """(dp, dw) that solve six rows of which the blocks are given."""
+    sums, turns, inverse_sums, schur = blocks
+    r_sum = ca.vertcat(*[right[2 * leg] + right[2 * leg + 1] for leg in range(3)])
+    r_difference = ca.vertcat(*[right[2 * leg] - right[2 * leg + 1] for leg in range(3)])
+    reduced = inverse_sums @ r_sum
+    dw = schur @ (r_difference - turns @ reduced)
+    return reduced - sums @ dw, dw
+
+
+def _blocks(rows: list[list[Any]]) -> tuple[Any, Any, Any, Any]:
+    """Blocks that solve the six rows: ``S_p^-1 S_w``, ``D_p``, ``S_p^-1`` and the inverse of
+    ``D_w - D_p S_p^-1 S_w``, for sums S and differences D of a leg's rows.
+    """
+
+    def block(sign: int, columns: range) -> Any:
+        return ca.vertcat(
+            *[
+                ca.horzcat(*[rows[2 * leg][j] + sign * rows[2 * leg + 1][j] for j in columns])
+                for leg in range(3)
+            ]
+        )
+
+    places, turns = range(3), range(3, 6)
+    inverse_sums = _inverse(block(1, places))
+    shared = inverse_sums @ block(1, turns)
+    differences = block(-1, places)
+    return shared, differences, inverse_sums, _inverse(block(-1, turns) - differences @ shared)
+
+
+def _inverse(M: Any) -> Any:
+    """Inverse of a 3 x 3 matrix by cofactors."""
+    cofactors = ca.horzcat(
+        ca.cross(M[1, :], M[2, :]).T, ca.cross(M[2, :], M[0, :]).T, ca.cross(M[0, :], M[1, :]).T
+    )
+    return cofactors * (1 / ca.dot(M[0, :].T, cofactors[:, 0]))
+
+
+def tangent_function() -> Any:
+    """Return the CasADi function (constants, travel, moves, pose (12,)) -> d outputs / d given.
+
+    The matrix is ``(48, 33)``: by the travel of the three drives, then by the virtual joints leg by
+    leg. With the bars closed, ``e . dp + (R point x e) . dw = length dlength + e . droot - e . R
+    dpoint``; the ends of the bars follow.
+    """
+    symbols, pose = _Symbols(), ca.SX.sym("pose", 12)
+    p, R = pose[0:3], ca.reshape(pose[3:12], 3, 3).T
+    rows, _ = _rows(symbols, p, R)
+    shared, differences, inverse_sums, schur = _blocks(rows)
+    # Columns of the inverse of all six rows, by the sum and the difference of each leg's.
+    turn_by_sum = -schur @ differences @ inverse_sums
+    solution = (inverse_sums - shared @ turn_by_sum, -shared @ schur, turn_by_sum, schur)
+    arms = [[R @ point for point in leg.points] for leg in symbols.legs]
+    columns: list[Any] = [None] * GIVEN
+    for number in range(3):
+        for place, column in _leg_columns(symbols, number, R, arms, rows, solution).items():
+            columns[place] = column
+    return ca.Function(
+        "tangent",
+        [*symbols.inputs, pose],
+        ca.cse([ca.densify(ca.horzcat(*columns))]),
+        ["constants", "travel", "moves", "pose"],
+        ["by_given"],
+    )
+
+
+def _leg_columns(
+    symbols: _Symbols,
+    number: int,
+    R: Any,
+    arms: list[list[Any]],
+    rows: list[list[Any]],
+    solution: tuple[Any, ...],
+) -> dict[int, Any]:
+    """Derivative of the outputs by one drive and its leg's virtual joints, by place in given."""
+    leg, zero = symbols.legs[number], ca.SX(3, 1)
+    virtual = 3 + MOVES * number
+    # By place: how the bars' roots move (base frame), their points (turned), their lengths.
+    moved: dict[int, tuple[list[Any], list[Any], list[Any]]] = {
+        number: ([leg.axes @ leg.slide] * 2, [zero] * 2, [0, 0])
+    }
+    for axis in range(3):
+        moved[virtual + axis] = ([leg.axes[:, axis]] * 2, [zero] * 2, [0, 0])
+        spun = [leg.axes @ ca.cross(leg.spins[axis], arm) for arm in leg.arms]
+        moved[virtual + 3 + axis] = (spun, [zero] * 2, [0, 0])
+    for k in range(2):
+        one = [1 if k == bar else 0 for bar in range(2)]
+        wider = [R @ leg.widths[k] if k == bar else zero for bar in range(2)]
+        moved[virtual + 6 + k] = ([zero] * 2, [zero] * 2, one)
+        moved[virtual + 8 + k] = ([zero] * 2, wider, [0, 0])
+    columns = {}
+    for place, (roots, points, lengths) in moved.items():
+        right = []
+        for k in range(2):
+            e = ca.vertcat(*rows[2 * number + k][:3])
+            right.append(leg.lengths[k] * lengths[k] + ca.dot(e, roots[k] - points[k]))
+        total, difference = right[0] + right[1], right[0] - right[1]
+        by_sum, by_difference, turn_by_sum, turn_by_difference = solution
+        dp = by_sum[:, number] * total + by_difference[:, number] * difference
+        dw = turn_by_sum[:, number] * total + turn_by_difference[:, number] * difference
+        turned = ca.horzcat(*[ca.cross(dw, column) for column in ca.horzsplit(R)])
+        parts = [dp, ca.vec(turned.T)]
+        for other in range(3):
+            for k in range(2):
+                end = dp + ca.cross(dw, arms[other][k])
+                own = other == number
+                parts += [roots[k] if own else zero, end + points[k] if own else end]
+        columns[place] = ca.vertcat(*parts)
+    return columns
