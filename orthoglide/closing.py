@@ -33,6 +33,7 @@ from orthoglide.fit.exchanged import check_columns
 from orthoglide.fit.instrument_frame import turned_to
 from orthoglide.fit.loud import is_misdeclared
 from orthoglide.fit.meant import check_meant
+from orthoglide.fit.verification import verify
 from orthoglide.frames import html_table
 from orthoglide.judging import hold_out, tcp_errors
 from orthoglide.machine import Machine, MachineSource
@@ -220,7 +221,8 @@ def run(request: Request, progress: Progress | None = None) -> Verdict:
     changed = (*(c for c in since if c.is_told), *(c.measured(verdict.after) for c in changes))
     notes = (Note(found_now, "earlier") for c in since if (found_now := c.found_only_now))
     told = (*verdict.after.warnings, *notes, *_vague(read))
-    after = replace(verdict.after, warnings=told)
+    progress(Step("verifying"))
+    after = replace(verdict.after, warnings=told, verification=verify(verdict.after))
     progress(Step("judging"))
     return judge(replace(verdict, changed=changed, after=after))
 

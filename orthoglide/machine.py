@@ -302,6 +302,12 @@ class Machine:
             self._models.append(built)
         return self._models[0]
 
+    def judged(self) -> Machine:
+        """Return the same machine, every posture closed by Pinocchio's constraint Jacobian: slow."""
+        machine = Machine(self.spec)
+        machine.__dict__["_models"] = [self.model.judged()]
+        return machine
+
     @cached_property
     def _theta(self) -> Array:
         """All parameters of the machine as the model takes them."""

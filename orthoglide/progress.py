@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Stage = Literal[
-    "computing", "reading", "identifying", "faults", "testing", "trying", "comparing", "allowing",
+    "computing", "reading", "identifying", "faults", "testing", "trying", "comparing", "allowing", "verifying",
     "judging", "suggesting", "drawing", "writing",
 ]  # fmt: skip
 
@@ -20,6 +20,7 @@ _STAGES: Mapping[Stage, tuple[str, int]] = {
     "trying": ("trying", 36),
     "comparing": ("comparing with", 50),
     "allowing": ("allowing for everything else", 62),
+    "verifying": ("closing every posture once more with Pinocchio", 64),
     "judging": ("judging", 66),
     "suggesting": ("choosing what to measure next", 70),
     "drawing": ("drawing", 78),

@@ -23,6 +23,7 @@ from orthoglide.numerals import ByUnit
 from orthoglide.units import Unit
 
 if TYPE_CHECKING:
+    from orthoglide.fit.verification import Verification
     from orthoglide.figures.style import Drawing
 
 
@@ -38,13 +39,14 @@ class Estimate(Framed):
         scores: of this fit.
         weak: directions that the readings hardly see.
         check: against the reduction and system (11); ``None`` where they cannot represent it.
-        method: ``nlp``, ``nested`` or ``reduction``.
+        method: ``nlp``, ``nested``, ``pinocchio`` or ``reduction``.
         iterations: of the solver.
         optimality: step that a Newton iteration would still make, in sigmas.
         warnings: what a user should know, in sentences.
         at: linearisation at the fit.
         nuisance: datums and placements of the fit.
         changes: what is not what an earlier calibration found.
+        verification: by Pinocchio, of a finished result.
     """
 
     problem: Problem
@@ -61,6 +63,7 @@ class Estimate(Framed):
     at: Linearised = field(repr=False)
     nuisance: Nuisances = field(repr=False)
     changes: tuple[Any, ...] = ()
+    verification: Verification | None = None
     _index = "parameter"
 
     @property

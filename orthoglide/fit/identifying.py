@@ -22,6 +22,7 @@ from orthoglide.fit.problem import Beside, Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.unknowns import build_problem
+from orthoglide.fit.verification import verify
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import (
     Campaign,
@@ -78,9 +79,10 @@ def identify(
             ``"deviations"`` is the papers' ordinary least squares on differences from each
             setup's first posture, which takes that posture's reading and the dials' places for
             exact.
-        method: ``"nlp"``, ``"nested"``, ``"reduction"`` (the analytic PSS model); ``"auto"`` takes
-            the programme up to ``NLP_POSTURES`` postures and ``NLP_UNKNOWNS`` unknowns, and nests
-            the closure beyond.
+        method: ``"nlp"``, ``"nested"`` (Gauss-Newton on closed postures), ``"pinocchio"`` (the same,
+            every closure and sensitivity from Pinocchio's constraint Jacobian: slow),
+            ``"reduction"`` (the analytic PSS model); ``"auto"`` takes the programme up to
+            ``NLP_POSTURES`` postures and ``NLP_UNKNOWNS`` unknowns, and nests the closure beyond.
         frame: how the instrument of TCP points may stand to the machine: ``"none"``: not at all,
             ``"translation"``, or ``"rigid"``.
 
@@ -88,7 +90,8 @@ def identify(
         InputError: where what is asked makes no sense.
         UnidentifiableError: where the readings cannot determine it, naming what.
         SolverError: where no solver reaches an answer that passes our own checks.
-        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
+        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm, or six bars
+            and Pinocchio by more than 1e-6 mm of the TCP.
     """
     check_word("weighting", weighting, get_args(Weighting))
     check_word("method", method, get_args(Method))
@@ -107,7 +110,7 @@ def identify(
     found = account_for_changes(solve(problem, method=method), method)
     check_columns(found)
     check_slips(found)
-    return found
+    return replace(found, verification=verify(found))
 
 
 def assemble(

@@ -344,7 +344,7 @@ class Problem:
     @cached_property
     def representable(self) -> bool:
         """Whether the reduction's six parameters say all that is asked and held."""
-        if self.points or self.earlier is not None:
+        if self.points or self.earlier is not None or self.machine.spec.urdf:
             return False
         named = [n for k in range(len(self.factors)) for n in self.elementary(k)[0]]
         held = [n for values in self.held for n, v in values.items() if v]

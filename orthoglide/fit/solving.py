@@ -27,7 +27,7 @@ from orthoglide.fit.tool import ToolReadings
 from orthoglide.fit.weakness import sparse_basis, weak_directions
 from orthoglide.geometry import Array
 
-Method = Literal["auto", "nlp", "nested", "reduction"]
+Method = Literal["auto", "nlp", "nested", "pinocchio", "reduction"]
 
 _MANY, _SOME = 20_000, 2_000  # readings from which a fit starts from a fit of some
 
@@ -212,6 +212,10 @@ def _solved(
     if method == "reduction":
         x, iterations = _reduced(problem, nuisance)
         return linearise(problem, x), iterations, "reduction"
+    if method == "pinocchio":
+        judged = replace(problem, machine=problem.machine.judged())
+        at, steps = solve_nested(judged, nuisance, linearise(judged, near.x))
+        return linearise(problem, at.x), steps + 1, "pinocchio"
     elastic = any(problem.machine.model.is_elastic(f.conditions()) for f in problem.factors)
     tool = any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":

@@ -98,10 +98,14 @@ class ByPinocchio:
 
     Args:
         mechanism: three legs with virtual joints.
+
+    Attributes:
+        worst: largest closure residual so far by loop, metres or radians.
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism = mechanism
+        self.worst = dict.fromkeys(mechanism.tree.rows, 0.0)
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """See :class:`Engine`."""
@@ -118,6 +122,7 @@ class ByPinocchio:
         for k in range(n):
             with _numbered(k, n):
                 posture = self.mechanism.close(zero + travel[k], moves[k].reshape(3, -1))
+            self.worst = {n: max(v, posture.residual[n]) for n, v in self.worst.items()}
             values[k] = self._shown(posture)
             if tangents:
                 by_given[k] = self._moved(posture)

@@ -73,6 +73,7 @@ def _mapping(result: Result) -> dict[str, Any]:
         "changed": [_change(change) for change in result.changed],
         "weak_directions": [_weak(weak) for weak in after.weak],
         "cross_check": before.check and _check(before.check),
+        "verification": after.verification and after.verification.as_dict(),
         **({} if result.firmware is None else {"firmware": result.firmware.as_dict()}),
         "next_measurements": [_next(suggestion) for suggestion in result.next_measurements],
         "left": _left(result),
