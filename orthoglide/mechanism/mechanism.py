@@ -154,14 +154,19 @@ class Mechanism:
             InputError: where the arguments have the wrong shape or are not finite.
         """
         q = self._start(command, displacements, guess)
-        if mode != "machine" and guess is None:
-            travel = q[None, self.tree.drive]
-            p = tool(self.spheres, travel, mode)
-            if np.isfinite(p).all():
-                q[self.tree.free] = free_joints(self.tree, self.spheres, travel, p)[0]
         moving = self.tree.passive if legs == "rigid" else self.tree.free
-        q, iterations = self._newton(q, moving)
-        return self._checked(q, iterations, mode, legs)
+        if mode == "machine" or guess is not None:
+            try:
+                return self._checked(*self._newton(q, moving), mode, legs)
+            except ClosureError:
+                if guess is not None or not self.has_legs:
+                    raise
+        # Far from neutral, and in the other mode, the legs start where they would be without errors.
+        travel = q[None, self.tree.drive]
+        p = tool(self.spheres, travel, mode)
+        if np.isfinite(p).all():
+            q[self.tree.free] = free_joints(self.tree, self.spheres, travel, p)[0]
+        return self._checked(*self._newton(q, moving), mode, legs)
 
     def _newton(self, q: Array, moving: np.ndarray[Any, np.dtype[np.intp]]) -> tuple[Array, int]:
         """Return the configuration where Newton's method ends, and its steps."""
