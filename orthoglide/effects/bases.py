@@ -22,9 +22,10 @@ _NO_TRAVEL = (
 )
 _NO_PITCH = "c.pitch is None where the machine file has none: return 0.0 then"
 
-# Travel, approach, time, warming and force in the middle and toward both ends.
-_PLACES = ((-0.08, -1, 0, 0, -5), (0, 0, 0, 0, 0), (0.05, 1, 3600, 5, 10))
-_ZERO, _PITCH = 0.3, 0.02
+# Travel, approach, time, warming and force in the middle and toward both ends; then bar length,
+# stroke, command at zero and pitch, which are symbols too: one function serves all dimensions.
+_SIZE = (0.3, -0.1, 0.06, 0.3, 0.02)
+_PLACES = ((-0.08, -1, 0, 0, -5, *_SIZE), (0, 0, 0, 0, 0, *_SIZE), (0.05, 1, 3600, 5, 10, *_SIZE))
 
 
 def check_bases(effect: Effect) -> None:
@@ -41,19 +42,19 @@ def check_bases(effect: Effect) -> None:
         for motion in motions:
             known = motion.joint != "travel"
             for pitch, travel, remedy in (
-                (_PITCH, True, _ARITHMETIC),
-                (_PITCH, known, _NO_TRAVEL),
-                (None, known, _NO_PITCH),
+                (True, True, _ARITHMETIC),
+                (True, known, _NO_TRAVEL),
+                (False, known, _NO_PITCH),
             ):
                 _check(name, partial(_moved, motion.basis, pitch, travel), remedy)
 
 
-def _moved(basis: Basis, pitch: float | None, travel: bool, v: Any) -> Any:
-    command = v[0] + _ZERO
+def _moved(basis: Basis, pitch: bool, travel: bool, v: Any) -> Any:
+    command = v[0] + v[8]
     return basis(
         LegConditions(
-            command, _ZERO, (-0.1, 0.06), pitch, v[1], v[2], v[3], v[4],
-            v[0] if travel else None, _ZERO, (command,) * 3,
+            command, v[5], (v[6], v[7]), v[9] if pitch else None, v[1], v[2], v[3], v[4],
+            v[0] if travel else None, v[8], (command,) * 3,
         )
     )  # fmt: skip
 
