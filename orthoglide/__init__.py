@@ -70,6 +70,10 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         read_tcp as read_tcp,
         write_campaign as write_campaign,
     )
+    from orthoglide.as_pinocchio import (
+        PinocchioModel as PinocchioModel,
+        pinocchio_model as pinocchio_model,
+    )
     from orthoglide.planning import (
         Design as Design,
         Owned as Owned,
@@ -112,6 +116,7 @@ _WHERE = {
         "Campaign Setup TcpPoints ToolCampaign ToolSetup protocol read_campaign read_readings "
         "read_tcp write_campaign"
     ),
+    "as_pinocchio": "PinocchioModel pinocchio_model",
     "planning": (
         "Design Owned Suggestion design needed_tolerances next_measurements owned_instruments "
         "repeats_needed smallest_effects"

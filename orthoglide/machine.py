@@ -131,7 +131,8 @@ class Machine:
             FileError: where a file is missing or says what cannot be.
             InputError: where the URDF has not three PRPaR legs.
         """
-        machine = cls(replace(cls.of(given).spec, urdf=str(Path(folder).resolve())))
+        path = Path(folder).resolve()
+        machine = cls(replace(cls.of(given).spec, name=path.name, urdf=str(path)))
         _ = machine.model.engine  # which reads the files
         return machine
 

@@ -192,7 +192,7 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
     if isinstance(given, str | os.PathLike):
         return read_machine_file(given)
     if isinstance(given, Geometry):
-        return MachineFile(geometry=given)
+        return MachineFile(name=_name_of(given), geometry=given)
     found = MachineFile() if given is None else getattr(given, "spec", given)
     if not isinstance(found, MachineFile):
         raise InputError(
@@ -200,6 +200,15 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
             f"Geometry"
         )
     return found
+
+
+def _name_of(geometry: Geometry) -> str:
+    """What a machine of given dimensions is called until somebody names it."""
+    if geometry == Geometry():
+        return MachineFile().name
+    kinds = {"orthoglide": "Orthoglide", "linear-delta": "Linear delta", "legs": "Three legs"}
+    bars = "arms" if geometry.layout.kind == "linear-delta" else "bars"
+    return f"{kinds[geometry.layout.kind]}, {bars} of {geometry.L * 1e3:g} mm"
 
 
 def read_machine_file(

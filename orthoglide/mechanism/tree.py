@@ -144,9 +144,10 @@ class Tree:
 
 @dataclass(frozen=True)
 class LoopedModel:
-    """A Pinocchio model as its URDF has it, the frames that coincide, and the driven joints."""
+    """A Pinocchio model as its URDF has it, its text, the frames that coincide, the driven joints."""
 
     model: pin.Model
+    text: str
     loops: tuple[Closure, ...]
     motors: tuple[str, ...]
 
@@ -178,7 +179,8 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel
             raise FileError(
                 f"{motor} is driven and no joint of one degree of freedom", file=shown(found.path)
             )
-    return LoopedModel(_replaced(model, found.replaced), found.closures, found.motors)
+    model = _replaced(model, found.replaced)
+    return LoopedModel(model, found.urdf, found.closures, found.motors)
 
 
 def nominal_tree(looped: LoopedModel) -> Tree:
@@ -248,7 +250,9 @@ def _with_extras(source: pin.Model) -> pin.Model:
     carrier = {0: 0}  # joint of the source -> joint of the copy that carries its bodies
 
     def add(parent: int, joint: Any, placement: pin.SE3, name: str) -> int:
-        return int(model.addJoint(parent, joint, placement, name))
+        number = int(model.addJoint(parent, joint, placement, name))
+        model.addJointFrame(number)  # which Pinocchio's own algorithms on models look for
+        return number
 
     for j in range(1, source.njoints):
         leg, _, name = source.names[j].partition("_")

@@ -1,0 +1,107 @@
+"""A machine as Pinocchio's own objects, for users of Pinocchio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from orthoglide.geometry import Array
+from orthoglide.machine import Machine, MachineSource
+from orthoglide.mechanism.constraints import Constraints
+from orthoglide.mechanism.tree import Tree, load
+
+
+@dataclass(frozen=True)
+class PinocchioModel:
+    """A machine with closed loops in Pinocchio's terms.
+
+    Attributes:
+        model: ``pin.Model`` of the tree: 3 driven slides and 21 passive joints, 6 of them relief
+            joints that take up errors of the parts. Metres, kilograms, radians.
+        constraint_models: ``pin.StdVec_ConstraintModel``, one a loop: point anchors for the
+            parallelograms, frame anchors for the platform.
+        constraint_datas: the data that belong to them. Call ``calc(model, data, constraint_data)`` of
+            each before asking for a constraint Jacobian.
+        rigid_models, rigid_datas: the same loops as ``RigidConstraintModel``, which Pinocchio's
+            constrained dynamics (``constraintDynamics``, ``lcaba``) still asks for.
+        visual_model: ``pin.GeometryModel`` for Pinocchio's viewers.
+        q: configuration ``(nq,)`` at mechanical zero with all loops closed.
+        drives: places of the driven slides in the velocity vector ``(3,)``.
+        tool: number of the frame that is the tool.
+    """
+
+    model: Any
+    constraint_models: Any
+    constraint_datas: Any
+    rigid_models: Any
+    rigid_datas: Any
+    visual_model: Any
+    q: Array
+    drives: Array
+    tool: int
+
+
+def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
+    """Return a machine as model, constraint models and data, visual model and a closed configuration.
+
+    Errors of the parts are frozen into joint placements as they are at mechanical zero; what follows
+    the command (a bent rail, a drive's scale) is the business of ``Machine``, which maps a command to
+    displacements.
+
+    Args:
+        machine: nominal or calibrated, or the path of its file; the published one where absent.
+
+    Raises:
+        ClosureError: where the machine does not close at mechanical zero.
+    """
+    own = Machine.of(machine)
+    tree = own.model.mechanism.tree
+    posture = own.close(own.geometry.zero)
+    locked = [k for k in range(1, tree.model.njoints) if tree.model.joints[k].idx_v in tree.virtual]
+    model, (visual,) = pin.buildReducedModel(tree.model, [_visual(own, tree)], locked, posture.q)
+    kept = [k for k in range(tree.model.nq) if k not in set(tree.virtual.tolist())]
+    place = {int(old): new for new, old in enumerate(kept)}
+    drives = np.array([place[int(k)] for k in tree.drive])
+    free = np.array([place[int(k)] for k in tree.free])
+    none = np.zeros(0, dtype=np.intp)
+    reduced = Tree(model, tree.loops, tree.motors, drives, free, none, none, tree.tool)
+    constraints = Constraints(reduced)
+    return PinocchioModel(
+        model,
+        constraints.models,
+        constraints.datas,
+        *_rigid(reduced),
+        visual,
+        posture.q[kept],
+        drives,
+        reduced.frame(tree.tool),
+    )
+
+
+def _rigid(tree: Tree) -> tuple[Any, Any]:
+    """The loops as Pinocchio's older kind of constraint, with their data."""
+    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    for loop in tree.loops:
+        first, second = (
+            tree.model.frames[tree.frame(name)] for name in (loop.frame_1, loop.frame_2)
+        )
+        kind = pin.ContactType.CONTACT_3D if loop.kind == "point" else pin.ContactType.CONTACT_6D
+        places = (first.parentJoint, first.placement, second.parentJoint, second.placement)
+        models.append(pin.RigidConstraintModel(kind, tree.model, *places, pin.LOCAL))
+        datas.append(models[-1].createData())
+    return models, datas
+
+
+def _visual(machine: Machine, tree: Tree) -> Any:
+    """Pictures of the links, carried by the joints of the general tree."""
+    looped = load(machine.spec.urdf or machine.geometry)
+    visual = pin.buildGeomFromUrdfString(looped.model, looped.text, pin.GeometryType.VISUAL)
+    for item in visual.geometryObjects:
+        link = looped.model.frames[item.parentFrame]
+        frame = tree.model.frames[tree.frame(link.name)]
+        item.placement = frame.placement * link.placement.inverse() * item.placement
+        item.parentJoint, item.parentFrame = frame.parentJoint, tree.frame(link.name)
+    return visual
