@@ -1,9 +1,10 @@
-"""How fast the loops close: every way this package has, beside MuJoCo, in one run.
+"""How fast the loops close: six bars and Pinocchio beside MuJoCo, in one run on one core.
 
-    python benchmarks/closure.py
+    python benchmarks/closure.py [--markdown]
 
 All rows solve random commands of the stroke of the same machine, on one thread. Rounds over all
 rows follow each other, so that a busy computer disturbs all alike; a row shows the median round.
+``--markdown`` prints the page ``docs/speed.md``.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -14,34 +15,61 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+import argparse
 import platform
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
+import orthoglide as og
 from orthoglide import reduction
-from orthoglide.effects import CATALOGUE
-from orthoglide.geometry import Geometry
-from orthoglide.layout import LinearDelta
-from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.batch import BatchClosure
-from orthoglide.prediction import Conditions, Model
+from orthoglide.mechanism.engine import ByPinocchio, SixBars
+from orthoglide.mechanism.mechanism import Mechanism
+from orthoglide.prediction import Model
 
 Array = NDArray[np.float64]
 ROUNDS = 7
-YARDSTICKS = ("MuJoCo, PRPaR legs", "MuJoCo, six bars")
+YARDSTICK = "MuJoCo with a Newton loop, six bars"
+GEOMETRY = og.Geometry()
+
+PAGE = """# Speed
+
+Printed by `python benchmarks/closure.py --markdown`, all rows in one run on one core in turns: compare
+rows of one run only, and run it on your own computer. Microseconds a posture; the last column is the
+time as a share of MuJoCo's constraint Jacobian with a Newton loop in Python, posture by posture, on the
+same machine as a platform on six bars.
+
+{table}
+
+{notes}
+
+## What the rows are
+
+- *Machine.forward* is what users call: commands and parameters in, TCP out. *Twenty effects* are drives,
+  rails, mounts and bars at their tolerances.
+- *Closure object* is `SixBars.single`: travel and displacements of the virtual joints in, tool, platform and
+  bar ends out, evaluated where the numbers lie, without checks.
+- *Pinocchio* is `Mechanism.close`: Newton's method on Pinocchio's constraint Jacobian. It defines the
+  machine, and closes every posture of a finished identification once more.
+- *All sensitivities* are the derivatives of tool, platform and bar ends by three drives and thirty virtual
+  joints.
+- *Compiled* rows use the C compiler of the computer: the closure is compiled once, after 50 000 postures,
+  and kept in a cache (`ORTHOGLIDE_CACHE` names another folder). Without a compiler CasADi interprets the
+  same functions; both return the same numbers to the last bit.
+
+`python benchmarks/identify.py` times identifications of growing campaigns in the same way.
+"""
 
 
 @dataclass
@@ -50,17 +78,15 @@ class Row:
 
     Attributes:
         name: what it is.
-        start: where Newton's method starts from.
         count: postures of one call.
         call: solves them.
         rounds: seconds of each round.
     """
 
     name: str
-    start: str
     count: int
     call: Callable[[], object]
-    rounds: list[float]
+    rounds: list[float] = field(default_factory=list)
 
     @property
     def microseconds(self) -> float:
@@ -68,182 +94,163 @@ class Row:
         return 1e6 * float(np.median(self.rounds)) / self.count
 
 
-def commands(geometry: Geometry, n: int) -> Array:
+def commands(n: int) -> Array:
     """Random commands of the stroke ``(n, 3)``."""
-    return geometry.L + np.random.default_rng(0).uniform(*geometry.stroke, (n, 3))
+    return GEOMETRY.L + np.random.default_rng(0).uniform(*GEOMETRY.stroke, (n, 3))
 
 
-def rows(geometry: Geometry) -> list[Row]:
+def twenty_effects() -> dict[str, float]:
+    """Twenty parameters of drives, rails, mounts and bars at their tolerances."""
+    machine = og.Machine.nominal()
+    families = ("joint_offset", "leg_length", "axis_tilt", "mount_tilt", "bar_mismatch", "rail_bow")
+    names = [str(n) for n in machine.catalogue.parameters if n.effect in families]
+    return {name: machine.tolerance(name) for name in names[:20]}
+
+
+def rows() -> list[Row]:
     """Everything that is measured, built and warmed up."""
     found: list[Row] = []
 
-    def add(name: str, start: str, count: int, call: Callable[[], object]) -> None:
+    def add(name: str, count: int, call: Callable[[], object]) -> None:
         call()
-        found.append(Row(name, start, count, call, []))
+        found.append(Row(name, count, call))
 
-    many = commands(geometry, 100_000)
-    add("analytic reduction, batch", "none", len(many), lambda: reduction.forward(many))
-    for with_compiler in (False, True):
-        _add_single(geometry, add, with_compiler)
-        _add_batches(geometry, add, with_compiler)
-    _add_mujoco(geometry, add)
+    few, many = commands(200), commands(20_000)
+    add("analytic reduction, batch", 100_000, lambda big=commands(100_000): reduction.forward(big))
+    effects = twenty_effects()
+    for compiled in (True, False):
+        model = Model(GEOMETRY, compile=compiled)
+        if compiled and not model.engine.compiled:
+            continue
+        how = "compiled" if compiled else "interpreted"
+        for name, values in (("no effect", {}), ("twenty effects", effects)):
+            machine = og.Machine.nominal().with_parameters(values)
+            machine.__dict__["_models"] = [model]
+            forward = machine.forward
+            add(f"Machine.forward, one posture, {name}, {how}", 200,
+                lambda forward=forward: [forward(rho) for rho in few])  # fmt: skip
+            add(f"Machine.forward, batch, {name}, {how}", len(many),
+                lambda forward=forward: forward(many))  # fmt: skip
+        add_engine(add, model.engine, how)
+    add_pinocchio(add, few)
+    add_mujoco(add, few)
     return found
 
 
-def _add_single(geometry: Geometry, add: Callable[..., None], with_compiler: bool) -> None:
-    mechanism, rho = Mechanism(geometry, compile=with_compiler), commands(geometry, 200)
-    if with_compiler and not mechanism.batch.compiled:
-        return
-    moves = 3e-3 * np.random.default_rng(1).standard_normal((len(rho), 3, 10))
-    near = [mechanism.close(r + 1e-3) for r in rho]
-    pairs = list(zip(rho, near, strict=True))
-    displaced = list(zip(rho, moves, strict=True))
-    one = f"one posture, {'C compiler' if with_compiler else 'Pinocchio'}"
-    add(f"{one}, relieved legs", "cold", 200, lambda: [mechanism.close(r) for r in rho])
-    add(
-        f"{one}, relieved legs",
-        "1 mm off",
-        200,
-        lambda: [mechanism.close(r, guess=g) for r, g in pairs],
-    )
-    add(
-        f"{one}, all virtual joints",
-        "cold",
-        200,
-        lambda: [mechanism.close(r, m) for r, m in displaced],
-    )
-    if not with_compiler:
-        rigid = lambda: [mechanism.close(r, legs="rigid") for r in rho]  # noqa: E731
-        add(f"{one}, rigid legs", "cold", 200, rigid)
+def add_engine(add: Callable[..., None], engine: SixBars, how: str) -> None:
+    """The closure object alone, and its sensitivities."""
+    travel = commands(4000) - GEOMETRY.L
+    moves = 1e-3 * np.random.default_rng(1).standard_normal((len(travel), 30))
+    single, each = engine.single, list(zip(travel[:500], moves[:500], strict=True))
+
+    def bare() -> None:
+        _, own_travel, own_moves = single.given
+        for one, displacements in each:
+            own_travel[:], own_moves[:] = one, displacements
+            single.evaluate()
+
+    add(f"closure object, one posture, {how}", len(each), bare)
+    add(f"closure and all sensitivities, batch, {how}", len(travel),
+        lambda: engine.tangent(travel, moves))  # fmt: skip
 
 
-def _add_batches(geometry: Geometry, add: Callable[..., None], with_compiler: bool) -> None:
-    model = Model(geometry, 0.02, compile=with_compiler)
-    mechanism = model.mechanism
-    if with_compiler and not mechanism.batch.compiled:
-        return
-    how = "C compiler" if with_compiler else "no compiler"
-    rho = commands(geometry, 4000)
-    moves = 3e-3 * np.random.default_rng(1).standard_normal((len(rho), 3, 10))
-    rigid, general = mechanism.given(rho)[:, :3].copy(), mechanism.given(rho, moves)
-    batch, nominal = mechanism.batch, mechanism.nominal_batch
-    add(f"batch, rigid legs, {how}", "cold", len(rho), lambda: nominal.close(rigid))
-    add(f"batch, relief and virtual joints, {how}", "cold", len(rho), lambda: batch.close(general))
-    delta = Mechanism(_delta(), compile=with_compiler)
-    rods = delta.given(delta.inverse(_on_plate(4000)), moves / 10)
-    name = "batch, all virtual joints, linear delta"
-    add(f"{name}, {how}", "cold", len(rods), lambda: delta.batch.close(rods))
-    closed, part = batch.close(general[:1000]), general[:1000]
-    add(
-        f"tangent by 33 joints, closed batch, {how}",
-        "closed",
-        1000,
-        lambda: batch.tangent(closed, part),
-    )
-    values = {"joint_offset.x": 1e-3, "axis_tilt.y.z": 1e-3}
-    for count, name in ((1000, "batch"), (1, "one posture")):
-        seen = Conditions.at(rho[:count])
-        add(
-            f"closure and {len(CATALOGUE.parameters)} sensitivities, {name}, {how}",
-            "cold",
-            count,
-            lambda seen=seen: model.sensitivities(values, seen, CATALOGUE.parameters),
-        )
+def add_pinocchio(add: Callable[..., None], few: Array) -> None:
+    """The definition, posture by posture."""
+    mechanism = Mechanism(GEOMETRY)
+    moves = 1e-3 * np.random.default_rng(1).standard_normal((len(few), 3, 10))
+    judge = ByPinocchio(mechanism)
+    add("Pinocchio, Mechanism.close, one posture", len(few),
+        lambda: [mechanism.close(rho, m) for rho, m in zip(few, moves, strict=True)])  # fmt: skip
+    add("Pinocchio, closure and all sensitivities", len(few),
+        lambda: judge.tangent(few - GEOMETRY.L, moves.reshape(-1, 30)))  # fmt: skip
 
 
-def _delta() -> Geometry:
-    """A printer of common size."""
-    return Geometry(0.3455, 0.05, 0.032, (-0.17, 0.43), LinearDelta((0.195,) * 3))
-
-
-def _on_plate(count: int) -> Array:
-    """Points above the plate ``(count, 3)``, metres."""
-    r, turn, z = np.random.default_rng(0).random((3, count))
-    r, turn = 0.13 * np.sqrt(r), 2 * np.pi * turn
-    return np.stack([r * np.cos(turn), r * np.sin(turn), 0.15 * z], axis=1)
-
-
-def _add_mujoco(geometry: Geometry, add: Callable[..., None]) -> None:
+def add_mujoco(add: Callable[..., None], few: Array) -> None:
+    """MuJoCo's constraint Jacobian with a Newton loop in Python, if it is installed."""
     try:
         from tests.mujoco_machine import Dimensions, MujocoMachine, prpar_mjcf, six_bar_mjcf
     except ImportError:
         return
-    rho = commands(geometry, 200)
-    size = Dimensions(geometry.L, geometry.d, geometry.r)
-    for name, build in zip(YARDSTICKS, (prpar_mjcf, six_bar_mjcf), strict=True):
-        machine = MujocoMachine(build(size), geometry.L)
-        worst = max(np.abs(machine.pose(r)[0] - reduction.forward(r)).max() for r in rho)
+    size = Dimensions(GEOMETRY.L, GEOMETRY.d, GEOMETRY.r)
+    named = {"MuJoCo with a Newton loop, PRPaR legs": prpar_mjcf, YARDSTICK: six_bar_mjcf}
+    for name, build in named.items():
+        machine = MujocoMachine(build(size), GEOMETRY.L)
+        worst = max(np.abs(machine.pose(r)[0] - reduction.forward(r)).max() for r in few)
         if not worst < 1e-12:
             raise SystemExit(f"{name} stands {worst:.2g} m from the reduction: nothing to compare")
-        add(name, "cold", len(rho), lambda machine=machine: [machine.close(r) for r in rho])
-
-
-def import_seconds(code: str) -> float:
-    """Wall time of a fresh interpreter that runs ``code``, the least of five."""
-
-    def once() -> float:
-        begin = time.perf_counter()
-        subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-        return time.perf_counter() - begin
-
-    return min(once() for _ in range(5))
-
-
-def compile_seconds(geometry: Geometry) -> float:
-    """Wall time of compiling both trees where the cache has nothing."""
-    mechanism = Mechanism(geometry)
-    trees = [mechanism.tree, mechanism.nominal_batch.tree]
-    begin = time.perf_counter()
-    for tree in trees:
-        BatchClosure(tree, compile=True)
-    return time.perf_counter() - begin
+        add(name, len(few), lambda machine=machine: [machine.close(r) for r in few])
 
 
 def measure(found: list[Row]) -> None:
+    """Time all rows in turns."""
     for _ in range(ROUNDS):
         for row in found:
             # A round is long enough for the clock, however short a call is.
             calls = max(1, round(1e-2 / (row.microseconds * 1e-6 * row.count))) if row.rounds else 1
-            begin = time.perf_counter()
+            begin = time.process_time()
             for _ in range(calls):
                 row.call()
-            row.rounds.append((time.perf_counter() - begin) / calls)
+            row.rounds.append((time.process_time() - begin) / calls)
 
 
-def table(found: list[Row]) -> Table:
-    yardstick = {row.name: row.microseconds for row in found if row.name in YARDSTICKS}
-    shown = Table(title="closure solves, one thread", caption="x: times as fast as MuJoCo's row")
-    for heading, justify in (
-        ("what", "left"), ("start", "left"), ("batch", "right"), ("us/solve", "right"),
-        ("solves/s", "right"), *((f"x {name}", "right") for name in yardstick),
-    ):  # fmt: skip
-        shown.add_column(heading, justify=justify)  # type: ignore[arg-type]
+def process_seconds(code: str, environment: dict[str, str] | None = None) -> float:
+    """Processor time of a fresh interpreter that runs ``code``, the least of five."""
+
+    def once() -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, env=environment)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    return min(once() for _ in range(5))
+
+
+def notes(compiling: float) -> str:
+    """Times of whole processes."""
+    bare, imported = process_seconds("pass"), process_seconds("import orthoglide")
+    first = "import orthoglide as og; og.Machine.nominal().forward([0.30, 0.31, 0.32])"
+    return (
+        f"Processor time of a fresh process, the least of five: `import orthoglide` "
+        f"{imported - bare:.3f} s beyond the interpreter's {bare:.3f} s, up to the end of the first "
+        f"`Machine.forward` {process_seconds(first):.2f} s, most of it the imports of numpy, scipy, "
+        f"Pinocchio and CasADi. Compiling closure and sensitivities, once: {compiling:.1f} s. "
+        f"Python {platform.python_version()}, {platform.machine()}."
+    )
+
+
+def table(found: list[Row]) -> str:
+    """The rows in Markdown, beside MuJoCo's."""
+    yardstick = next((row.microseconds for row in found if row.name == YARDSTICK), None)
+    lines = ["| what | us a posture | share of MuJoCo's |", "|---|---|---|"]
     for row in found:
-        us = row.microseconds
-        ratios = [f"{reference / us:.2f}" for reference in yardstick.values()]
-        shown.add_row(row.name, row.start, str(row.count), f"{us:.3g}", f"{1e6 / us:,.0f}", *ratios)
-    return shown
+        share = f"{row.microseconds / yardstick:.3g}" if yardstick else "-"
+        lines.append(f"| {row.name} | {row.microseconds:.3g} | {share} |")
+    return "\n".join(lines)
+
+
+def compile_seconds() -> float:
+    """Processor time of compiling closure and sensitivities where the cache has nothing."""
+    mechanism = Mechanism(GEOMETRY)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begin = time.process_time()
+    SixBars(mechanism, compile=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    children = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return time.process_time() - begin + children
 
 
 def main() -> None:
-    begin = time.perf_counter()
-    console = Console(width=150)
-    geometry = Geometry()
+    """Print the table, or the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--markdown", action="store_true", help="the page docs/speed.md")
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as cache:
         os.environ["ORTHOGLIDE_CACHE"] = cache
-        compiling = compile_seconds(geometry)
-        found = rows(geometry)
+        compiling = compile_seconds()
+        found = rows()
         measure(found)
-        console.print(table(found))
-    console.print(f"compiling both trees, once: {compiling:.1f} s")
-    bare, whole = import_seconds("pass"), import_seconds("import orthoglide")
-    console.print(
-        f"python -c 'import orthoglide': {whole:.3f} s wall, of which the interpreter {bare:.3f} s"
-    )
-    console.print(
-        f"Python {platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores; "
-        f"median of {ROUNDS} rounds; {time.perf_counter() - begin:.0f} s in all"
-    )
+        page = PAGE.format(table=table(found), notes=notes(compiling))
+    print(page if options.markdown else f"{table(found)}\n\n{notes(compiling)}")
 
 
 if __name__ == "__main__":

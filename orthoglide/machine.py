@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, FileError, InputError, check_by_name
+from orthoglide.errors import (
+    ClosureError,
+    FileError,
+    InputError,
+    UnreachableError,
+    check_by_name,
+)
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -23,7 +29,7 @@ from orthoglide.machine_file import (
     read_machine_file,
     write_machine_file,
 )
-from orthoglide.mechanism.engine import placed
+from orthoglide.mechanism.engine import Outputs, place_in
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
 from orthoglide.observations import Campaign
@@ -328,10 +334,16 @@ class Machine:
                 or commands so large that they must be millimetres.
         """
         commands = self.geometry.commands(rho)
-        conditions, shape = Conditions.at(commands, **seen), commands.shape[:-1]
-        with placed(shape):
-            out = self.model.posed(self._theta, conditions)
+        out, shape = self._outputs(commands, seen), commands.shape[:-1]
         return Pose(out.p.reshape(*shape, 3), out.R.reshape(*shape, 3, 3))
+
+    def _outputs(self, commands: Array, seen: Mapping[str, ArrayLike]) -> Outputs:
+        """What closed postures show, one row a command."""
+        try:
+            return self.model.posed(self._theta, Conditions.at(commands, **seen))
+        except ClosureError as error:
+            error.index = place_in(commands.shape[:-1], error.index)
+            raise
 
     def close(self, rho: ArrayLike, **seen: ArrayLike) -> Posture:
         """Close one posture in Pinocchio, with every passive joint, errors of the parts included.
@@ -374,7 +386,8 @@ class Machine:
 
     def forward(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """TCP ``(..., 3)``, metres, for commands ``(..., 3)``; arguments as for :meth:`pose`."""
-        return self.pose(rho, **seen).p
+        commands = self.geometry.commands(rho)
+        return self._outputs(commands, seen).p.reshape(commands.shape)
 
     def jacobian(self, rho: ArrayLike, **seen: ArrayLike) -> Array:
         """dp/drho ``(..., 3, 3)``: how the TCP follows the command, all errors included.
@@ -397,8 +410,11 @@ class Machine:
             ClosureError: where the drives do not converge.
         """
         goal = vectors(p, "p")
-        with placed(goal.shape[:-1]):
+        try:
             rho = commands_of(self._spheres, goal.reshape(-1, 3)).reshape(goal.shape)
+        except UnreachableError as error:
+            error.index = place_in(goal.shape[:-1], error.index)
+            raise
         for _ in range(30):
             miss = goal - self.forward(rho, **seen)
             largest = np.abs(miss).max(initial=0.0)

@@ -170,7 +170,7 @@ class ToolReadings(OfFile):
         def seen(values: Array, second: Array | None = None) -> Array:
             return np.concatenate([values, values[both] if second is None else second[both]])
 
-        return Conditions(
+        return Conditions.of_parts(
             seen(c.command, c.second),
             seen(c.approach, np.zeros_like(c.approach)),
             seen(np.nan_to_num(c.time)),

@@ -17,11 +17,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from orthoglide.errors import ClosureError, UnreachableError
+from orthoglide.errors import ClosureError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
-from orthoglide.mechanism.rows import Functions
+from orthoglide.mechanism.rows import Functions, Single
 from orthoglide.mechanism.six_bars import GIVEN, LINES, OUTPUTS, ROTATION, TCP
 
 # Bars off by less than this share of their length are closed to rounding.
@@ -82,15 +82,9 @@ class Engine(Protocol):
         ...
 
 
-@contextmanager
-def placed(shape: tuple[int, ...]) -> Iterator[None]:
-    """Let errors from within name their place in a batch of ``shape`` that was flattened."""
-    try:
-        yield
-    except (ClosureError, UnreachableError) as error:
-        if error.index:
-            error.index = tuple(int(k) for k in np.unravel_index(error.index[0], shape))
-        raise
+def place_in(shape: tuple[int, ...], index: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the place in a batch of ``shape`` of a posture numbered after flattening it."""
+    return tuple(int(k) for k in np.unravel_index(index[0], shape)) if index else ()
 
 
 class ByPinocchio:
@@ -206,17 +200,21 @@ class SixBars:
         """Whether closures run compiled."""
         return self._close.compiled
 
+    @property
+    def single(self) -> Single:
+        """The closure of one posture, evaluated in place and unchecked: constants ``(106,)``, travel
+        ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and check ``(3,)`` out.
+        """
+        single = self._close.rows("close").single
+        single.given[0][:] = self.constants
+        return single
+
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """See :class:`Engine`."""
         values, check = self._close("close", self.constants, travel, moves)
-        if not len(travel):
-            return Outputs(values)
-        # Also False for a check that is no number.
-        if not (
-            check[:, 0].max() <= self._exact
-            and check[:, 1].max() < 0
-            and check[:, 2].min() > _TURNED
-        ):
+        # The largest of each is right where all are; a check that is no number is not.
+        off, side, turned = check[0] if len(check) == 1 else _worst(check)
+        if not (off <= self._exact and side < 0 and turned > _TURNED):
             self._again(values, check, travel, moves)
         return Outputs(values)
 
@@ -264,6 +262,14 @@ def _closing() -> list[Any]:
 def _right(check: Array, most: float) -> NDArray[np.bool_]:
     """Which postures ``(n,)`` are closed, in the machine's own assembly mode."""
     return np.asarray((check[:, 0] <= most) & (check[:, 1] < 0) & (check[:, 2] > _TURNED))
+
+
+def _worst(check: Array) -> tuple[float, float, float]:
+    """Largest misfit, side nearest to the other mode and largest turn of all postures."""
+    if not len(check):
+        return 0.0, -1.0, 3.0
+    off, side, _ = check.max(axis=0)
+    return float(off), float(side), float(check[:, 2].min())
 
 
 @cache

@@ -13,50 +13,73 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
 
+_PARTS = {
+    "command": slice(0, 3), "approach": slice(3, 6), "time": 6, "warming": 7, "load": 8,
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of ``n`` postures."""
+    """Conditions of ``n`` postures.
 
-    command: Array  # rho (n, 3), metres
-    approach: Array  # direction of each drive's last move (n, 3): +1, -1, 0 where unknown
-    time: Array  # (n,), seconds
-    warming: Array  # (n,), kelvin above the first row
-    load: Array  # (n,), newtons along base -z at the TCP
+    Attributes:
+        table: ``(n, 9)``: command, approach, time, warming and load, SI.
+    """
+
+    table: Array
 
     def __len__(self) -> int:
-        return len(self.command)
+        return len(self.table)
+
+    @property
+    def command(self) -> Array:
+        """Commands rho ``(n, 3)``, metres."""
+        return self.table[:, :3]
+
+    @property
+    def approach(self) -> Array:
+        """Direction of each drive's last move ``(n, 3)``: +1, -1, 0 where unknown."""
+        return self.table[:, 3:6]
+
+    @property
+    def time(self) -> Array:
+        """Seconds ``(n,)``."""
+        return self.table[:, 6]
+
+    @property
+    def warming(self) -> Array:
+        """Kelvin above the first row ``(n,)``."""
+        return self.table[:, 7]
+
+    @property
+    def load(self) -> Array:
+        """Newtons along base -z at the TCP ``(n,)``."""
+        return self.table[:, 8]
 
     def part(self, rows: slice) -> Conditions:
-        """Some of the postures."""
-        return Conditions(*(values[rows] for values in vars(self).values()))
+        """Return some of the postures."""
+        return Conditions(self.table[rows])
 
     @classmethod
-    def at(
-        cls,
-        command: ArrayLike,
-        *,
-        approach: ArrayLike = 0.0,
-        time: ArrayLike = 0.0,
-        warming: ArrayLike = 0.0,
-        load: ArrayLike = 0.0,
-        **unknown: ArrayLike,
-    ) -> Conditions:
-        """Conditions for commands ``(..., 3)``; the rest is broadcast to ``(...)``.
+    def at(cls, command: ArrayLike, **seen: ArrayLike) -> Conditions:
+        """Return conditions for commands ``(..., 3)``.
+
+        Args:
+            command: rho, metres.
+            seen: ``approach (..., 3)``, and ``time``, ``warming``, ``load`` ``(...)``, or one for
+                all; 0 where not given.
 
         Raises:
             InputError: for what is no finite number, does not fit the commands, or is no approach,
                 and for a condition that there is not.
         """
         rho = np.asarray(command, dtype=float)
-        given = {"approach": approach, "time": time, "warming": warming, "load": load}
-        for name in unknown:
-            check_word("condition", name, given)
-        found = {}
-        for name, values in given.items():
+        table = np.zeros((rho.size // 3, 9))
+        table[:, :3] = rho.reshape(-1, 3)
+        for name, values in seen.items():
+            if name == "command" or name not in _PARTS:
+                check_word("condition", name, [known for known in _PARTS if known != "command"])
             own = rho.shape[-1:] if name == "approach" else ()
-            if isinstance(values, float) and values == 0.0:  # as mostly
-                found[name] = np.zeros((rho.size // 3, *own))
-                continue
             try:
                 spread = np.broadcast_to(np.asarray(values, float), (*rho.shape[:-1], *own))
             except (TypeError, ValueError):
@@ -66,21 +89,28 @@ class Conditions:
                 ) from None
             if not np.isfinite(spread).all():
                 raise InputError(f"{name} must be finite; leave out what is not known")
-            found[name] = spread.reshape(-1, *own).copy()
-        side = found["approach"]
-        if (side * side * side != side).any():
+            table[:, _PARTS[name]] = spread.reshape(len(table), *own)
+        side = table[:, 3:6]
+        if "approach" in seen and (side * side * side != side).any():
             raise InputError(
                 "approach must be +1 or -1, the direction of each drive's last move, or 0 where "
                 "unknown"
             )
-        return cls(rho.reshape(-1, 3), **found)
+        return cls(table)
+
+    @classmethod
+    def of_parts(
+        cls, command: Array, approach: Array, time: Array, warming: Array, load: Array
+    ) -> Conditions:
+        """Return conditions of their parts, each with ``n`` rows."""
+        return cls(np.column_stack([command, approach, time, warming, load]))
 
     @classmethod
     def of(cls, campaign: Campaign) -> Conditions:
         """Conditions of every row of a campaign; what was not recorded counts as 0."""
         time = np.nan_to_num(campaign.time)
         warming = campaign.temperature_rise
-        return cls(campaign.command, campaign.approach, time, warming, campaign.load)
+        return cls.of_parts(campaign.command, campaign.approach, time, warming, campaign.load)
 
     def merged(self, needs: Collection[str]) -> tuple[Conditions, NDArray[np.intp]]:
         """Distinct conditions and, for each row, which of them it has.
@@ -89,15 +119,7 @@ class Conditions:
             needs: what makes a difference besides the command: ``"approach"``, ``"time"``,
                 ``"temperature"``, ``"load"``; the rest is zero.
         """
-        table = np.column_stack(
-            [
-                self.command,
-                self.approach * ("approach" in needs),
-                self.time * ("time" in needs),
-                self.warming * ("temperature" in needs),
-                self.load * ("load" in needs),
-            ]
-        )
+        names = ("approach", "approach", "approach", "time", "temperature", "load")
+        table = self.table * [1.0, 1.0, 1.0, *(name in needs for name in names)]
         distinct, place = np.unique(table, axis=0, return_inverse=True)
-        found = Conditions(distinct[:, :3], distinct[:, 3:6], *distinct[:, 6:].T)
-        return found, place.reshape(-1)
+        return Conditions(distinct), place.reshape(-1)

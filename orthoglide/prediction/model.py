@@ -247,10 +247,10 @@ class Model:
 
     def seen(self, conditions: Conditions) -> Array:
         """Conditions as the displacement function takes them ``(n, 11)``."""
-        seen = np.empty((len(conditions), CONDITIONS))
-        seen[:, COMMAND], seen[:, 3:6] = conditions.command, conditions.approach
-        seen[:, 6], seen[:, 7] = conditions.time, conditions.warming
-        seen[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
+        seen = np.zeros((len(conditions), CONDITIONS))
+        seen[:, : FORCE.start] = conditions.table[:, : FORCE.start]
+        if conditions.load.any():
+            seen[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
         return seen
 
     def displacements(self, values: Mapping[str, float], conditions: Conditions) -> Array:
