@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -98,3 +100,28 @@ def test_pictures_of_the_links_stand_where_the_urdf_has_them(geometry: og.Geomet
     assert places[0].keys() == places[1].keys()
     for name, place in places[0].items():
         assert np.abs(place.homogeneous - places[1][name].homogeneous).max() < 1e-12
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_page_runs_as_it_stands(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "own-pinocchio.md").read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
+    exec(compile(code, "own-pinocchio.md", "exec"), {})
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[:2] == ["24 joints, 5 loops", "(21, 24) rank 21"]
+    assert printed[2].endswith("m/s²")
+    assert re.fullmatch(r"\d steps, largest residual \de-1[5-8]", printed[3])
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("pinocchio_closure", "mobility 3, 6 times"), ("close_the_loop", "verdict: ambiguous")],
+)
+def test_an_example_runs_in_forty_five_lines(
+    name: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(__file__).parents[1] / "examples" / f"{name}.py"
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 45
+    exec(compile(text, str(path), "exec"), {"__file__": str(path), "__name__": "__main__"})
+    assert expected in capsys.readouterr().out
