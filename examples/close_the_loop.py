@@ -1,7 +1,7 @@
-"""Close the loop: from a residual to the effect that the model lacked, and the error before and after.
+"""Close the loop: from a residual to the effect that the model lacked, and the error afterwards.
 
-``python examples/close_the_loop.py`` takes readings of an independent simulated machine with an error
-that nobody declared (``tests/data/rig``, rig-4), and what a tracker says of its tool.
+``python examples/close_the_loop.py`` takes readings of an independent simulated machine with an
+error that nobody declared (``tests/data/rig``, rig-4), and what a tracker says of its tool.
 """
 
 from pathlib import Path

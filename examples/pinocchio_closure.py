@@ -1,8 +1,8 @@
 """Close one posture of the Orthoglide with Pinocchio's constraint Jacobian.
 
-``python examples/pinocchio_closure.py`` loads ``urdf/orthoglide.urdf``, turns the loop closures beside it
-into constraint models, solves them by Newton's method, and compares the tool with the quadratic of the
-2008 chapter, eq. (4).
+``python examples/pinocchio_closure.py`` loads ``urdf/orthoglide.urdf``, turns the loop closures
+beside it into constraint models, solves them by Newton's method, and compares the tool with the
+quadratic of the 2008 chapter, eq. (4).
 """
 
 import numpy as np

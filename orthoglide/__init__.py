@@ -9,6 +9,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
+    from orthoglide.as_pinocchio import (
+        PinocchioModel as PinocchioModel,
+        pinocchio_model as pinocchio_model,
+    )
     from orthoglide.checking import Check as Check, check as check
     from orthoglide.closing import Verdict as Verdict, close_loop as close_loop
     from orthoglide.comparison import (
@@ -69,10 +73,6 @@ if TYPE_CHECKING:  # "as" tells type checkers that a name is exported
         read_readings as read_readings,
         read_tcp as read_tcp,
         write_campaign as write_campaign,
-    )
-    from orthoglide.as_pinocchio import (
-        PinocchioModel as PinocchioModel,
-        pinocchio_model as pinocchio_model,
     )
     from orthoglide.planning import (
         Design as Design,

@@ -23,8 +23,8 @@ class PinocchioModel:
             joints that take up errors of the parts. Metres, kilograms, radians.
         constraint_models: ``pin.StdVec_ConstraintModel``, one a loop: point anchors for the
             parallelograms, frame anchors for the platform.
-        constraint_datas: the data that belong to them. Call ``calc(model, data, constraint_data)`` of
-            each before asking for a constraint Jacobian.
+        constraint_datas: the data that belong to them. Call ``calc(model, data, its_data)`` of each
+            constraint before asking for a constraint Jacobian.
         rigid_models, rigid_datas: the same loops as ``RigidConstraintModel``, which Pinocchio's
             constrained dynamics (``constraintDynamics``, ``lcaba``) still asks for.
         visual_model: ``pin.GeometryModel`` for Pinocchio's viewers.
@@ -45,11 +45,11 @@ class PinocchioModel:
 
 
 def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
-    """Return a machine as model, constraint models and data, visual model and a closed configuration.
+    """Return a machine as model, constraint models, visual model and a closed configuration.
 
-    Errors of the parts are frozen into joint placements as they are at mechanical zero; what follows
-    the command (a bent rail, a drive's scale) is the business of ``Machine``, which maps a command to
-    displacements.
+    Errors of the parts are frozen into joint placements as they are at mechanical zero. What
+    follows the command (a bent rail, a drive's scale) is left to ``Machine``, which maps a command
+    to displacements.
 
     Args:
         machine: nominal or calibrated, or the path of its file; the published one where absent.

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import (
-    ClosureError,
-    FileError,
-    InputError,
-    UnreachableError,
-    check_by_name,
-)
+from orthoglide.errors import ClosureError, FileError, InputError, UnreachableError, check_by_name
 from orthoglide.geometry import Array, Geometry, vectors
 from orthoglide.machine_file import (
     MachineFile,
@@ -310,7 +304,7 @@ class Machine:
         return self._models[0]
 
     def judged(self) -> Machine:
-        """Return the same machine, every posture closed by Pinocchio's constraint Jacobian: slow."""
+        """Return the same machine with every posture closed by Pinocchio itself, which is slow."""
         machine = Machine(self.spec)
         machine.__dict__["_models"] = [self.model.judged()]
         return machine
@@ -349,7 +343,8 @@ class Machine:
         """Close one posture in Pinocchio, with every passive joint, errors of the parts included.
 
         Args:
-            rho: command ``(3,)``, metres; conditions as for :meth:`pose`.
+            rho: command ``(3,)``, metres.
+            seen: conditions as for :meth:`pose`.
 
         Raises:
             ClosureError: where the posture does not close, with the residual by loop.

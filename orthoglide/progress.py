@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 Stage = Literal[
-    "computing", "reading", "identifying", "faults", "testing", "trying", "comparing", "allowing", "verifying",
-    "judging", "suggesting", "drawing", "writing",
+    "computing", "reading", "identifying", "faults", "testing", "trying", "comparing", "allowing",
+    "verifying", "judging", "suggesting", "drawing", "writing",
 ]  # fmt: skip
 
 _STAGES: Mapping[Stage, tuple[str, int]] = {

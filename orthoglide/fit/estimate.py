@@ -23,8 +23,8 @@ from orthoglide.numerals import ByUnit
 from orthoglide.units import Unit
 
 if TYPE_CHECKING:
-    from orthoglide.fit.verification import Verification
     from orthoglide.figures.style import Drawing
+    from orthoglide.fit.verification import Verification
 
 
 @dataclass(frozen=True)

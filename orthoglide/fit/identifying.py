@@ -79,8 +79,8 @@ def identify(
             ``"deviations"`` is the papers' ordinary least squares on differences from each
             setup's first posture, which takes that posture's reading and the dials' places for
             exact.
-        method: ``"nlp"``, ``"nested"`` (Gauss-Newton on closed postures), ``"pinocchio"`` (the same,
-            every closure and sensitivity from Pinocchio's constraint Jacobian: slow),
+        method: ``"nlp"``, ``"nested"`` (Gauss-Newton on closed postures), ``"pinocchio"`` (the
+            same, every closure and sensitivity from Pinocchio's constraint Jacobian: slow),
             ``"reduction"`` (the analytic PSS model); ``"auto"`` takes the programme up to
             ``NLP_POSTURES`` postures and ``NLP_UNKNOWNS`` unknowns, and nests the closure beyond.
         frame: how the instrument of TCP points may stand to the machine: ``"none"``: not at all,

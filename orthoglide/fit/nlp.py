@@ -108,9 +108,7 @@ class Nlp:
             values = _values(problem, k, x)
             theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
             displacement = model.displacement.map("displacements", "serial", count, [0, 1], [])
-            moves = displacement(
-                ca.DM(model.dimensions), theta, ca.DM(model.seen(conditions).T)
-            )
+            moves = displacement(ca.DM(model.dimensions), theta, ca.DM(model.seen(conditions).T))
             travel = ca.DM((conditions.command - model.geometry.zero).T)
             given = ca.vertcat(travel, moves)
             own = joints[:, first : first + count]
@@ -159,7 +157,7 @@ class Nlp:
         return NlpResult(found[: len(x)] * self._scale, closure, int(stats["iter_count"]))
 
     def start_joints(self, problem: Problem, x: Array) -> Array:
-        """Free joints ``(K, 21)`` with which Pinocchio closes every posture at the unknowns ``x``."""
+        """Free joints ``(K, 21)`` with which Pinocchio closes every posture at ``x``."""
         model = problem.machine.model
         free, found = model.mechanism.tree.free, []
         for k, (conditions, _) in enumerate(self._postures):

@@ -14,7 +14,7 @@ from orthoglide.mechanism.engine import ByPinocchio
 from orthoglide.prediction import Conditions
 
 MOST_POSTURES = 500
-"""Of more postures as many are drawn at random: Pinocchio takes about half a millisecond for one."""
+"""Of more postures, as many are drawn at random: one takes about half a millisecond."""
 
 TCP_LIMIT = 1e-9
 """Metres: a thousandth of what any instrument here resolves, a million times rounding."""

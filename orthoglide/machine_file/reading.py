@@ -165,8 +165,8 @@ _INSTRUMENT: dict[str, Parser] = {
 }
 _TOP: dict[str, Parser] = {"schema": _schema, "name": _text, "urdf": _text}
 _STIFF_LEG = 1e4
-"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of the
-bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
+"""Torsional stiffness of a leg, N m/rad, from which it matters: at ten times that, a mismatch of
+the bars shows by half (elastic equilibrium of bars of EA/L = 5e7 N/m)."""
 _FREE = ("tolerance", "parameters", "provenance", "layout", "instrument")
 
 

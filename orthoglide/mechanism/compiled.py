@@ -30,7 +30,9 @@ def compiler() -> str | None:
     return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
-def compiled(names: Sequence[str], key: str, build: Callable[[], list[Any]] | None) -> list[Any] | None:
+def compiled(
+    names: Sequence[str], key: str, build: Callable[[], list[Any]] | None
+) -> list[Any] | None:
     """Return CasADi functions compiled to machine code, from the cache where they are.
 
     Args:
@@ -50,7 +52,7 @@ def compiled(names: Sequence[str], key: str, build: Callable[[], list[Any]] | No
             generator.add(function)
         return str(generator.dump())
 
-    path = library(f"{key} {ca.__version__}", source, _FLAGS, build=build is not None)
+    path = library(f"{key} {ca.CasadiMeta.version()}", source, _FLAGS, build=build is not None)
     try:
         return None if path is None else [ca.external(name, str(path)) for name in names]
     except RuntimeError:  # where nothing may be run from the cache

@@ -42,8 +42,7 @@ class Constraints:
             self.datas.append(model.createData())
         # The containers hold copies: what is calculated with must be taken back from them.
         self._pairs = [
-            (self.models[k], self.datas[k], self.datas[k].extract())
-            for k in range(len(tree.loops))
+            (self.models[k], self.datas[k], self.datas[k].extract()) for k in range(len(tree.loops))
         ]
 
     def residual(self, q: Array) -> Array:
@@ -65,7 +64,7 @@ class Constraints:
         )
 
     def jacobian(self, q: Array) -> Array:
-        """Return the constraint Jacobian ``(rows, nv)``, the derivative of the residual anywhere."""
+        """Return the derivative ``(rows, nv)`` of the residual by the joints, closed or not."""
         self.residual(q)
         rows = self.newton_matrix()
         for loop, (_, _, view) in zip(self.tree.loops, self._pairs, strict=True):

@@ -74,7 +74,7 @@ class Engine(Protocol):
         ...
 
     def tangent(self, travel: Array, moves: Array) -> tuple[Outputs, Array]:
-        """Return what postures show, and its derivative ``(n, 48, 33)`` by travel and displacements.
+        """Return what postures show, and the derivative ``(n, 48, 33)`` by travel and moves.
 
         Raises:
             ClosureError: naming the first posture that does not close.
@@ -127,7 +127,9 @@ class ByPinocchio:
         """Whether each bar end is a frame, and its number or the joint's, in the order of LINES."""
         tree, found = self.mechanism.tree, list[tuple[bool, int]]()
         for leg in tree.leg_names:
-            joints = [tree.model.getJointId(f"{leg}_{name}") for name in ("bar1", "knuckle", "bar2")]
+            joints = [
+                tree.model.getJointId(f"{leg}_{name}") for name in ("bar1", "knuckle", "bar2")
+            ]
             found += [(False, j) for j in joints] + [(True, tree.frame(f"{leg}_bar2_tip"))]
         return found
 
@@ -202,8 +204,10 @@ class SixBars:
 
     @property
     def single(self) -> Single:
-        """The closure of one posture, evaluated in place and unchecked: constants ``(106,)``, travel
-        ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and check ``(3,)`` out.
+        """The closure of one posture, evaluated in place and unchecked.
+
+        Constants ``(106,)``, travel ``(3,)`` and displacements ``(30,)`` in, outputs ``(48,)`` and
+        check ``(3,)`` out.
         """
         single = self._close.rows("close").single
         single.given[0][:] = self.constants

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError
-from orthoglide.geometry import Array, Geometry, vectors
+from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mobility import Mobility, mobility
 from orthoglide.mechanism.perfect_legs import Mode, Spheres, free_joints, mode_of, tool
@@ -83,8 +83,8 @@ class Mechanism:
     def from_urdf(cls, folder: str | os.PathLike[str], tool: str = "") -> Mechanism:
         """Return any machine with loops, from a folder with its URDF and what closes it.
 
-        The folder holds ``orthoglide.urdf`` with ``orthoglide.closures.toml``, or ``robot.urdf`` with
-        ``robot.yaml`` in the convention of Gepetto's parallel robots. No joints are added.
+        The folder holds ``orthoglide.urdf`` with ``orthoglide.closures.toml``, or ``robot.urdf``
+        with ``robot.yaml`` in the convention of Gepetto's parallel robots. No joints are added.
 
         Args:
             folder: with both files.
@@ -110,8 +110,8 @@ class Mechanism:
     def __repr__(self) -> str:
         model, rows = self.tree.model, sum(loop.rows for loop in self.tree.loops)
         return (
-            f"<Mechanism {model.name!r}: {model.njoints - 1} joints, {len(self.tree.motors)} driven, "
-            f"{len(self.tree.loops)} loops of {rows} rows>"
+            f"<Mechanism {model.name!r}: {model.njoints - 1} joints, {len(self.tree.motors)} of "
+            f"them driven, {len(self.tree.loops)} loops of {rows} rows>"
         )
 
     @property
@@ -141,8 +141,8 @@ class Mechanism:
         """Close the loops by Newton's method on Pinocchio's constraint Jacobian.
 
         Args:
-            command: of the drives ``(3,)``, metres: rho of an Orthoglide (2008, eq. 2). Of a foreign
-                machine the positions ``(m,)`` of its driven joints.
+            command: of the drives ``(3,)``, metres: rho of an Orthoglide (2008, eq. 2). Of a
+                foreign machine the positions ``(m,)`` of its driven joints.
             displacements: of the virtual joints ``(3, 10)``, as in ``VIRTUAL_NAMES``.
             mode: assembly mode of three legs.
             legs: ``"rigid"`` keeps the relief joints at zero: least squares on all rows, which
@@ -161,7 +161,7 @@ class Mechanism:
             except ClosureError:
                 if guess is not None or not self.has_legs:
                     raise
-        # Far from neutral, and in the other mode, the legs start where they would be without errors.
+        # Far from neutral, and in the other mode, the legs start as they would be without errors.
         travel = q[None, self.tree.drive]
         p = tool(self.spheres, travel, mode)
         if np.isfinite(p).all():
@@ -171,7 +171,9 @@ class Mechanism:
     def _newton(self, q: Array, moving: np.ndarray[Any, np.dtype[np.intp]]) -> tuple[Array, int]:
         """Return the configuration where Newton's method ends, and its steps."""
         step = np.zeros(self.tree.model.nv)
-        for iteration in range(1, _STEPS + 1):
+        steps = 0
+        while steps < _STEPS:
+            steps += 1
             residual = self.constraints.residual(q)
             jacobian = self.constraints.newton_matrix()[:, moving]
             change = _solved(jacobian, residual)
@@ -182,7 +184,7 @@ class Mechanism:
             q = pin.integrate(self.tree.model, q, step)
             if largest < 1e-8:  # quadratic: the step just made leaves its square
                 break
-        return q, iteration
+        return q, steps
 
     def _start(
         self, command: ArrayLike, displacements: ArrayLike | None, guess: Posture | None
@@ -278,9 +280,7 @@ class Mechanism:
         return given
 
 
-def _rebuilt(
-    geometry: Geometry, looped: LoopedModel, tree: Tree
-) -> Mechanism:
+def _rebuilt(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
     found = Mechanism.__new__(Mechanism)
     found.geometry, found._looped = geometry, looped
     found._set(tree)

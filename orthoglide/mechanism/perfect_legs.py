@@ -1,7 +1,7 @@
 """Legs without errors: where closure starts, and which commands bring the tool to a point.
 
-While the platform is not turned, leg i lets the tool move on a sphere about ``centre_i + slide_i t_i``,
-the middle of its bars' carriage ends less the middle of their platform ends.
+While the platform is not turned, leg i lets the tool move on a sphere about
+``centre_i + slide_i t_i``: the middle of its bars' carriage ends less that of their platform ends.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Spheres:
 
     @classmethod
     def of_tree(cls, tree: Tree, zero: Array) -> Spheres:
-        """Return the spheres of a tree of three legs; ``zero`` is the command at mechanical zero."""
+        """Return the spheres of a tree of three legs; ``zero``: command at mechanical zero."""
         from orthoglide.mechanism.six_bars import constants, nominal_spheres
 
         centres, slides, lengths = nominal_spheres(constants(tree))
@@ -86,7 +86,7 @@ def free_joints(tree: Tree, spheres: Spheres, travel: Array, p: Array) -> Array:
 
 
 def commands(spheres: Spheres, p: Array) -> Array:
-    """Return commands ``(N, 3)`` of legs without errors that hold the TCP at ``p`` ``(N, 3)``, metres.
+    """Return commands ``(N, 3)`` of legs without errors that hold the TCP at ``p`` ``(N, 3)``.
 
     Raises:
         UnreachableError: naming the leg that is too short, and the point that it misses most; or
@@ -131,7 +131,9 @@ def _which(point: int, p: Array) -> str:
 
 def _angles(tree: Tree, length: float, leg: int, span: Array) -> Array:
     model, name = tree.model, tree.leg_names[leg]
-    slide, pivot = (model.jointPlacements[model.getJointId(f"{name}_{j}")] for j in ("slide", "theta"))
+    slide, pivot = (
+        model.jointPlacements[model.getJointId(f"{name}_{j}")] for j in ("slide", "theta")
+    )
     lean = np.arctan2(pivot.rotation[1, 0], pivot.rotation[0, 0])
     a, b, c = np.moveaxis(span @ slide.rotation, -1, 0)
     phi = np.arcsin(np.clip(c / length, -1, 1))

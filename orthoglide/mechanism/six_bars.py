@@ -13,8 +13,8 @@ One Newton step on (dp, dw), ``e_k = p + R point_k - root_k``, solves
     e_k . dp + (R point_k x e_k) . dw = (length_k^2 - e_k . e_k) / 2
 
 and then ``p += dp``, ``R = Cayley(dw) R``. Sum and difference of a leg's two rows split the system
-into 3 x 3 blocks, which are inverted by cofactors: elimination without pivoting would lose digits on
-linear deltas, where a first pivot can vanish although the system is well conditioned.
+into 3 x 3 blocks, which are inverted by cofactors: elimination without pivoting would lose digits
+on linear deltas, where a first pivot can vanish although the system is well conditioned.
 
 The constants are read from the Pinocchio tree (:func:`constants`). They are inputs of the CasADi
 functions, so one compiled library serves every machine.
@@ -39,14 +39,14 @@ OUTPUTS = 48
 
 MOVES = len(VIRTUAL_NAMES)
 GIVEN = 3 + 3 * MOVES
-"""Length of what is given of a posture: travel of the drives, then the virtual joints leg by leg."""
+"""Length of what is given of a posture: travel of the drives, then virtual joints leg by leg."""
 
 _START, _AXES, _SLIDE, _ROOTS, _POINTS, _WIDTHS, _LENGTHS, _SIZE = 0, 3, 12, 15, 21, 27, 33, 35
 CONSTANTS = 3 * _SIZE + 1
-"""Length of a machine's constants: 35 a leg, and 1 where the platform hangs below parallel rails."""
+"""Length of a machine's constants: 35 a leg, and whether the platform hangs below parallel rails."""
 
-# From the three spheres three steps leave the eighth power of some milliradians, rounding. The last
-# keeps the matrix of the third: it costs a third of a step, and mends what rounding left.
+# From the three spheres three steps leave the eighth power of some milliradians: rounding. The
+# last keeps the matrix of the third: it costs a third of a step, and mends what rounding left.
 _NEWTON, _CHORD = 3, 1
 # Metres a bar's end may move with the passive joints: rounding of a chain of five joints.
 _FIXED = 1e-12
@@ -99,12 +99,12 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
     draws = np.random.default_rng(0)
     for _ in range(3):  # any angles will do to see whether the ends stay where they are
         angles = {joint: float(draws.uniform(-0.5, 0.5)) for joint in names}
-        for what, here, there in zip(
-            ("carriage", "platform", "bar's other"), rest[1:], place(**angles)[1:], strict=True
-        ):
-            if np.abs(np.subtract(here, there)).max() > _FIXED:
+        _, *turned = place(**angles)
+        for what, here, there in zip(("carriage's end", "platform's end", "length"), rest[1:],
+                                     turned, strict=True):  # fmt: skip
+            if np.abs(np.array(here) - np.array(there)).max() > _FIXED:
                 raise InputError(
-                    f"leg {leg}: a bar's {what} end moves with the leg's pivots, so the pivots do "
+                    f"leg {leg}: the {what} of a bar moves with the leg's pivots, so the pivots do "
                     f"not meet in one point: correct the joint origins in the URDF"
                 )
     base_from_carriage, roots, points, lengths = rest
@@ -117,8 +117,8 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
 
 
 def nominal_spheres(values: Array) -> tuple[Array, Array, Array]:
-    """Return centres, slide directions ``(3, 3)`` and radii ``(3,)`` of the spheres on which the TCP
-    lies while the platform is not turned, at mechanical zero and without errors; metres.
+    """Return the spheres on which the TCP lies while the platform is not turned: centres and slide
+    directions ``(3, 3)``, radii ``(3,)``, at mechanical zero and without errors; metres.
     """
     legs = values[:-1].reshape(3, _SIZE)
     axes = legs[:, _AXES:_SLIDE].reshape(3, 3, 3)
@@ -195,8 +195,9 @@ def closing_functions() -> tuple[Any, Any]:
     """Return CasADi functions that close the machine: from the three spheres, and from a pose.
 
     The first takes (constants, travel (3,), moves (30,)), the second a pose (12,) besides: p and R
-    row by row. Both return (outputs (48,), check (3,)): the largest difference between a bar and its
-    length, metres; a number that is negative in the machine's own assembly mode; and the trace of R.
+    row by row. Both return (outputs (48,), check (3,)). The check has the largest difference
+    between a bar and its length, metres; a number that is negative in the machine's own assembly
+    mode; and the trace of R.
     """
     symbols = _Symbols()
     pose = ca.SX.sym("pose", 12)

@@ -1,6 +1,6 @@
 """The closures of the tree as CasADi functions, for the nonlinear programme.
 
-They are walked from the same Pinocchio model as the constraint models, and know nothing of six bars.
+They are walked from the same Pinocchio model as the constraint models; six bars play no part.
 """
 
 from __future__ import annotations

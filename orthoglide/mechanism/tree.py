@@ -124,7 +124,9 @@ class Tree:
         named = [k for k, frame in enumerate(self.model.frames) if frame.name == name]
         if not named:
             raise InputError(f"the URDF has no link {name!r}, which its closures name")
-        return next((k for k in named if self.model.frames[k].type != pin.FrameType.JOINT), named[0])
+        return next(
+            (k for k in named if self.model.frames[k].type != pin.FrameType.JOINT), named[0]
+        )
 
     @cached_property
     def rows(self) -> dict[str, slice]:
@@ -144,7 +146,7 @@ class Tree:
 
 @dataclass(frozen=True)
 class LoopedModel:
-    """A Pinocchio model as its URDF has it, its text, the frames that coincide, the driven joints."""
+    """A Pinocchio model as its URDF has it, its text, what closes its loops, and its motors."""
 
     model: pin.Model
     text: str
@@ -199,7 +201,9 @@ def general_tree(looped: LoopedModel) -> Tree:
     missing = [name for name in wanted if not looped.model.existJointName(name)]
     if len(legs) != 3 or missing:
         what = f"no joint {missing[0]}" if missing else f"{len(legs)} driven slides"
-        raise InputError(f"a machine of this package has three PRPaR legs, and this URDF has {what}")
+        raise InputError(
+            f"a machine of this package has three PRPaR legs, and this URDF has {what}"
+        )
     return _sorted(looped, _with_extras(looped.model))
 
 
@@ -218,9 +222,8 @@ def _sorted(looped: LoopedModel, model: pin.Model) -> Tree:
     sorted_already = {*drive, *relief, *virtual, *passive}
     passive += [k for k in range(model.nv) if k not in sorted_already]
     tool = looped.loops[-1].frame_1 if looped.loops else model.frames[-1].name
-    return Tree(
-        model, looped.loops, looped.motors, *map(array, (drive, passive, relief, virtual)), tool
-    )
+    drives, loose, reliefs, virtuals = (array(k) for k in (drive, passive, relief, virtual))
+    return Tree(model, looped.loops, looped.motors, drives, loose, reliefs, virtuals, tool)
 
 
 def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
@@ -236,9 +239,7 @@ def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
         model.appendBodyToJoint(j, source.inertias[j], pin.SE3.Identity())
     for frame in source.frames[1:]:
         if frame.type == pin.FrameType.BODY:
-            model.addFrame(
-                pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, frame.type)
-            )
+            model.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, frame.type))
     fixed = [model.getJointId(name) for name, kind in replaced.items() if kind == "FIXED"]
     return pin.buildReducedModel(model, fixed, pin.neutral(model)) if fixed else model
 

@@ -12,8 +12,7 @@ from orthoglide.errors import InputError, check_word
 from orthoglide.geometry import Array
 from orthoglide.observations import Campaign
 
-
-_PARTS = {
+_PARTS: dict[str, int | slice] = {
     "command": slice(0, 3), "approach": slice(3, 6), "time": 6, "warming": 7, "load": 8,
 }  # fmt: skip
 

@@ -78,9 +78,7 @@ def displacement_derivative(function: Any, by: int, name: str) -> Any:
     return ca.Function(name, arguments, [ca.densify(derivative)])
 
 
-def leg_conditions(
-    size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool
-) -> LegConditions:
+def leg_conditions(size: Any, seen: Any, leg: int, driven: Any, has_pitch: bool) -> LegConditions:
     """Return what the effects of one leg see.
 
     Args:

@@ -70,9 +70,9 @@ def tensions_tangent(shown: Outputs, by_given: Array, tension: Array) -> Array:
     unit = span / length
     moved = by_given[:, LINES].reshape(n, 6, 2, 3, k)
     by_span = moved[:, :, 1] - moved[:, :, 0]
-    by_unit = (by_span - unit[..., None] * np.einsum("nbx,nbxk->nbk", unit, by_span)[:, :, None]) / (
-        length[..., None]
-    )
+    by_unit = (
+        by_span - unit[..., None] * np.einsum("nbx,nbxk->nbk", unit, by_span)[:, :, None]
+    ) / (length[..., None])
     by_arm = moved[:, :, 1] - by_given[:, None, TCP]
     arm = end - shown.p[:, None]
     turning = np.cross(by_arm, unit[..., None], axis=2) + np.cross(arm[..., None], by_unit, axis=2)

@@ -54,8 +54,8 @@ _ALL = slice(None)
 # Interpreted displacements that take as long as compiling them does.
 _WORTH_COMPILING = 200_000
 
-# A bar gives by a hundred-thousandth of its length at the most: each round of stretching leaves that
-# share of the last one's error.
+# A bar gives by a hundred-thousandth of its length at the most: each round of stretching leaves
+# that share of the last one's error.
 _ELASTIC_ROUNDS = 3
 
 
@@ -137,7 +137,9 @@ class Model:
             compile=self._compile,
             engine=self._engine,
         )
-        found.__dict__.update({n: vars(self)[n] for n in ("mechanism", "engine") if n in vars(self)})
+        found.__dict__.update(
+            {n: vars(self)[n] for n in ("mechanism", "engine") if n in vars(self)}
+        )
         return found
 
     @cached_property
@@ -151,6 +153,11 @@ class Model:
         if self._engine == "pinocchio":
             return ByPinocchio(self.mechanism)
         return SixBars(self.mechanism, compile=self._compile)
+
+    @property
+    def _compliance(self) -> float:
+        """Of a bar, m/N."""
+        return 0.0 if self.stiffness.bar is None else 1 / self.stiffness.bar
 
     def is_elastic(self, conditions: Conditions) -> bool:
         """Whether the bars give under a load in these postures."""
@@ -170,7 +177,7 @@ class Model:
         travel, loaded = self._travel(conditions), moves.copy()
         for _ in range(_ELASTIC_ROUNDS):
             tension = tensions(self.engine.outputs(travel, loaded), conditions.load)
-            loaded[:, STRETCHES] = moves[:, STRETCHES] + tension / self.stiffness.bar
+            loaded[:, STRETCHES] = moves[:, STRETCHES] + tension * self._compliance
         return loaded
 
     def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
@@ -184,7 +191,7 @@ class Model:
         if self.is_elastic(conditions):
             tension = tensions(shown, conditions.load)
             by_stretch = by_given[:, :, [3 + k for k in STRETCHES]]
-            stretched = tensions_tangent(shown, by_given, tension) / self.stiffness.bar
+            stretched = tensions_tangent(shown, by_given, tension) * self._compliance
             by_given = by_given + by_stretch @ stretched
         return shown, by_given
 
@@ -271,9 +278,7 @@ class Model:
         )
         moves = by_seen[:, :, COMMAND]
         if conditions.load.any():
-            forces = drive_forces_by_command(
-                self.engine, self._travel(conditions), conditions.load
-            )
+            forces = drive_forces_by_command(self.engine, self._travel(conditions), conditions.load)
             moves = moves + by_seen[:, :, FORCE] @ forces
         return np.asarray(by_given[:, :3, :3] + by_given[:, :3, 3:] @ moves)
 
@@ -302,9 +307,7 @@ class Model:
         for part in blocks(n):  # small enough for the cache
             some = conditions.part(part)
             shown, by_given = self.tangent(values, some)
-            (by_theta,) = self._displacement_by_parameters(
-                self.dimensions, theta, self.seen(some)
-            )
+            (by_theta,) = self._displacement_by_parameters(self.dimensions, theta, self.seen(some))
             outputs[part] = shown.values
             by_name[part][:, :, machine] = by_given[:, :, 3:] @ by_theta[:, :, places]
         return Outputs(outputs), by_name

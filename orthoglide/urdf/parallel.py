@@ -3,9 +3,9 @@
 Two pairs of files are read. ``orthoglide.urdf`` with ``orthoglide.closures.toml`` is this package's
 own. ``robot.urdf`` with ``robot.yaml`` follows the convention of Gepetto's parallel robots:
 ``closed_loop``, pairs of frames that coincide; ``type`` of each, ``3d`` (origins) or ``6d`` (axes
-too); ``name_mot``, the joints that are driven; ``joint_name`` and ``joint_type``, joints of the tree
-that stand for others, ``SPHERICAL`` or ``FIXED``. See github.com/Gepetto/example-parallel-robots and
-arXiv 2504.04767; the code is our own.
+too); ``name_mot``, the joints that are driven; ``joint_name`` and ``joint_type``, joints of the
+tree that stand for others, ``SPHERICAL`` or ``FIXED``. See
+github.com/Gepetto/example-parallel-robots and arXiv 2504.04767; the code is our own.
 """
 
 from __future__ import annotations
@@ -111,7 +111,9 @@ def _read_own(folder: str | os.PathLike[str]) -> ParallelRobot:
     if not loops:
         raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
     motors = [
-        str(e.get("name")) for e in ET.fromstring(urdf).iter("joint") if e.get("type") == "prismatic"
+        str(e.get("name"))
+        for e in ET.fromstring(urdf).iter("joint")
+        if e.get("type") == "prismatic"
     ]
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors))
 
