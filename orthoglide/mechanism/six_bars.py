@@ -43,7 +43,7 @@ GIVEN = 3 + 3 * MOVES
 
 _START, _AXES, _SLIDE, _ROOTS, _POINTS, _WIDTHS, _LENGTHS, _SIZE = 0, 3, 12, 15, 21, 27, 33, 35
 CONSTANTS = 3 * _SIZE + 1
-"""Length of a machine's constants: 35 a leg, and whether the platform hangs below parallel rails."""
+"""Length of a machine's constants: 35 a leg, and whether the platform hangs below its rails."""
 
 # From the three spheres three steps leave the eighth power of some milliradians: rounding. The
 # last keeps the matrix of the third: it costs a third of a step, and mends what rounding left.
