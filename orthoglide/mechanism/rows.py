@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,9 @@ class Single:
 
 
 class Rows:
-    """A CasADi function of vectors, for rows of them. Holds buffers: one object serves one thread.
+    """A CasADi function of vectors, for rows of them.
+
+    It holds buffers, which threads take in turns.
 
     Args:
         function: of column vectors; its results are dense.
@@ -57,6 +60,7 @@ class Rows:
             (function.size2_out(k), function.size1_out(k)) for k in range(function.n_out())
         ]
         self._buffers: dict[int, tuple[Any, Any]] = {}
+        self._turn = Lock()
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Return results ``(n, rows)``, or ``(n, rows, columns)`` where they are matrices.
@@ -64,9 +68,11 @@ class Rows:
         Args:
             arguments: ``(k,)`` the shared ones, ``(n, k)`` the others; the last sets n.
         """
+        with self._turn:
+            return self._one(*arguments) if len(arguments[-1]) == 1 else self._many(*arguments)
+
+    def _many(self, *arguments: Array) -> list[Array]:
         n, shared = len(arguments[-1]), self._shared
-        if n == 1:
-            return self.one(*arguments)
         values = [np.ascontiguousarray(a, dtype=float) for a in arguments]
         results = [np.empty((n, *shape)) for shape in self._shapes]
         for part in blocks(n):
@@ -78,10 +84,8 @@ class Rows:
             evaluate()
         return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
 
-    def one(self, *arguments: Array) -> list[Array]:
-        """Return the results of one row ``(1, ...)``, as :meth:`__call__` does, in a fifth of the
-        time: arguments are copied to where the function reads them.
-        """
+    def _one(self, *arguments: Array) -> list[Array]:
+        """Results of one row, for which arguments are copied to where the function reads them."""
         single = self.single
         for array, value in zip(single.given, arguments, strict=True):
             array[:] = value if value.ndim == 1 else value[0]
