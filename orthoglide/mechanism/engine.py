@@ -21,6 +21,7 @@ from orthoglide.errors import ClosureError, UnreachableError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
+from orthoglide.mechanism.perfect_legs import FLAT
 from orthoglide.mechanism.rows import Functions
 from orthoglide.mechanism.six_bars import GIVEN, LINES, OUTPUTS, ROTATION, TCP
 
@@ -171,7 +172,7 @@ def _numbered(index: int, count: int) -> Iterator[None]:
     try:
         yield
     except ClosureError as error:
-        which = f"posture {index} of {count}: " if count > 1 else ""
+        which = f"posture {index + 1} of {count}: " if count > 1 else ""
         raise ClosureError(f"{which}{error}", residuals=error.residuals, index=(index,)) from None
 
 
@@ -214,7 +215,7 @@ class SixBars:
         # Also False for a check that is no number.
         if not (
             check[:, 0].max() <= self._exact
-            and check[:, 1].max() < 0
+            and check[:, 1].max() < -FLAT
             and check[:, 2].min() > _TURNED
         ):
             self._again(values, check, travel, moves)
@@ -263,7 +264,7 @@ def _closing() -> list[Any]:
 
 def _right(check: Array, most: float) -> NDArray[np.bool_]:
     """Which postures ``(n,)`` are closed, in the machine's own assembly mode."""
-    return np.asarray((check[:, 0] <= most) & (check[:, 1] < 0) & (check[:, 2] > _TURNED))
+    return np.asarray((check[:, 0] <= most) & (check[:, 1] < -FLAT) & (check[:, 2] > _TURNED))
 
 
 @cache

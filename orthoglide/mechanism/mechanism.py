@@ -222,8 +222,9 @@ class Mechanism:
         if self.has_legs:
             found = mode_of(self.spheres, q[self.tree.drive], p)
             if found != mode:
+                where = f"in the {found} assembly mode" if found else "where the assembly modes meet"
                 raise ClosureError(
-                    f"closure ended in the {found} assembly mode instead of {mode}",
+                    f"the loops close {where}, not in the {mode} assembly mode",
                     residuals=by_loop,
                 )
         return Posture(q, p, R, by_loop, iterations)
