@@ -264,7 +264,9 @@ def test_a_verdict_travels(travel: Travel, verdict: og.Verdict) -> None:
     assert np.array_equal(arrived.machine.forward(RHO), verdict.machine.forward(RHO))
 
 
-@pytest.mark.parametrize("method", ["forward", "jacobian", "pose", "bar_tensions", "close", "posed"])
+@pytest.mark.parametrize(
+    "method", ["forward", "jacobian", "pose", "bar_tensions", "close", "posed"]
+)
 def test_commands_in_millimetres_are_refused(method: str) -> None:
     with pytest.raises(og.InputError, match="in metres, not millimetres"):
         getattr(og.Machine.nominal(), method)([320, 310, 300])

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from orthoglide.errors import ClosureError, UnreachableError
+from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
@@ -209,6 +209,11 @@ class SixBars:
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """See :class:`Engine`."""
+        if travel.shape != (len(moves), 3) or moves.shape[1:] != (GIVEN - 3,):
+            raise InputError(
+                f"travel (n, 3) and displacements (n, {GIVEN - 3}) are needed, not "
+                f"{travel.shape} and {moves.shape}"
+            )
         values, check = self._close("close", self.constants, travel, moves)
         if not len(travel):
             return Outputs(values)
