@@ -49,7 +49,7 @@ def compute() -> Shown:
 
     # (4): a quadratic, so two assembly modes
     modes = {
-        mode: (reduction.forward(rho, mode=mode), mechanism.forward(rho, mode=mode))
+        mode: (reduction.forward(rho, mode=mode), mechanism.close(rho, mode=mode).p)
         for mode in ("machine", "other")
     }
 

@@ -35,11 +35,11 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
 from orthoglide.machine_file import Controller, Posterior
-from orthoglide.mechanism.loops import Loops
-from orthoglide.mechanism.tree import Tree, _sorted, _with_extras
+from orthoglide.mechanism.constraints import Constraints
+from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, nominal_tree
 from orthoglide.prediction import Conditions
 from orthoglide.simulation import simulate_tcp
-from orthoglide.urdf import to_urdf
+from orthoglide.urdf import closures, to_urdf
 from tests.rig import Array, Rig
 from tests.rig_campaigns import simulate
 
@@ -505,23 +505,25 @@ COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
 
 
 def tree_of(text: str, *, general: bool, geometry: Geometry | None = None) -> Tree:
-    model = pin.buildModelFromXML(text)
-    return _sorted(geometry or Geometry(), _with_extras(model) if general else model)
+    geometry = geometry or Geometry()
+    motors = tuple(f"{leg}_slide" for leg in geometry.leg_names)
+    looped = LoopedModel(pin.buildModelFromXML(text), closures(geometry), motors)
+    return general_tree(looped) if general else nominal_tree(looped)
 
 
 def closed_tcp(tree: Tree, travel: Array) -> Array:
     """TCP of a tree as loaded, its loops closed by Newton (least squares) from neutral."""
-    loops, q = Loops(tree), np.zeros(tree.model.nq)
+    constraints, q = Constraints(tree), np.zeros(tree.model.nq)
     q[tree.drive] = travel
     for _ in range(25):
-        residual = loops.update(q)
-        step = np.linalg.lstsq(loops.newton_matrix()[:, tree.free], residual, rcond=1e-9)[0]
+        residual = constraints.residual(q)
+        step = np.linalg.lstsq(constraints.newton_matrix()[:, tree.free], residual, rcond=1e-9)[0]
         q[tree.free] -= step
         if np.abs(step).max() < 1e-14:
             break
-    assert np.abs(loops.update(q)).max() < 1e-11
-    pin.framesForwardKinematics(tree.model, loops.data, q)
-    return np.array(loops.data.oMf[tree.model.getFrameId(tree.tool)].translation)
+    assert np.abs(constraints.residual(q)).max() < 1e-11
+    pin.framesForwardKinematics(tree.model, constraints.data, q)
+    return np.array(constraints.data.oMf[tree.model.getFrameId(tree.tool)].translation)
 
 
 def slopes(values: dict[str, float]) -> Array:

@@ -107,7 +107,7 @@ def test_the_gallery_has_every_verdict_with_its_drawing(word: str) -> None:
 
 
 def test_the_mobility_is_what_the_mechanism_says() -> None:
-    mobility = og.Mechanism(compile=False).mobility(Geometry().zero)
+    mobility = og.Mechanism().mobility(Geometry().zero)
     assert f"> {mobility}\n" in read("docs/mechanism.md")
 
 

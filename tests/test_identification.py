@@ -46,7 +46,7 @@ PLANTED = {
     "leg_length.x": 5e-5, "leg_length.y": -8e-5, "leg_length.z": 3e-5,
 }  # fmt: skip
 MACHINE = Machine(MachineFile(dial=Dial(repeatability=NOISE)))
-MACHINE.model.mechanism.batch  # noqa: B018  (built once for all tests)
+MACHINE.model.engine  # noqa: B018  (built once for all tests)
 EXACT = MachineFile(dial=Dial(resolution=0.0, repeatability=NOISE, placement=0))
 
 

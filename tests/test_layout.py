@@ -26,14 +26,14 @@ from orthoglide.machine_file import (
     machine_text,
     parse_machine_file,
 )
-from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.loops import Loops
+from orthoglide.mechanism.constraints import Constraints
 from orthoglide.observations import csv_text, read_tcp, tcp_rows, write_campaign
 from orthoglide.parameters import Parameter
 from orthoglide.planning.owning import sheet_of
 from orthoglide.prediction import Conditions
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate, simulate_tcp
+from tests.engines import forward, mechanism
 from tests.rig_delta import DeltaRig, parameter_names
 from tests.test_cli import run
 
@@ -92,59 +92,53 @@ def one_of(seen: dict[str, np.ndarray], k: int) -> dict[str, np.ndarray]:
     return {name: values[k] for name, values in seen.items()}
 
 
-@pytest.mark.parametrize(
-    ("geometry", "compile"),
-    [(DELTA, False), (UNEVEN, False), (UNEVEN, True)],
-    ids=["even", "uneven", "uneven, compiled"],
-)
-def test_parallel_legs_are_three_spheres(geometry: Geometry, compile: bool) -> None:
-    mechanism, p = Mechanism(geometry, compile=compile), points(40)
-    travel = mechanism.inverse(p)
+@pytest.mark.parametrize("geometry", [DELTA, UNEVEN], ids=["even", "uneven"])
+def test_parallel_legs_are_three_spheres(geometry: Geometry) -> None:
+    own, p = mechanism(geometry), points(40)
+    machine = Machine(MachineFile(geometry=geometry))
+    travel = machine.inverse(p)
     centres = np.stack(
         [leg.carriage - leg.platform + travel[:, [k]] * leg.slide
          for k, leg in enumerate(geometry.legs)], axis=1,
     )  # fmt: skip
     assert np.abs(intersect_spheres(centres, geometry.L) - p).max() < 1e-12
-    assert np.abs(mechanism.forward(travel) - p).max() < 1e-12
-    assert np.abs(mechanism.close(travel[0]).p - p[0]).max() < 1e-12
-    assert np.abs(mechanism.forward(np.zeros(3))).max() < 1e-14
+    assert np.abs(machine.forward(travel) - p).max() < 1e-12
+    assert max(np.abs(own.close(t).p - q).max() for t, q in zip(travel, p, strict=True)) < 1e-12
+    assert np.abs(machine.forward(np.zeros(3))).max() < 1e-14
+    assert np.abs(own.close(np.zeros(3)).p).max() < 1e-14
 
 
-@pytest.mark.parametrize("compile", [False, True])
-def test_every_command_that_the_arms_reach_closes_below_the_carriages(compile: bool) -> None:
+def test_every_command_that_the_arms_reach_closes_below_the_carriages() -> None:
     """Newton's method from the neutral posture ended above them, or nowhere, for a third."""
     geometry = Geometry(0.25, 0.05, 0.03, (-0.1, 0.3), LinearDelta((0.12,) * 3, tool=(0, 0, -0.04)))
-    travel = np.random.default_rng(5).uniform(*geometry.stroke, (3000 if compile else 300, 3))
+    travel = np.random.default_rng(5).uniform(*geometry.stroke, (3000, 3))
     centres = geometry.centres + travel[:, :, None] * geometry.slides
     expected = intersect_spheres(centres, geometry.L)
-    mechanism = Mechanism(geometry, compile=compile)
-    assert np.abs(mechanism.forward(travel) - expected).max() < 1e-9
-    assert np.abs(mechanism.forward(travel, np.zeros(30)) - expected).max() < 1e-9
-    closed = [mechanism.close(one).p for one in travel[:60]]
-    assert np.abs(closed - expected[:60]).max() < 1e-9
+    assert np.abs(forward(travel, geometry=geometry) - expected).max() < 1e-9
+    closed = [mechanism(geometry).close(one).p for one in travel[:300]]
+    assert np.abs(closed - expected[:300]).max() < 1e-9
     soft = Machine(MachineFile(geometry=geometry, stiffness=Stiffness(bar=1e8)))
     assert np.abs(soft.forward(travel[:20], load=1e-6) - expected[:20]).max() < 1e-9
 
 
 def test_the_other_assembly_mode_is_the_mirror_image() -> None:
-    mechanism, travel = Mechanism(DELTA), np.array([[0.02, 0.05, 0.01]])
+    travel = np.array([[0.02, 0.05, 0.01]])
     centres = np.stack(
         [leg.carriage - leg.platform + travel[:, [k]] * leg.slide
          for k, leg in enumerate(DELTA.legs)], axis=1,
     )  # fmt: skip
     other = intersect_spheres(centres, DELTA.L, "other")
-    assert np.abs(mechanism.forward(travel, mode="other") - other).max() < 1e-11
+    assert np.abs(mechanism(DELTA).close(travel[0], mode="other").p - other).max() < 1e-11
 
 
 def test_constraint_jacobian_is_the_derivative_of_the_closures() -> None:
-    mechanism = Mechanism(DELTA)
-    q = mechanism.close(np.array([0.02, 0.05, 0.01])).q + 1e-3
-    loops, width = Loops(mechanism.tree), 1e-6
-    jacobian = loops.jacobian(q)
+    q = mechanism(DELTA).close(np.array([0.02, 0.05, 0.01])).q + 1e-3
+    constraints, width = Constraints(mechanism(DELTA).tree), 1e-6
+    jacobian = constraints.jacobian(q)
     for k in range(len(q)):
         step = np.zeros(len(q))
         step[k] = width
-        slope = (loops.update(q + step) - loops.update(q - step)) / (2 * width)
+        slope = (constraints.residual(q + step) - constraints.residual(q - step)) / (2 * width)
         assert np.abs(slope - jacobian[:, k]).max() < 1e-7
 
 

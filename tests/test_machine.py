@@ -198,7 +198,7 @@ def test_with_parameters_says_what_is_wrong(
     ],
 )
 def test_refuses_what_is_no_condition(seen: dict[str, Any], told: str) -> None:
-    for ask in (NOMINAL.forward, NOMINAL.jacobian, NOMINAL.deformation, NOMINAL.inverse):
+    for ask in (NOMINAL.forward, NOMINAL.jacobian, NOMINAL.bar_tensions, NOMINAL.inverse):
         with pytest.raises(InputError, match=told):
             ask([[0.31] * 3, [0.32] * 3] if ask != NOMINAL.inverse else np.zeros((2, 3)), **seen)
 

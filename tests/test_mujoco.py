@@ -9,19 +9,11 @@ import pytest
 pytest.importorskip("mujoco")
 
 from orthoglide.geometry import Geometry
-from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from tests.engines import NOMINAL, OTHER, commands, forward, mechanism, outputs
 from tests.mujoco_machine import Array, Dimensions, MujocoMachine, prpar_mjcf, six_bar_mjcf
 from tests.rig_delta import DeltaRig
 from tests.test_layout import DELTA, RIG
-
-NOMINAL = Geometry()
-OTHER = Geometry(L=0.5, d=0.11, r=0.047, stroke=(-0.12, 0.08))
-MECHANISM = {g: Mechanism(g, compile=False) for g in (NOMINAL, OTHER, DELTA)}
-
-
-def commands(n: int, seed: int, geometry: Geometry = NOMINAL) -> Array:
-    return geometry.L + np.random.default_rng(seed).uniform(*geometry.stroke, (n, 3))
 
 
 def delta(rig: DeltaRig) -> Dimensions:
@@ -54,7 +46,7 @@ def dimensions(geometry: Geometry = NOMINAL, moves: Array | None = None) -> Dime
 def test_nominal_machine(build: Callable[[Dimensions], str], geometry: Geometry) -> None:
     witness = MujocoMachine(build(dimensions(geometry)), geometry.L)
     rho = commands(100, 1, geometry)
-    p = MECHANISM[geometry].forward(rho)
+    p = forward(rho, geometry=geometry)
     for command, expected in zip(rho, p, strict=True):
         place, turn = witness.pose(command)
         assert np.abs(place - expected).max() < 1e-12
@@ -67,7 +59,7 @@ def test_closed_machine_in_mujoco_has_the_mobility_of_ours() -> None:
         data = witness.close(command)
         rows = data.efc_J.reshape(data.nefc, -1)
         values = np.linalg.svd(rows, compute_uv=False)
-        ours = MECHANISM[NOMINAL].mobility(command)
+        ours = mechanism().mobility(command)
         assert rows.shape == (ours.rows, ours.joints)
         assert int(np.sum(values > 1e-7 * values[0])) == ours.rank
 
@@ -88,16 +80,15 @@ ERRORS = {
 
 def compare(rho: Array, moves: Array, tolerance: float, geometry: Geometry = NOMINAL) -> float:
     """Check poses with errors against MuJoCo's six bars; by how much the errors turn them."""
-    mechanism, most = MECHANISM[geometry], 0.0
+    own, most = mechanism(geometry), 0.0
     zero = float(geometry.zero[0])
     witness = MujocoMachine(six_bar_mjcf(dimensions(geometry, moves)), zero)
-    given = mechanism.given(rho, np.broadcast_to(moves, (len(rho), *moves.shape)))
-    out = mechanism.batch.outputs(mechanism.batch.close(given), given)
+    out = outputs(rho, moves, geometry)
     for k, command in enumerate(rho):
         place, turn = witness.pose(command)
         assert np.abs(out.p[k] - place).max() < tolerance
         assert np.abs(out.R[k] - turn).max() < tolerance
-        assert np.abs(mechanism.close(command, moves).p - place).max() < tolerance
+        assert np.abs(own.close(command, moves).p - place).max() < tolerance
         most = max(most, float(np.abs(turn - np.eye(3)).max()))
     return most
 
@@ -132,4 +123,4 @@ def test_mujoco_refuses_what_the_mechanism_refuses() -> None:
     with pytest.raises(ArithmeticError):
         witness.close(np.full(3, 0.7))
     with pytest.raises(ArithmeticError):
-        MECHANISM[NOMINAL].close(np.full(3, 0.7))
+        mechanism().close(np.full(3, 0.7))

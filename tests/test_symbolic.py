@@ -14,7 +14,7 @@ import pytest
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.mechanism.symbolic import SymbolicTree, Transform, joint_transform, rotation_error
-from orthoglide.mechanism.tree import Tree, general_tree, nominal_tree
+from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, load, nominal_tree
 
 # Name of the file, kind of root, and the kinds of joint for which it was chosen.
 ROBOTS = [
@@ -77,8 +77,8 @@ def largest_difference(model: pin.Model, n: int = 5) -> float:
 
 @pytest.mark.parametrize("build", [nominal_tree, general_tree])
 @pytest.mark.parametrize("geometry", [Geometry(), Geometry(L=0.5, d=0.11, r=0.047)])
-def test_this_machine(build: Callable[[Geometry], Tree], geometry: Geometry) -> None:
-    assert largest_difference(build(geometry).model, 20) < 1e-12
+def test_this_machine(build: Callable[[LoopedModel], Tree], geometry: Geometry) -> None:
+    assert largest_difference(build(load(geometry)).model, 20) < 1e-12
 
 
 @pytest.mark.parametrize(("name", "root"), ROBOTS)
@@ -176,7 +176,7 @@ def test_a_mimic_joint_is_refused() -> None:
 
 
 def test_unknown_frames_are_refused() -> None:
-    tree = SymbolicTree(nominal_tree().model)
+    tree = SymbolicTree(nominal_tree(load()).model)
     with pytest.raises(InputError, match="no frame 'nose'"):
         tree.frame("nose")
     with pytest.raises(InputError, match="no frame 'nose'"):
@@ -193,7 +193,7 @@ def test_unknown_frames_are_refused() -> None:
     ],
 )
 def test_relative_transforms(first: str, second: str) -> None:
-    model = general_tree().model
+    model = general_tree(load()).model
     tree = SymbolicTree(model)
     between = tree.relative(first, second)
     compare = ca.Function("compare", [tree.q], [ca.horzcat(between.R, between.t)])
@@ -206,7 +206,7 @@ def test_relative_transforms(first: str, second: str) -> None:
 
 
 def test_relative_transforms_skip_what_both_frames_share() -> None:
-    tree = SymbolicTree(general_tree().model)
+    tree = SymbolicTree(general_tree(load()).model)
     between = tree.relative("x_bar2_tip", "x_knuckle_tip")
     used = {symbol.name() for symbol in ca.symvar(ca.vertcat(ca.vec(between.R), between.t))}
     model = tree.model
@@ -225,7 +225,7 @@ def test_transforms_read_by_cancellation() -> None:
 
 
 def test_derivatives_equal_pinocchios_jacobian() -> None:
-    model = general_tree().model
+    model = general_tree(load()).model
     tree = SymbolicTree(model)
     place = tree.frame("y_tcp").t
     slope = ca.Function("slope", [tree.q], [ca.jacobian(place, tree.q)])

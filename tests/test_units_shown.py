@@ -15,8 +15,7 @@ from orthoglide.closing import run
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import confirm_words, one_words, size_words
 from orthoglide.effects.words import mm, mrad, percent, slope
-from orthoglide.mechanism.elastic import Deformation
-from orthoglide.mechanism.tree import nominal_tree
+from orthoglide.mechanism.tree import load, nominal_tree
 from orthoglide.numerals import compact
 from orthoglide.report import result_text
 from orthoglide.report.rows import parameter_rows
@@ -74,23 +73,12 @@ def test_what_time_and_warmth_do_is_said_alike_in_every_sentence(
 
 
 def test_a_misfit_is_as_large_as_its_largest_entry_whatever_its_sign() -> None:
-    tree = nominal_tree()
+    tree = nominal_tree(load())
     residual = np.linspace(1e-6, 2e-6, 21)
     names = list(tree.rows)
     for name in names:
         residual[tree.rows[name].start] = -3e-4 * (1 + names.index(name))
     assert tree.by_loop(residual) == pytest.approx({n: 3e-4 * (1 + names.index(n)) for n in names})
-
-
-def test_energy_is_said_in_millijoules() -> None:
-    none = np.zeros((3, 2))
-    energy = np.zeros((3, 3))
-    energy[1, 2], energy[2, 0] = 1.5e-3, 0.5e-3
-    found = Deformation(np.zeros((3, 2)), none, none, np.zeros(3), np.zeros(3), energy)
-    assert str(found) == (
-        "the machine fights against itself and the load with 2 mJ: leg y's torsion 75%, "
-        "leg z's bar 1 25%"
-    )
 
 
 # -- a whole result -------------------------------------------------------------------------------

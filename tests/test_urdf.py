@@ -21,6 +21,9 @@ from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
+from orthoglide.mechanism import Mechanism
+from orthoglide.mechanism.constraints import Constraints
+from orthoglide.mechanism.tree import load, nominal_tree
 from orthoglide.urdf import solids
 from tests.test_layout import DELTA, UNEVEN, freely
 
@@ -32,7 +35,7 @@ PARTS = ("slide", "theta", "bar1", "knuckle", "platform", "bar2")
 FRAMES = ("bar2_tip", "knuckle_tip", "tcp")
 
 
-def load(geometry: Geometry) -> pin.Model:
+def model_of(geometry: Geometry) -> pin.Model:
     return pin.buildModelFromXML(urdf.to_urdf(geometry))
 
 
@@ -115,7 +118,7 @@ def test_names_of_joints_links_and_their_axes() -> None:
 
 
 def test_frames_of_the_closures_are_found_by_bare_name() -> None:
-    model = load(NOMINAL)
+    model = model_of(NOMINAL)
     assert urdf.closures(NOMINAL)
     for item in urdf.closures(NOMINAL):
         for frame in (item.frame_1, item.frame_2):
@@ -153,7 +156,7 @@ def test_yourdfpy_and_pinocchio_agree_on_every_link(geometry: Geometry, tmp_path
 
 @GEOMETRIES
 def test_neutral_is_the_closed_machine_at_zero(geometry: Geometry) -> None:
-    model = load(geometry)
+    model = model_of(geometry)
     poses = link_poses(model, pin.neutral(model))
     assert max(gaps(geometry, poses).values()) < 1e-15
     for leg, n in enumerate(LEGS):
@@ -168,7 +171,7 @@ def test_neutral_is_the_closed_machine_at_zero(geometry: Geometry) -> None:
 
 @GEOMETRIES
 def test_closes_within_the_limits_over_the_whole_stroke(geometry: Geometry) -> None:
-    model = load(geometry)
+    model = model_of(geometry)
     low, high = geometry.stroke
     corners = np.stack(np.meshgrid(*[[low, high]] * 3), axis=-1).reshape(-1, 3)
     inside = np.random.default_rng(2).uniform(low, high, (100, 3))
@@ -187,7 +190,7 @@ def test_closes_within_the_limits_over_the_whole_stroke(geometry: Geometry) -> N
 
 
 def test_limits_of_slides_are_the_stroke() -> None:
-    model = load(OTHER)
+    model = model_of(OTHER)
     for n in LEGS:
         at = model.joints[model.getJointId(f"{n}_slide")].idx_q
         limits = model.lowerPositionLimit[at], model.upperPositionLimit[at]
@@ -282,7 +285,7 @@ def test_drawn_solids_overlap_only_where_links_share_a_pivot() -> None:
     text = urdf.to_urdf(NOMINAL).replace("</robot>", option + "</robot>")
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
-    tree = load(NOMINAL)
+    tree = model_of(NOMINAL)
     shared = {(f"{n}_{one}", f"{n}_fork") for n in LEGS for one in ("bar1", "bar2", "carriage")}
     shared |= {(f"{n}_{one}", f"{n}_knuckle") for n in LEGS for one in ("bar1", "bar2")}
     shared |= {(f"{n}_knuckle", f"{n}_platform") for n in LEGS}
@@ -294,6 +297,15 @@ def test_drawn_solids_overlap_only_where_links_share_a_pivot() -> None:
             data.joint(joint).qpos = q[tree.joints[tree.getJointId(joint)].idx_q]
         mujoco.mj_kinematics(model, data)
         assert solids_that_touch(model, data) == shared
+
+
+TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+EVERY = {
+    "delta": DELTA,
+    "uneven delta": UNEVEN,
+    "free legs of a delta": freely(UNEVEN, turn=TURN),
+    "free legs of an Orthoglide": freely(NOMINAL, turn=TURN),
+}
 
 
 # --- The convention of parallel robots ------------------------------------------------------
@@ -329,10 +341,16 @@ def open_by(
     return np.concatenate(rows)
 
 
+def exported(geometry: Geometry, folder: Path) -> pin.Model:
+    """A machine written in that convention, and its tree as any loader reads it."""
+    for name, text in urdf.parallel_robot_files(geometry).items():
+        (folder / name).write_text(text)
+    return pin.buildModelFromUrdf(str(folder / "robot.urdf"))
+
+
 @GEOMETRIES
 def test_a_parallel_robot_closes_when_loaded_back(geometry: Geometry, tmp_path: Path) -> None:
-    for name, text in urdf.parallel_robot_files(geometry).items():
-        (tmp_path / name).write_text(text)
+    model = exported(geometry, tmp_path)
     told = yaml.safe_load((tmp_path / "robot.yaml").read_text())
     assert set(told) >= {"closed_loop", "type", "name_mot", "joint_name", "joint_type"}
     robot = urdf.read_parallel_robot(tmp_path)
@@ -340,24 +358,53 @@ def test_a_parallel_robot_closes_when_loaded_back(geometry: Geometry, tmp_path: 
         (c.kind, c.frame_1, c.frame_2) for c in urdf.closures(geometry)
     ]
     assert robot.motors == ("x_slide", "y_slide", "z_slide")
-    model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
     constraints, data = constraints_of(robot, model), model.createData()
     travel = np.array([0.01, -0.02, 0.03])
     for q in (pin.neutral(model), closed_configuration(geometry, travel, model)):
         assert np.abs(open_by(model, data, constraints, q)).max() < 1e-12
-    jacobian = pin.getConstraintsJacobian(
-        model, data, constraints, [c.createData() for c in constraints]
-    )
-    assert jacobian.shape == (21, model.nv)
+        pin.computeJointJacobians(model, data, q)
+        datas = [constraint.createData() for constraint in constraints]
+        for constraint, held in zip(constraints, datas, strict=True):
+            constraint.calc(model, data, held)  # without which the Jacobian is silently wrong
+        found = pin.getConstraintsJacobian(model, data, constraints, datas)
+        own = Constraints(nominal_tree(load(geometry))).jacobian(q)
+        # Their rows are the first frame's velocity less the second's.
+        assert np.abs(found + own).max() < 1e-12
 
 
-TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
-EVERY = {
-    "delta": DELTA,
-    "uneven delta": UNEVEN,
-    "free legs of a delta": freely(UNEVEN, turn=TURN),
-    "free legs of an Orthoglide": freely(NOMINAL, turn=TURN),
-}
+def residual_by_hand(
+    model: pin.Model, data: pin.Data, constraints: list[pin.RigidConstraintModel], q: np.ndarray
+) -> np.ndarray:
+    """How far the loops are open, seen from each first frame: places, and twists where axes
+    coincide too.
+    """
+    pin.framesForwardKinematics(model, data, q)
+    rows = []
+    for constraint in constraints:
+        one = data.oMi[constraint.joint1_id] * constraint.joint1_placement
+        other = data.oMi[constraint.joint2_id] * constraint.joint2_placement
+        between = one.actInv(other)
+        point = constraint.type == pin.ContactType.CONTACT_3D
+        rows.append(between.translation if point else pin.log6(between).vector)
+    return np.concatenate(rows)
+
+
+@pytest.mark.parametrize("geometry", EVERY.values(), ids=EVERY)
+def test_exported_loops_are_open_by_as_much_as_ours(geometry: Geometry, tmp_path: Path) -> None:
+    """Far from closure, where a loop cut at another place would show another misfit."""
+    model = exported(geometry, tmp_path)
+    robot, data = urdf.read_parallel_robot(tmp_path), model.createData()
+    constraints, foreign = constraints_of(robot, model), Mechanism.from_urdf(tmp_path)
+    own = Constraints(nominal_tree(load(geometry)))
+    assert robot.motors == own.tree.motors == foreign.tree.motors
+    draws = np.random.default_rng(4)
+    for _ in range(10):
+        q = 0.4 * draws.standard_normal(model.nq)
+        expected = own.residual(q)
+        assert np.abs(expected).max() > 0.05
+        assert np.abs(foreign.constraints.residual(q) - expected).max() < 1e-14
+        assert np.abs(residual_by_hand(model, data, constraints, q) - expected).max() < 1e-13
+        assert np.abs(foreign.constraints.jacobian(q) - own.jacobian(q)).max() < 1e-13
 
 
 @pytest.mark.parametrize("calibrated", [False, True], ids=["nominal", "calibrated"])
@@ -406,7 +453,7 @@ BROKEN = {
     "no such motor": ("'y_slide'", "'y_motor'", "no joint"),
     "no list": ("name_mot: [", "name_mot: ", "no list in brackets"),
     "missing": ("closed_loop", "closedloop", "is missing"),
-    "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "such as x_slide by others"),
+    "replaced joints": ("joint_name: []", "joint_name: ['x_slide']", "kinds for 1 joints"),
 }
 
 

@@ -45,7 +45,7 @@ def machine() -> None:
     spec.worldbody.add_light(pos=[-1, -1, 2], dir=[0.5, 0.5, -1])
     model = spec.compile()
     data = mujoco.MjData(model)
-    mechanism = Mechanism(geometry, compile=False)
+    mechanism = Mechanism(geometry)
     closed = mechanism.close(geometry.L + np.array(COMMAND_MM) * 1e-3)
     tree = mechanism.tree.model
     for k in range(model.njnt):

@@ -17,10 +17,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from orthoglide.errors import ClosureError
+from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
+from orthoglide.mechanism.perfect_legs import FLAT
 from orthoglide.mechanism.rows import Functions, Single
 from orthoglide.mechanism.six_bars import GIVEN, LINES, OUTPUTS, ROTATION, TCP
 
@@ -167,7 +168,7 @@ def _numbered(index: int, count: int) -> Iterator[None]:
     try:
         yield
     except ClosureError as error:
-        which = f"posture {index} of {count}: " if count > 1 else ""
+        which = f"posture {index + 1} of {count}: " if count > 1 else ""
         raise ClosureError(f"{which}{error}", residuals=error.residuals, index=(index,)) from None
 
 
@@ -215,10 +216,15 @@ class SixBars:
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """See :class:`Engine`."""
+        if travel.shape != (len(moves), 3) or moves.shape[1:] != (GIVEN - 3,):
+            raise InputError(
+                f"travel (n, 3) and displacements (n, {GIVEN - 3}) are needed, not "
+                f"{travel.shape} and {moves.shape}"
+            )
         values, check = self._close("close", self.constants, travel, moves)
         # The largest of each is right where all are; a check that is no number is not.
         off, side, turned = check[0] if len(check) == 1 else _worst(check)
-        if not (off <= self._exact and side < 0 and turned > _TURNED):
+        if not (off <= self._exact and side < -FLAT and turned > _TURNED):
             self._again(values, check, travel, moves)
         return Outputs(values)
 
@@ -265,7 +271,7 @@ def _closing() -> list[Any]:
 
 def _right(check: Array, most: float) -> NDArray[np.bool_]:
     """Which postures ``(n,)`` are closed, in the machine's own assembly mode."""
-    return np.asarray((check[:, 0] <= most) & (check[:, 1] < 0) & (check[:, 2] > _TURNED))
+    return np.asarray((check[:, 0] <= most) & (check[:, 1] < -FLAT) & (check[:, 2] > _TURNED))
 
 
 def _worst(check: Array) -> tuple[float, float, float]:

@@ -76,7 +76,7 @@ class Mechanism:
         self.tree = tree
         self.constraints = Constraints(tree)
         self.tool = tree.frame(tree.tool)
-        by_velocity = {joint.idx_v: joint.idx_q for joint in list(tree.model.joints)[1:]}
+        by_velocity = {joint.idx_v: joint for joint in list(tree.model.joints)[1:]}
         self._drives = [by_velocity[int(v)] for v in tree.drive]
 
     @classmethod
@@ -153,6 +153,8 @@ class Mechanism:
             ClosureError: where the loops do not close, with the residual by loop.
             InputError: where the arguments have the wrong shape or are not finite.
         """
+        if mode != "machine" and not self.has_legs:
+            raise InputError("only three PRPaR legs have modes by name: give a guess to start from")
         q = self._start(command, displacements, guess)
         moving = self.tree.passive if legs == "rigid" else self.tree.free
         if mode == "machine" or guess is not None:
@@ -193,7 +195,11 @@ class Mechanism:
         if given.shape != tree.drive.shape or not np.isfinite(given).all():
             raise InputError(f"close takes one command {tree.drive.shape} of finite numbers")
         q = pin.neutral(tree.model) if guess is None else guess.q.copy()
-        q[self._drives] = given - self._zero
+        for joint, position in zip(self._drives, given - self._zero, strict=True):
+            # A joint without limits is held as cosine and sine.
+            turning = joint.nq == 2
+            part = slice(joint.idx_q, joint.idx_q + joint.nq)
+            q[part] = (np.cos(position), np.sin(position)) if turning else position
         if displacements is not None and not self.has_legs:
             raise InputError("this machine has no virtual joints, so it takes no displacements")
         if self.has_legs:
@@ -213,6 +219,8 @@ class Mechanism:
                 "rigid PRPaR legs cannot take up these errors of the parts"
                 if legs == "rigid" and iterations < _STEPS
                 else "the legs do not reach each other"
+                if self.has_legs
+                else "they cannot, or a nearer guess is needed"
             )
             raise ClosureError(
                 f"the loops do not close: {reason}; the largest misfit is {size * 1e3:.3g} mm or "
@@ -224,8 +232,9 @@ class Mechanism:
         if self.has_legs:
             found = mode_of(self.spheres, q[self.tree.drive], p)
             if found != mode:
+                where = f"in the {found} assembly mode" if found else "where the assembly modes meet"
                 raise ClosureError(
-                    f"closure ended in the {found} assembly mode instead of {mode}",
+                    f"the loops close {where}, not in the {mode} assembly mode",
                     residuals=by_loop,
                 )
         return Posture(q, p, R, by_loop, iterations)

@@ -15,7 +15,7 @@ _RANK_TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class Mobility:
-    """How the PRPaR machine is constrained at one posture."""
+    """How a machine with loops is constrained at one posture."""
 
     joints: int  # joints of the tree, drives included
     rows: int  # closure rows
@@ -29,9 +29,14 @@ class Mobility:
     def __str__(self) -> str:
         pa = [rank for name, rank in self.by_loop.items() if "parallelogram" in name]
         planar = 3 * len(pa) - sum(pa)
-        return (
+        counted = (
             f"{self.joints} joints, {self.rows} closure rows of rank {self.rank}: mobility "
-            f"{self.mobility}, {self.redundant} times overconstrained. {planar} of the conditions "
+            f"{self.mobility}, {self.redundant} times overconstrained."
+        )
+        if not pa:
+            return counted
+        return (
+            f"{counted} {planar} of the conditions "
             f"too many are in the parallelograms, which are planar and cannot also be told to stay "
             f"in their plane; the other {self.redundant - planar} hold the platform's rotation, "
             f"which the legs block more often than once: each leg resists torsion."

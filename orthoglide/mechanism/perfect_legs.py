@@ -18,6 +18,11 @@ from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, Tree
 Mode = Literal["machine", "other"]
 """The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
+FLAT = 1e-15
+"""A side of the carriages' plane, in bars' lengths, whose sign is rounding: a thousandth of a bar
+from there it is more than a thousand million times as large.
+"""
+
 _FAR = 10.0  # bars' lengths: points so far away were perhaps given in other units
 UNITS = "give metres in Python, millimetres on the command line and in files"
 """What to do about a point so far away."""
@@ -166,13 +171,20 @@ def tool(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
     return np.asarray(centres[:, 0] + foot + height * normal * (-1 if mode == "machine" else 1))
 
 
-def mode_of(spheres: Spheres, travel: Array, p: Array) -> Mode:
+def mode_of(spheres: Spheres, travel: Array, p: Array) -> Mode | None:
     """Return the assembly mode in which a machine stands with its TCP at ``p`` ``(3,)``.
 
     Far from any plausible error of the parts the plane of the carriages without errors will do.
+
+    Returns:
+        ``None`` where only rounding would tell the modes apart: the carriages stand in one line, or
+        in one plane with the tool or the origin.
     """
-    normal, offset = _carriage_plane(spheres, spheres.at(travel[None]))
-    return "machine" if float(normal[0] @ p - offset[0]) < 0 else "other"
+    (centres,), length = spheres.at(travel[None]), float(spheres.lengths.max())
+    normal = np.cross(centres[1] - centres[0], centres[2] - centres[0]) / length**2
+    far = spheres.slides[0] if spheres.hanging else centres[0] / length
+    side = float(normal @ (p - centres[0])) / length * float(normal @ far)
+    return None if abs(side) <= FLAT else "machine" if side < 0 else "other"
 
 
 def _carriage_plane(spheres: Spheres, centres: Array) -> tuple[Array, Array]:

@@ -187,7 +187,7 @@ class _Symbols:
         Below parallel rails the far side is up the rails; else it is away from the origin.
         """
         first, hanging = self.legs[0], self.constants[CONSTANTS - 1]
-        along_rail, outward = first.axes @ first.slide, centres[0]
+        along_rail, outward = first.axes @ first.slide, centres[0] / first.lengths[0]
         return ca.dot(normal, hanging * along_rail + (1 - hanging) * outward)
 
 
@@ -196,8 +196,8 @@ def closing_functions() -> tuple[Any, Any]:
 
     The first takes (constants, travel (3,), moves (30,)), the second a pose (12,) besides: p and R
     row by row. Both return (outputs (48,), check (3,)). The check has the largest difference
-    between a bar and its length, metres; a number that is negative in the machine's own assembly
-    mode; and the trace of R.
+    between a bar and its length, metres; a number without unit that is negative in the machine's
+    own assembly mode and 0 where the modes meet; and the trace of R.
     """
     symbols = _Symbols()
     pose = ca.SX.sym("pose", 12)
@@ -247,6 +247,7 @@ def _closed(symbols: _Symbols, p: Any, R: Any) -> list[Any]:
     centres = symbols.centres()
     normal = ca.cross(centres[1] - centres[0], centres[2] - centres[0])
     side = ca.dot(normal, p - centres[0]) * symbols.upward(normal, centres)
+    side /= symbols.legs[0].lengths[0] ** 5
     return ca.cse([outputs, ca.vertcat(off, side, ca.trace(R))])
 
 

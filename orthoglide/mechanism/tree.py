@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
-from orthoglide.text import brief, shown
+from orthoglide.text import shown
 from orthoglide.urdf import Closure, read_looped_urdf, shipped_folder, write
 
 Joint = Callable[[], Any]
@@ -123,7 +123,7 @@ class Tree:
         # A joint and a link may share a name: then the link is meant.
         named = [k for k, frame in enumerate(self.model.frames) if frame.name == name]
         if not named:
-            raise InputError(f"the URDF has no link {name!r}, which its closures name")
+            raise InputError(f"the URDF has no link {name!r}")
         return next(
             (k for k in named if self.model.frames[k].type != pin.FrameType.JOINT), named[0]
         )
@@ -172,16 +172,17 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel
     found = read_looped_urdf(folder_of)
     try:
         model = pin.buildModelFromUrdf(str(found.path))
-    except (ValueError, RuntimeError) as error:
+    except (ValueError, RuntimeError):
         raise FileError(
-            f"Pinocchio cannot read it ({brief(str(error))}): correct it", file=shown(found.path)
+            "Pinocchio finds no tree of links and joints in it, and prints why: correct it",
+            file=shown(found.path),
         ) from None
+    model = _replaced(model, found.replaced)
     for motor in found.motors:
         if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
             raise FileError(
                 f"{motor} is driven and no joint of one degree of freedom", file=shown(found.path)
             )
-    model = _replaced(model, found.replaced)
     return LoopedModel(model, found.urdf, found.closures, found.motors)
 
 
@@ -228,7 +229,10 @@ def _sorted(looped: LoopedModel, model: pin.Model) -> Tree:
 
 def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
     """Return the model with some joints made spherical or fixed."""
-    if not replaced:
+    fixed = [source.getJointId(name) for name, kind in replaced.items() if kind == "FIXED"]
+    if fixed:
+        source = pin.buildReducedModel(source, fixed, pin.neutral(source))
+    if "SPHERICAL" not in replaced.values():
         return source
     model = pin.Model()
     model.name = source.name
@@ -240,8 +244,7 @@ def _replaced(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
     for frame in source.frames[1:]:
         if frame.type == pin.FrameType.BODY:
             model.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, frame.type))
-    fixed = [model.getJointId(name) for name, kind in replaced.items() if kind == "FIXED"]
-    return pin.buildReducedModel(model, fixed, pin.neutral(model)) if fixed else model
+    return model
 
 
 def _with_extras(source: pin.Model) -> pin.Model:

@@ -132,6 +132,8 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
     pairs, kinds, motors = (found.of(key) for key in ("closed_loop", "type", "name_mot"))
     if len(kinds) != len(pairs):
         found.fail("type", f"has {len(kinds)} kinds for {len(pairs)} loops: give one for each")
+    if not pairs:
+        found.fail("closed_loop", "has no pair of frames, so no loop is closed: add them")
     loops = []
     for k, (pair, kind) in enumerate(zip(pairs, kinds, strict=True), start=1):
         if not (isinstance(pair, list) and len(pair) == 2 and all(n in names for n in pair)):
@@ -142,7 +144,7 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
     for motor in motors:
         if motor not in names:
             found.fail("name_mot", f"names {brief(str(motor))}, no joint of {ROBOT_URDF}")
-    replaced = _replaced(found, names)
+    replaced = _replaced(found, _joint_names(urdf))
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
 
 
@@ -152,13 +154,19 @@ def _replaced(found: _Lists, names: frozenset[str]) -> dict[str, str]:
         found.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
     for joint, kind in zip(joints, kinds, strict=True):
         if joint not in names:
-            found.fail("joint_name", f"names {brief(str(joint))}, no joint of {ROBOT_URDF}")
+            found.fail("joint_name", f"names {brief(str(joint))}, no moving joint of {ROBOT_URDF}")
         if kind not in _REPLACEMENTS:
             found.fail(
                 "joint_type",
                 f"has {brief(str(kind))}, which is not read: it is {' or '.join(_REPLACEMENTS)}",
             )
     return dict(zip(joints, kinds, strict=True))
+
+
+def _joint_names(urdf: str) -> frozenset[str]:
+    """Names of the joints that move."""
+    joints = ET.fromstring(urdf).iter("joint")
+    return frozenset(str(e.get("name")) for e in joints if e.get("type") != "fixed")
 
 
 def _names(urdf: str, file: str) -> frozenset[str]:
