@@ -45,6 +45,7 @@ def run(*arguments: object, stdin: str = "") -> Run:
         stack.enter_context(patch.object(sys, "argv", ["orthoglide", *map(str, arguments)]))
         stack.enter_context(patch.object(sys, "stdin", io.StringIO(stdin)))
         stack.enter_context(patch.object(sys, "unraisablehook", sys.unraisablehook))
+        stack.enter_context(patch.object(os, "_exit", sys.exit))  # which ends an interrupted run
         stack.enter_context(patch.dict(os.environ))
         stack.enter_context(warnings.catch_warnings())
         stack.enter_context(redirect_stdout(output))
