@@ -6,13 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-
-from orthoglide.effects import CATALOGUE
-from orthoglide.errors import ClosureError, InputError, NumericsError
-from orthoglide.geometry import Array, Geometry
-from orthoglide.machine import Machine
-from orthoglide.machine_file import Stiffness
-from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.elastic import (
     RELIEF_LIMIT,
     ElasticClosure,
@@ -21,6 +14,13 @@ from orthoglide.mechanism.elastic import (
 )
 from orthoglide.mechanism.elastic_functions import STRETCH
 from orthoglide.mechanism.functions import LINES, ROTATION, TCP
+
+from orthoglide.effects import CATALOGUE
+from orthoglide.errors import ClosureError, InputError, NumericsError
+from orthoglide.geometry import Array, Geometry
+from orthoglide.machine import Machine
+from orthoglide.machine_file import Stiffness
+from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, nominal_tree
 from orthoglide.prediction import Conditions, Model
 from orthoglide.prediction.load import force

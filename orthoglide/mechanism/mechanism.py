@@ -232,7 +232,9 @@ class Mechanism:
         if self.has_legs:
             found = mode_of(self.spheres, q[self.tree.drive], p)
             if found != mode:
-                where = f"in the {found} assembly mode" if found else "where the assembly modes meet"
+                where = (
+                    f"in the {found} assembly mode" if found else "where the assembly modes meet"
+                )
                 raise ClosureError(
                     f"the loops close {where}, not in the {mode} assembly mode",
                     residuals=by_loop,
