@@ -167,14 +167,18 @@ def test_a_result_is_run_again(name: str, tmp_path: Path) -> None:
     assert (out / "report.html").exists()
 
 
-@pytest.mark.xfail(strict=True, reason="numbers are compared to 1e-6, and not within tolerances")
 @pytest.mark.parametrize("name", quick(OLDER, "schema-1/identify"))
 def test_a_result_of_an_earlier_version_is_run_again(name: str, tmp_path: Path) -> None:
     """Its numbers are no longer those of today to the last digit, which is no failure."""
     out = tmp_path / "again"
     found = run("rerun", FORMER / name / "result.json", "--out", out)
-    assert found.code == 0, found.text
-    assert (out / "report.html").exists()
+    assert "made by an earlier state of version 0.1.0" in found.text
+    if name == "schema-1/dials":  # two causes of one rail, of which one is now told apart
+        assert found.code == 3
+        assert "the verdict was 'ambiguous' and is 'explained'" in found.text
+    else:
+        assert found.code == 0, found.text
+        assert (out / "report.html").exists()
 
 
 def test_a_result_that_kept_no_rows_is_refused_in_a_sentence() -> None:

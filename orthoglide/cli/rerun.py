@@ -23,8 +23,12 @@ SAME = 1e-6
 """Relative difference up to which numbers count as equal: other processors round otherwise."""
 
 _TINY = 1e-9  # millimetres, or what else a number stands for: rounding of what should be zero
-_APART = ("version", "inputs", "machine", "method")  # what was given, or how the numbers were found
+# What was given, how the numbers were found, and checks that measure rounding.
+_APART = ("version", "inputs", "machine", "method", "verification")
 _FEW_SAID = 5
+
+_WITHIN = 0.2
+"""Sigmas by which a value of an earlier version may differ: what no interval shows."""
 
 
 @click.command()
@@ -60,13 +64,17 @@ def rerun(
         found = run(request_of(old, str(result), load_effects(effects_file)), step)
         files = report_files(found, step) if out is not None else {}
         new = json.loads(files.get("result.json") or result_text(found))
-        numbers = _numbers(new, old["schema"])
-        differences = list(compare(_numbers(old, old["schema"]), numbers))
+        older = not old.keys() >= new.keys()
+        numbers = _numbers(new)
+        differences = list(_apart(old, new) if older else compare(_numbers(old), numbers))
         folders = (inputs,) if inputs else (result.parent, result.parent.parent, Path())
         told = [line for line in input_lines(old, folders) if not quiet or "changed" in line]
-        if old["version"] != new["version"]:
+        if older:
             version = brief(str(old["version"]))
-            told.append(f"The result was made by version {version}, this is {new['version']}.")
+            told.append(
+                f"The result was made by an earlier state of version {version}, and this is "
+                f"{new['version']}: verdict and values are compared, values to {_WITHIN:g} sigma."
+            )
         if out is not None and not differences:
             write_results(out, files)
     if differences:
@@ -79,7 +87,7 @@ def rerun(
             f"{click.format_filename(result)} is not reproduced: {few}{tail}; nothing was written"
         )
     if not quiet:
-        count = sum(1 for _ in leaves(numbers))
+        count = sum(1 for _ in leaves(new["parameters"] if older else numbers))
         told.append(f"The same numbers again: all {count} agree.")
         told += [] if out is None else [f"Report: {click.format_filename(out / 'report.html')}"]
     if told:
@@ -115,12 +123,25 @@ def _digest(path: Path) -> str:
         return ""
 
 
-def _numbers(result: Mapping[str, Any], schema: int) -> dict[str, Any]:
-    """What must be the same again; of a result of the first schema the values identified."""
-    if schema > 1:
-        return {k: v for k, v in result.items() if k not in _APART}
-    values = result.get("parameters") or {}
-    return {name: {"value": v["value"], "sigma": v["sigma"]} for name, v in values.items()}
+def _numbers(result: Mapping[str, Any]) -> dict[str, Any]:
+    """What must be the same again to rounding."""
+    return {k: v for k, v in result.items() if k not in _APART}
+
+
+def _apart(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]:
+    """Where a result of an earlier version and this one's differ in verdict or values, in words."""
+    verdicts = old.get("verdict"), new.get("verdict")
+    if None not in verdicts and verdicts[0] != verdicts[1]:
+        yield f"the verdict was {verdicts[0]!r} and is {verdicts[1]!r}"
+    before, after = old.get("parameters") or {}, new.get("parameters") or {}
+    for name in dict.fromkeys((*before, *after)):
+        if name not in after or name not in before:
+            yield f"{name} is {'gone' if name in before else 'new'}"
+            continue
+        one, other = before[name], after[name]
+        limit = max(_WITHIN * one["sigma"], SAME * abs(one["value"]), _TINY)
+        if not abs(one["value"] - other["value"]) <= limit:
+            yield f"{name} was {one['value']:g} and is {other['value']:g} {one['unit']}"
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
