@@ -1,4 +1,4 @@
-"""Robots of other makers with loops, written by hand: closed, against their closed forms, refused."""
+"""Robots of other makers with loops: closed, against their closed forms, or refused."""
 
 from __future__ import annotations
 
