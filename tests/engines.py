@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from orthoglide import urdf
 from orthoglide.geometry import Array, Geometry
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.engine import Outputs, SixBars
@@ -56,3 +59,16 @@ def commands(n: int, seed: int = 0, geometry: Geometry = NOMINAL) -> Array:
 def displacements(n: int, seed: int = 0, size: float = 3e-3) -> Array:
     """All virtual joints displaced ``(n, 3, 10)``, metres and radians."""
     return size * np.random.default_rng(seed).standard_normal((n, 3, len(VIRTUAL_NAMES)))
+
+
+def edited(folder: Path, joint: str, xyz: str, rpy: str = "") -> Path:
+    """A copy of the shipped files in which one joint's origin is another."""
+    urdf.write(folder)
+    path = folder / urdf.URDF_FILE
+    head = rf'(<joint name="{joint}"[^>]*>\s*<origin xyz=")[^"]*(" rpy=")([^"]*)'
+    text, count = re.subn(
+        head, lambda m: f"{m[1]}{xyz}{m[2]}{rpy or m[3]}", path.read_text(encoding="utf-8")
+    )
+    assert count == 1
+    path.write_text(text, encoding="utf-8")
+    return folder

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -11,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orthoglide import urdf
 from orthoglide.errors import ClosureError, InputError, OrthoglideError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
@@ -29,6 +27,7 @@ from tests.engines import (
     OTHER,
     commands,
     displacements,
+    edited,
     forward,
     given,
     mechanism,
@@ -318,18 +317,6 @@ def test_far_errors_close_as_pinocchio_closes_them_or_not_at_all() -> None:
         closed += 1
         assert np.abs(six_bars().outputs(*asked).values - expected).max() < 1e-11
     assert 40 < closed < 100
-
-
-def edited(folder: Path, joint: str, origin: str) -> Path:
-    """A copy of the shipped files in which one joint's origin is another."""
-    urdf.write(folder)
-    path = folder / urdf.URDF_FILE
-    text, count = re.subn(
-        rf'(<joint name="{joint}"[^>]*>\s*<origin xyz=")[^"]*', rf"\g<1>{origin}", path.read_text()
-    )
-    assert count == 1
-    path.write_text(text)
-    return folder
 
 
 @pytest.mark.parametrize(

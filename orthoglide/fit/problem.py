@@ -341,10 +341,16 @@ class Problem:
         """Place of each row ``(n,)``: one for each setup and command, whatever the approach."""
         return _numbered([f.places for f in self.factors])
 
+    @property
+    def elastic(self) -> bool:
+        """Whether bars give under a load in some posture."""
+        model = self.machine.model
+        return any(model.is_elastic(factor.conditions()) for factor in self.factors)
+
     @cached_property
     def representable(self) -> bool:
         """Whether the reduction's six parameters say all that is asked and held."""
-        if self.points or self.earlier is not None or self.machine.spec.urdf:
+        if self.points or self.earlier is not None or self.machine.spec.urdf or self.elastic:
             return False
         named = [n for k in range(len(self.factors)) for n in self.elementary(k)[0]]
         held = [n for values in self.held for n, v in values.items() if v]

@@ -216,7 +216,7 @@ def _solved(
         judged = replace(problem, machine=problem.machine.judged())
         at, steps = solve_nested(judged, nuisance, linearise(judged, near.x))
         return linearise(problem, at.x), steps + 1, "pinocchio"
-    elastic = any(problem.machine.model.is_elastic(f.conditions()) for f in problem.factors)
+    elastic = problem.elastic
     tool = any(isinstance(p, ToolReadings) for p in problem.points)
     if elastic and method == "nlp":
         raise InputError("the programme closes unloaded loops: take the nested method under load")

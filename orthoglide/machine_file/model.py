@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue
+from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file.firmware import DeltaKinematics, Firmware, Triple
@@ -77,6 +78,14 @@ class Stiffness:
 
     torsion: float | None = None
     bar: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.bar is not None and not 0 < self.bar < np.inf:
+            raise InputError(f"a bar's stiffness must be positive, in N/m, not {self.bar}")
+        if self.torsion is not None and not 0 <= self.torsion < np.inf:
+            raise InputError(
+                f"torsional stiffness must not be negative, in N m/rad, not {self.torsion}"
+            )
 
 
 @dataclass(frozen=True)

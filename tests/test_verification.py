@@ -1,0 +1,252 @@
+"""Every result is closed once more by Pinocchio, and its own method finds the same parameters."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from orthoglide.closing import Verdict, close_loop, run
+from orthoglide.errors import ClosureError, CrossCheckError
+from orthoglide.fit import Estimate, identify
+from orthoglide.fit.verification import MOST_POSTURES, SENSITIVITY_LIMIT, TCP_LIMIT, verify
+from orthoglide.machine import Machine
+from orthoglide.machine_file import MachineFile, Stiffness
+from orthoglide.mechanism.engine import Outputs, SixBars
+from orthoglide.mechanism.six_bars import TCP
+from orthoglide.observations import Campaign, protocol
+from orthoglide.report import result_text
+from orthoglide.request import Request
+from orthoglide.simulation import simulate_tcp
+from tests.test_layout import UNEVEN
+
+RIG = Path(__file__).parent / "data" / "rig"
+NANOMETRE = 1e-9
+KEYS = {
+    "closure_residual_m",
+    "tcp_max_difference_mm",
+    "sensitivity_max_relative_difference",
+    "postures",
+}
+
+
+@cache
+def published(number: int = 2) -> Campaign:
+    return og.read_campaign(str(files("orthoglide") / "data" / f"experiment{number}.csv"))
+
+
+@cache
+def rig(number: int = 2) -> tuple[Campaign, Machine]:
+    machine = Machine.load(RIG / "machine.toml")
+    return og.read_campaign(RIG / f"rig-{number}.csv", machine.spec), machine
+
+
+# -- in every result -------------------------------------------------------------------------
+
+
+def identified() -> Verdict:
+    campaign, machine = rig()
+    return run(Request("identify", (campaign,), machine, free=("joint_offset", "axis_tilt")))
+
+
+def closed() -> Verdict:
+    campaign, machine = rig()
+    return close_loop([campaign], machine)
+
+
+@pytest.mark.parametrize("result", [identified, closed], ids=["identify", "close-loop"])
+def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict]) -> None:
+    found = result()
+    written = json.loads(result_text(found))["verification"]
+    assert set(written) == KEYS
+    assert set(written["closure_residual_m"]) == {
+        *(f"{leg}_parallelogram" for leg in "xyz"), "platform_xy", "platform_xz"
+    }  # fmt: skip
+    assert 0 < max(written["closure_residual_m"].values()) < 1e-11
+    assert written["tcp_max_difference_mm"] < 1e-9
+    assert written["sensitivity_max_relative_difference"] < 1e-9
+    assert 0 < written["postures"] <= MOST_POSTURES
+    verification = found.after.verification
+    assert verification is not None
+    assert written == verification.as_dict()
+
+
+def test_of_many_postures_as_many_are_drawn() -> None:
+    machine = Machine.nominal().with_parameters({"joint_offset.x": 3e-4})
+    points = simulate_tcp(machine, MOST_POSTURES + 40)
+    found = identify(points, method="nested")
+    assert found.verification is not None
+    assert found.verification.postures == MOST_POSTURES
+    few = identify(simulate_tcp(machine, 30), method="nested").verification
+    assert few is not None
+    assert few.postures == 30
+
+
+def test_postures_under_load_are_verified_with_their_stretched_bars() -> None:
+    soft = Machine(MachineFile(stiffness=Stiffness(bar=2e6)))
+    truth = soft.with_parameters({"joint_offset.x": 3e-4})
+    sheet = protocol("standard")
+    sheet = replace(sheet, load=np.where(np.arange(len(sheet)) % 2, 100.0, 0.0))
+    readings = sheet.with_readings(truth.readings(sheet))
+    found = identify(readings, soft, priors=False, method="nested", noise=1e-6)
+    assert found.values["joint_offset.x"] == pytest.approx(3e-4, abs=1e-9)
+    assert found.verification is not None
+    assert found.verification.tcp < 1e-13
+    # Both loads of a posture are closed.
+    assert found.verification.postures > len(np.unique(sheet.command, axis=0))
+    assert found.check is None  # the reduction knows no load
+
+
+# -- its limits ------------------------------------------------------------------------------
+
+
+@cache
+def estimate() -> Estimate:
+    campaign, machine = rig()
+    return identify(campaign, machine, method="nested")
+
+
+@pytest.fixture
+def engine() -> Iterator[SixBars]:
+    """The six bars that the estimate was found with, to be spoilt."""
+    six_bars = estimate().problem.machine.model.engine
+    assert isinstance(six_bars, SixBars)
+    kept = six_bars.constants.copy()
+    yield six_bars
+    six_bars.constants = kept
+
+
+@pytest.mark.parametrize("place", [0, 1, 12, 15, 22, 33, 34, 35, 57, 69, 104])
+def test_constants_that_are_off_are_seen(engine: SixBars, place: int) -> None:
+    """A start, a slide, a root, a point or a length of the six bars that is not the tree's."""
+    assert verify(estimate()).tcp < 1e-12
+    spoilt = engine.constants.copy()
+    spoilt[place] += 50 * TCP_LIMIT
+    engine.constants = spoilt
+    with pytest.raises(CrossCheckError, match="six bars and Pinocchio disagree by") as caught:
+        verify(estimate())
+    assert TCP_LIMIT < caught.value.difference < 1e-6
+
+
+@pytest.mark.parametrize(("off", "seen"), [(5.0, True), (0.3, False)])
+def test_a_tcp_that_is_off_is_seen(
+    off: float, seen: bool, engine: SixBars, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Alone, with sensitivities that are right."""
+    plain = engine.tangent
+
+    def moved(travel: Any, moves: Any) -> tuple[Outputs, Any]:
+        shown, by_given = plain(travel, moves)
+        values = shown.values.copy()
+        values[3, 1] += off * TCP_LIMIT
+        return Outputs(values), by_given
+
+    monkeypatch.setattr(engine, "tangent", moved)
+    if seen:
+        with pytest.raises(CrossCheckError, match=r"disagree by 5e-06 mm of the TCP"):
+            verify(estimate())
+    else:
+        assert verify(estimate()).tcp == pytest.approx(off * TCP_LIMIT, rel=1e-3)
+
+
+@pytest.mark.parametrize(("off", "seen"), [(5.0, True), (0.3, False)])
+def test_sensitivities_that_are_off_are_seen(
+    off: float, seen: bool, engine: SixBars, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = engine.tangent
+
+    def skewed(travel: Any, moves: Any) -> tuple[Outputs, Any]:
+        shown, by_given = plain(travel, moves)
+        by_given = by_given.copy()
+        by_given[:, TCP, 5] *= 1 + off * SENSITIVITY_LIMIT * 3
+        return shown, by_given
+
+    monkeypatch.setattr(engine, "tangent", skewed)
+    if seen:
+        with pytest.raises(CrossCheckError, match="of a sensitivity"):
+            verify(estimate())
+    else:
+        found = verify(estimate()).sensitivity
+        assert SENSITIVITY_LIMIT / 100 < found < SENSITIVITY_LIMIT
+
+
+def test_a_spoilt_engine_gives_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the user's side: identify itself raises."""
+    campaign, _ = rig()
+    machine = Machine.load(RIG / "machine.toml")
+    engine = machine.model.engine
+    assert isinstance(engine, SixBars)
+    spoilt = engine.constants.copy()
+    spoilt[33] += 1e-6
+    monkeypatch.setattr(engine, "constants", spoilt)
+    with pytest.raises(CrossCheckError, match="do not use these values"):
+        identify(campaign, machine, method="nested")
+
+
+def test_what_pinocchio_does_not_close_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: Any, **__: Any) -> None:
+        raise ClosureError("the loops do not close")
+
+    monkeypatch.setattr(estimate().problem.machine.model.mechanism, "close", refused)
+    with pytest.raises(ClosureError, match=r"posture 1 of \d+"):
+        verify(estimate())
+
+
+# -- the method by Pinocchio -----------------------------------------------------------------
+
+
+def agree(readings: Any, machine: Machine | None = None, **options: Any) -> Estimate:
+    """Pinocchio's Gauss-Newton against the programme: to a nanometre, or a nanoradian."""
+    judged = identify(readings, machine, method="pinocchio", **options)
+    programme = identify(readings, machine, method="nlp", **options)
+    assert judged.method == "pinocchio"
+    assert programme.method == "nlp"
+    assert judged.names == programme.names
+    assert np.abs(judged.x - programme.x).max() < NANOMETRE
+    for name, sigma in programme.sigmas.items():
+        assert judged.sigmas[name] == pytest.approx(sigma, rel=1e-6)
+    assert judged.scores.chi2 == pytest.approx(programme.scores.chi2, rel=1e-6)
+    return judged
+
+
+@pytest.mark.parametrize("number", [2, pytest.param(3, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("priors", [True, False], ids=["priors", "free"])
+def test_pinocchio_finds_what_the_programme_finds_in_the_published_data(
+    number: int, priors: bool
+) -> None:
+    agree(published(number), priors=priors)
+
+
+@pytest.mark.parametrize(
+    "free",
+    [
+        ("joint_offset", "leg_length", "axis_tilt", "bar_mismatch"),
+        pytest.param(("joint_offset", "screw_error", "backlash"), marks=pytest.mark.thorough),
+    ],
+    ids=lambda free: free[1],
+)
+def test_pinocchio_finds_what_the_programme_finds_on_the_rig(free: tuple[str, ...]) -> None:
+    campaign, machine = rig()
+    agree(campaign, machine, free=free)
+
+
+def test_pinocchio_finds_what_the_programme_finds_on_a_delta() -> None:
+    delta = Machine(MachineFile(geometry=UNEVEN))
+    truth = {"joint_offset.a": 4e-4, "axis_tilt.b.tangential": 1e-3, "leg_length.c": -2e-4,
+             "bar_mismatch.a": 1e-4}  # fmt: skip
+    points = simulate_tcp(delta.with_parameters(truth), 25, seed=3)
+    noise = np.random.default_rng(1).normal(scale=2e-5, size=points.p.shape)
+    free = ("joint_offset", "axis_tilt", "leg_length", "bar_mismatch")
+    found = agree(replace(points, p=points.p + noise), delta, free=free, noise=2e-5)
+    assert found.verification is not None
+    assert found.verification.tcp < 1e-12
+    for name, value in truth.items():
+        assert abs(found.values[name] - value) < 5 * found.sigmas[name]
