@@ -8,24 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-<<<<<<< HEAD
-from orthoglide.mechanism.elastic import (
-    RELIEF_LIMIT,
-    ElasticClosure,
-    relief_angles,
-    relief_warnings,
-)
-from orthoglide.mechanism.elastic_functions import STRETCH
-from orthoglide.mechanism.functions import LINES, ROTATION, TCP
-
-from orthoglide.effects import CATALOGUE
-from orthoglide.errors import ClosureError, InputError, NumericsError
-from orthoglide.geometry import Array, Geometry
-from orthoglide.machine import Machine
-from orthoglide.machine_file import Stiffness
-from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.tree import VIRTUAL_NAMES, nominal_tree
-=======
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import ClosureError, InputError
@@ -33,7 +15,6 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
->>>>>>> 34d3949a95943b3a23447662a2783fa094bf0faf
 from orthoglide.prediction import Conditions, Model
 from orthoglide.prediction.load import STRETCHES, tensions, tensions_tangent
 from tests.engines import commands

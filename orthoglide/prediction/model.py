@@ -54,16 +54,10 @@ _ALL = slice(None)
 # Interpreted displacements that take as long as compiling them does.
 _WORTH_COMPILING = 200_000
 
-<<<<<<< HEAD
-# A bar gives by a hundred-thousandth of its length at the most: each round of stretching leaves
-# that share of the last one's error.
-_ELASTIC_ROUNDS = 3
-=======
 # Each round of stretching leaves of the last one's error the share of its length by which a bar
 # gives, a hundred-thousandth as a rule: three rounds, and some more where bars are of rubber.
 _ELASTIC_ROUNDS = 200
 _SETTLED = 1e-14  # metres by which bars still change: what is left is that share of it
->>>>>>> 34d3949a95943b3a23447662a2783fa094bf0faf
 
 
 def _parts(place: NDArray[np.intp]) -> Iterator[tuple[slice, NDArray[np.intp], NDArray[np.intp]]]:
@@ -184,11 +178,7 @@ class Model:
         travel, loaded = self._travel(conditions), moves.copy()
         for _ in range(_ELASTIC_ROUNDS):
             tension = tensions(self.engine.outputs(travel, loaded), conditions.load)
-<<<<<<< HEAD
-            loaded[:, STRETCHES] = moves[:, STRETCHES] + tension * self._compliance
-        return loaded
-=======
-            stretched = moves[:, STRETCHES] + tension / self.stiffness.bar
+            stretched = moves[:, STRETCHES] + tension * self._compliance
             change = np.abs(stretched - loaded[:, STRETCHES]).max(axis=1)
             loaded[:, STRETCHES] = stretched
             if change.max() <= _SETTLED * max(1.0, self.geometry.scale):
@@ -196,7 +186,6 @@ class Model:
         worst, count = int(np.argmax(change)), len(moves)
         which = f"posture {worst + 1} of {count}: " if count > 1 else ""
         raise ClosureError(f"{which}the bars find no equilibrium under the load", index=(worst,))
->>>>>>> 34d3949a95943b3a23447662a2783fa094bf0faf
 
     def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Pull in the bars ``(n, leg, bar)`` that holds the platform under the load, newtons."""
@@ -208,17 +197,11 @@ class Model:
         shown, by_given = self.engine.tangent(self._travel(conditions), moves)
         if self.is_elastic(conditions):
             tension = tensions(shown, conditions.load)
-<<<<<<< HEAD
-            by_stretch = by_given[:, :, [3 + k for k in STRETCHES]]
-            stretched = tensions_tangent(shown, by_given, tension) * self._compliance
-            by_given = by_given + by_stretch @ stretched
-=======
             places = [3 + k for k in STRETCHES]
-            stretched = tensions_tangent(shown, by_given, tension) / self.stiffness.bar
+            stretched = tensions_tangent(shown, by_given, tension) * self._compliance
             # Stretches change the tensions too.
             stretched = np.linalg.solve(np.eye(6) - stretched[:, :, places], stretched)
             by_given = by_given + by_given[:, :, places] @ stretched
->>>>>>> 34d3949a95943b3a23447662a2783fa094bf0faf
         return shown, by_given
 
     @cached_property
