@@ -100,11 +100,12 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
     for _ in range(3):  # any angles will do to see whether the ends stay where they are
         angles = {joint: float(draws.uniform(-0.5, 0.5)) for joint in names}
         _, *turned = place(**angles)
-        for what, here, there in zip(("carriage's end", "platform's end", "length"), rest[1:],
-                                     turned, strict=True):  # fmt: skip
+        for what, here, there in zip(
+            ("carriage", "platform", "other"), rest[1:], turned, strict=True
+        ):
             if np.abs(np.array(here) - np.array(there)).max() > _FIXED:
                 raise InputError(
-                    f"leg {leg}: the {what} of a bar moves with the leg's pivots, so the pivots do "
+                    f"leg {leg}: a bar's {what} end moves with the leg's pivots, so the pivots do "
                     f"not meet in one point: correct the joint origins in the URDF"
                 )
     base_from_carriage, roots, points, lengths = rest

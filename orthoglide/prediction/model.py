@@ -200,8 +200,8 @@ class Model:
             places = [3 + k for k in STRETCHES]
             stretched = tensions_tangent(shown, by_given, tension) * self._compliance
             # Stretches change the tensions too.
-            stretched = np.linalg.solve(np.eye(6) - stretched[:, :, places], stretched)
-            by_given = by_given + by_given[:, :, places] @ stretched
+            settled = np.linalg.solve(np.eye(6) - stretched[:, :, places], stretched)
+            by_given = by_given + by_given[:, :, places] @ settled
         return shown, by_given
 
     @cached_property
