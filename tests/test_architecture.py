@@ -217,7 +217,7 @@ OF_ONE_LAYOUT = {
     "result/corrections.py:_arms": "the same",
     "comparison/comparing.py:Comparison._spheres": "the same",
     "machine_file/travel.py:check_travel": "an arm against L",
-    "mechanism/seed.py:commands": "how far a point is beyond a bar's reach",
+    "mechanism/six_bars.py:_turn": "the two other axes of a rotation",
     "planning/owning.py:_widest": "a size between 0 and L that is searched for",
     # Names that files have
     "machine_file/firmware.py": "the firmware's own names of its towers",

@@ -126,6 +126,13 @@ def test_other_assembly_mode_equals_the_other_root() -> None:
         assert np.abs(posture.R - np.eye(3)).max() < 1e-12
 
 
+def test_a_guess_in_the_other_assembly_mode_is_no_posture() -> None:
+    for rho in commands(5, 28):
+        other = mechanism().close(rho, mode="other")
+        with pytest.raises(ClosureError, match="in the other assembly mode, not in the machine"):
+            mechanism().close(rho, guess=other)
+
+
 def test_other_assembly_mode_with_errors_is_another_pose_of_the_same_bars() -> None:
     rho, moves = commands(20, 4), displacements(20, 4, 1e-3)
     mirrored = reduction.forward(rho, mode="other")

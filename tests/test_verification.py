@@ -17,7 +17,7 @@ import orthoglide as og
 from orthoglide.closing import Verdict, close_loop, run
 from orthoglide.errors import ClosureError, CrossCheckError
 from orthoglide.fit import Estimate, identify
-from orthoglide.fit.verification import MOST_POSTURES, SENSITIVITY_LIMIT, TCP_LIMIT, verify
+from orthoglide.fit.verification import MOST_POSTURES, verify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.engine import Outputs, SixBars
@@ -129,14 +129,14 @@ def test_constants_that_are_off_are_seen(engine: SixBars, place: int) -> None:
     """A start, a slide, a root, a point or a length of the six bars that is not the tree's."""
     assert verify(estimate()).tcp < 1e-12
     spoilt = engine.constants.copy()
-    spoilt[place] += 50 * TCP_LIMIT
+    spoilt[place] += 5e-8
     engine.constants = spoilt
     with pytest.raises(CrossCheckError, match="six bars and Pinocchio disagree by") as caught:
         verify(estimate())
-    assert TCP_LIMIT < caught.value.difference < 1e-6
+    assert 1e-9 < caught.value.difference < 1e-6
 
 
-@pytest.mark.parametrize(("off", "seen"), [(5.0, True), (0.3, False)])
+@pytest.mark.parametrize(("off", "seen"), [(5e-9, True), (3e-10, False)])
 def test_a_tcp_that_is_off_is_seen(
     off: float, seen: bool, engine: SixBars, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,7 +146,7 @@ def test_a_tcp_that_is_off_is_seen(
     def moved(travel: Any, moves: Any) -> tuple[Outputs, Any]:
         shown, by_given = plain(travel, moves)
         values = shown.values.copy()
-        values[3, 1] += off * TCP_LIMIT
+        values[3, 1] += off
         return Outputs(values), by_given
 
     monkeypatch.setattr(engine, "tangent", moved)
@@ -154,10 +154,10 @@ def test_a_tcp_that_is_off_is_seen(
         with pytest.raises(CrossCheckError, match=r"disagree by 5e-06 mm of the TCP"):
             verify(estimate())
     else:
-        assert verify(estimate()).tcp == pytest.approx(off * TCP_LIMIT, rel=1e-3)
+        assert verify(estimate()).tcp == pytest.approx(off, rel=1e-3)
 
 
-@pytest.mark.parametrize(("off", "seen"), [(5.0, True), (0.3, False)])
+@pytest.mark.parametrize(("off", "seen"), [(1e-5, True), (5e-7, False)])
 def test_sensitivities_that_are_off_are_seen(
     off: float, seen: bool, engine: SixBars, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,7 +166,7 @@ def test_sensitivities_that_are_off_are_seen(
     def skewed(travel: Any, moves: Any) -> tuple[Outputs, Any]:
         shown, by_given = plain(travel, moves)
         by_given = by_given.copy()
-        by_given[:, TCP, 5] *= 1 + off * SENSITIVITY_LIMIT * 3
+        by_given[:, TCP, 0] *= 1 + off
         return shown, by_given
 
     monkeypatch.setattr(engine, "tangent", skewed)
@@ -175,7 +175,7 @@ def test_sensitivities_that_are_off_are_seen(
             verify(estimate())
     else:
         found = verify(estimate()).sensitivity
-        assert SENSITIVITY_LIMIT / 100 < found < SENSITIVITY_LIMIT
+        assert 1e-8 < found < 1e-6
 
 
 def test_a_spoilt_engine_gives_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
