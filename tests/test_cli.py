@@ -455,6 +455,7 @@ def test_interrupted_the_moment_something_stands(
     assert os.listdir(here) == ["experiment2.csv"]
 
 
+@pytest.mark.thorough(except_for=["2-0.2", "15-0.8"])
 @pytest.mark.parametrize("delay", [0.2, 0.8, 1.1])
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_from_outside(here: Path, sent: signal.Signals, delay: float) -> None:
@@ -638,6 +639,7 @@ FILES = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_same_bytes_wherever_the_files_lie(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done("identify", "experiment2.csv", "--out", "out")
     (here / "elsewhere").mkdir()
@@ -672,6 +674,7 @@ def test_a_calibrated_machine_is_a_machine(here: Path) -> None:
     )
 
 
+@pytest.mark.thorough
 def test_options_reach_the_identification(here: Path) -> None:
     (here / "experiment3.csv").write_text(EXPERIMENT_3)
     both = ("experiment2.csv", "experiment3.csv")
@@ -789,6 +792,7 @@ def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     assert "readings of copy are those of nominal to the last digit" in told
 
 
+@pytest.mark.thorough
 def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     og.Machine.nominal().save("nominal.toml")
     for name, seed in (("a", "1"), ("b", "2")):
@@ -843,6 +847,7 @@ def test_a_design_is_no_larger_than_what_it_chooses_from(here: Path) -> None:
     assert "readings to choose from: give --count" in result.stderr
 
 
+@pytest.mark.thorough(except_for=["options0"])
 @pytest.mark.parametrize("options", [("--detect", "--count", "6"), ("--owns", "leg")])
 def test_what_a_design_sees_fits_the_terminal(
     options: tuple[str, ...], here: Path, monkeypatch: pytest.MonkeyPatch

@@ -149,6 +149,7 @@ def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
     assert "0.1 mm" in test
 
 
+@pytest.mark.thorough(except_for=["carriage_play"])
 @pytest.mark.parametrize("effect", [CARRIAGE_PLAY, SECOND_HARMONIC], ids=lambda e: e.name)
 def test_ones_own_effect_is_found_and_named(machine: og.Machine, effect: Effect) -> None:
     plain = og.Machine(machine.spec).with_only({})
@@ -349,6 +350,7 @@ def test_a_machine_with_ones_own_effect_is_read_by_every_command(
         og.Machine.load("worn.toml")
 
 
+@pytest.mark.thorough
 def test_ones_own_effect_is_what_changed(machine: og.Machine, tmp_path: Path) -> None:
     """``check`` could not be given it, and told of backlash."""
     rough = Path(__file__).parent / "data" / "rig" / "machine.toml"

@@ -110,6 +110,7 @@ class Texts(HTMLParser):
         self.shown += data
 
 
+@pytest.mark.thorough(except_for=["[/b]"])
 @pytest.mark.parametrize("names", STRANGE, ids=lambda names: names[0])
 def test_names_of_setups_change_no_number(
     names: tuple[str, ...], here: Path, plain: tuple[dict[str, Any], str]

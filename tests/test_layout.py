@@ -92,6 +92,7 @@ def one_of(seen: dict[str, np.ndarray], k: int) -> dict[str, np.ndarray]:
     return {name: values[k] for name, values in seen.items()}
 
 
+@pytest.mark.thorough(except_for=["even", "uneven"])
 @pytest.mark.parametrize(
     ("geometry", "compile"),
     [(DELTA, False), (UNEVEN, False), (UNEVEN, True)],
@@ -307,6 +308,7 @@ def test_free_legs_may_be_turned_and_relabelled() -> None:
     assert np.abs(other.forward(travel) - one.forward(travel) @ turn.T).max() < 1e-12
 
 
+@pytest.mark.thorough(except_for=["2-0.02", "6--0.02", "6-0.0", "6-0.001"])
 @pytest.mark.parametrize("longer", [-0.02, 0.0, 1e-3, 0.02])  # mm
 @pytest.mark.parametrize("digits", [2, 6])
 def test_free_legs_that_touch_need_no_micrometres(

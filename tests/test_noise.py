@@ -92,6 +92,7 @@ def test_noise_declared_too_large_for_points_of_the_tool(count: int) -> None:
     assert not caution(og.identify(points))
 
 
+@pytest.mark.thorough(except_for=["0"])
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_declared_about_right_is_not_doubted(seed: int) -> None:
     read = og.simulate(og.Machine.nominal(), "standard", noise=5e-6, seed=seed)
@@ -252,6 +253,7 @@ def test_the_noise_of_a_coarse_dial_has_its_rounding() -> None:
         assert noise_of([read], Dial()).source == "repeats"
 
 
+@pytest.mark.thorough(except_for=["None-6", "5e-06-1"])
 @pytest.mark.parametrize("setups", [6, 1])
 @pytest.mark.parametrize("repeatability", [None, 5e-6])
 def test_a_sound_machine_read_on_a_coarse_step_is_sound(
@@ -299,6 +301,7 @@ def scatter_notes(fit: og.Estimate) -> list[str]:
     return [note for note in fit.warnings if note.kind == "scatter"]
 
 
+@pytest.mark.thorough(except_for=["7.5e-06"])
 @pytest.mark.parametrize("noise", [7.5e-6, 1e-5, 1.5e-5])
 def test_repeats_that_scatter_by_more_than_the_machine_file_says_are_told(noise: float) -> None:
     """What is left was told as a machine with an error that nothing explains, and no more."""
@@ -325,6 +328,7 @@ def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> 
     assert "where 0.005 was declared: correct what was declared" in note
 
 
+@pytest.mark.thorough
 def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None:
     fit = scattering(1.2e-5)
     verdict = og.close_loop(fit.problem.campaigns, fit.problem.machine)
