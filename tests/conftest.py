@@ -21,6 +21,15 @@ def machine() -> og.Machine:
     return og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _caches_end_with_their_module(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Let go of what a module's cached functions hold (verdicts, mostly) after its last test."""
+    yield
+    for value in vars(request.module).values():
+        if getattr(value, "__module__", None) == request.module.__name__:
+            getattr(value, "cache_clear", lambda: None)()
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="run the cases marked thorough too")
 

@@ -74,6 +74,7 @@ def _other_numbers(tmp_path: Path) -> None:
     run("import", "klipper", tmp_path / "printer.cfg", "--out", tmp_path / "two")
 
 
+@pytest.mark.thorough
 def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) -> None:
     """Their commands count from other numbers; a file that does not say so is read as ever."""
     _other_numbers(tmp_path)
@@ -95,6 +96,7 @@ def test_campaigns_of_other_numbers_are_refused(imported: Path, tmp_path: Path) 
     run("identify", first, "--machine", calibrated, "--out", tmp_path / "no", code=2)
 
 
+@pytest.mark.thorough
 def test_results_of_other_numbers_are_not_compared(imported: Path, tmp_path: Path) -> None:
     """A result's rows are read with its own machine: that machine must count as the one given.
 

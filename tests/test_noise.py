@@ -337,7 +337,8 @@ def test_noise_declared_too_small_is_said_before_the_machine_is_blamed() -> None
     assert verdict.actions[0].words.startswith("Before more is measured: repeats of the dials")
 
 
-@pytest.mark.parametrize("told", [5e-7, pytest.param(1e-7, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("told", [5e-7, 1e-7])
 def test_a_datasheets_figure_locates_no_place_in_repeats_that_scatter(told: float) -> None:
     """Neighbouring digits of a loud dial passed for edges of its steps; bars grew with time."""
     fit = scattering(5e-6, told=told)
