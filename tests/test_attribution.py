@@ -19,6 +19,7 @@ def ended(case: Case) -> Record:
     return record
 
 
+@pytest.mark.thorough(except_for=["standard", "sweep"])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     record = ended(Case("nothing", "", protocol, 0.0, 0))
@@ -26,6 +27,7 @@ def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     assert (record["word"], record["effects"], record["blunders"]) == ("adequate", [], [])
 
 
+@pytest.mark.thorough(except_for=["backlash-sweep"])
 @pytest.mark.parametrize(
     ("family", "protocol"),
     [("backlash", "sweep"), ("rail_bow", "sweep"), ("screw_error", "sweep"),

@@ -42,6 +42,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_heights_judge_what_a_mesh_gave(imported: Path, tmp_path: Path) -> None:
     common = ("close-loop", imported / "mesh-default.csv", "--machine", imported / "machine.toml")
     run(*common, "--holdout", imported / "calibration.csv", "--out", tmp_path / "one", "--quiet")
@@ -278,6 +279,7 @@ def test_a_mesh_is_told_in_the_owners_words(v400: Path, tmp_path: Path) -> None:
     assert "First the joint offsets, axis offsets and leg lengths were identified" in text
 
 
+@pytest.mark.thorough
 def test_distances_beside_a_mesh_name_no_cause_alone(v400: Path) -> None:
     """What they leave of the mesh is as small as the plate's own shape, and no cause for it."""
     machine = Machine.load(v400 / "machine.toml")
@@ -372,6 +374,7 @@ PARTS = (
 )  # fmt: skip
 
 
+@pytest.mark.thorough(except_for=["probe"])
 @pytest.mark.parametrize("instrument", INSTRUMENTS)
 def test_what_an_instrument_does_not_show_is_said_to_be_invisible(instrument: str) -> None:
     """Against what the independent delta shows of each cause, past the base."""
@@ -449,6 +452,7 @@ def test_a_hinge_turns_the_way_that_a_mechanic_sees() -> None:
         assert words.replace("counter-", "") in cause_words(catalogue, name, {name: -0.01})
 
 
+@pytest.mark.thorough
 def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("orthoglide.text._WIDTH", 80)
     machine = Machine.load(v400 / "machine.toml")
@@ -496,6 +500,7 @@ def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt
     assert kept[0]["where"][0] == place
 
 
+@pytest.mark.thorough
 def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     """Rivals of the cause are machines on which the place goes wrong as well; and the machine is
     there for the next visit, of which its file could not be read.
@@ -535,9 +540,9 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mistake", "said"),
     [
-        ("none", ""), ("x", "sign about x"),
+        ("none", ""),
         *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            ("degrees", "as degrees"), ("both", "with the opposite sign: look"),
+            ("x", "sign about x"), ("degrees", "as degrees"), ("both", "with the opposite sign: look"),
             ("exchanged", "with x and y exchanged"))),
     ],
 )  # fmt: skip
@@ -569,6 +574,7 @@ def test_a_level_that_means_something_else(mistake: str, said: str) -> None:
         close_loop(spoilt, nominal())
 
 
+@pytest.mark.thorough
 def test_frames_of_instruments_stand_about_the_machine_that_is_told() -> None:
     """The base alone turns the machine by 44 mrad; scored in that frame, what explains all
     readings left 0.126 mm of them.

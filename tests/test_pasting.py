@@ -159,6 +159,7 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert "To paste" not in str(report_files(verdict)["report.html"])
 
 
+@pytest.mark.thorough(except_for=["25.5"])
 @pytest.mark.parametrize("beside", [0.0, 25.5])
 def test_a_probe_beside_the_nozzle_is_calibrated_after_new_numbers(
     beside: float, tmp_path: Path
