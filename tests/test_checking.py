@@ -109,6 +109,7 @@ def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> 
     assert said.count("±") == len(found.differences)
 
 
+@pytest.mark.thorough
 def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None:
     tilt = "axis_tilt.y.z"
     found = compared(
@@ -119,6 +120,7 @@ def test_a_cause_that_was_put_right_is_compared_too(machine: og.Machine) -> None
     assert d.after - d.before == pytest.approx(-2e-3, abs=max(4 * d.sigma, 0.1e-3))
 
 
+@pytest.mark.thorough
 def test_a_mended_rail_is_all_that_changed(machine: og.Machine) -> None:
     bent, shimmed = {"rail_bow.x.z": 2e-4}, {"rail_bow.x.z": 1e-5}
     old, new = rows(1, "sweep", **bent), rows(2, "sweep", **shimmed)

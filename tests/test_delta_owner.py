@@ -542,7 +542,8 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     [
         ("none", ""),
         *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            ("x", "sign about x"), ("degrees", "as degrees"), ("both", "with the opposite sign: look"),
+            ("x", "sign about x"), ("degrees", "as degrees"),
+            ("both", "with the opposite sign: look"),
             ("exchanged", "with x and y exchanged"))),
     ],
 )  # fmt: skip

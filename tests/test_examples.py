@@ -119,6 +119,7 @@ def test_every_difference_is_explained() -> None:
     assert all(row.remark for row in rows)
 
 
+@pytest.mark.thorough
 def test_the_mechanism_beside_the_linear_system() -> None:
     found = load("published_tables").beyond()
     assert len(found) == 12

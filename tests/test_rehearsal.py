@@ -197,6 +197,7 @@ def test_the_table_is_the_same_whatever_the_workers(alone: Rehearsal) -> None:
     assert told(two) == told(alone)
 
 
+@pytest.mark.thorough
 def test_a_dask_cluster_gives_the_same_table(alone: Rehearsal) -> None:
     distributed = pytest.importorskip("dask.distributed")
     from joblib import parallel_config
@@ -290,6 +291,7 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
     assert re.fullmatch(r"campaigns 1(, (named|located|missed|false|failed) [01]){5}", short)
 
 
+@pytest.mark.thorough
 def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     """As its user stops it: the whole process group hears it."""
     out = tmp_path / "out"
@@ -381,6 +383,7 @@ def test_readings_at_the_tool_are_simulated_with_their_noise(delta: og.Machine, 
     assert 0.5 < left / INSTRUMENTS[kind].repeatability < 2
 
 
+@pytest.mark.thorough
 def test_what_a_plate_and_distances_tell_of_a_whole_machine_is_as_good_as_stated(
     delta: og.Machine,
 ) -> None:

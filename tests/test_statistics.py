@@ -348,6 +348,7 @@ def test_intervals_of_scaled_sigmas_are_students() -> None:
     assert scaled == pytest.approx(stats.t.ppf(0.975, found.scores.dof))
 
 
+@pytest.mark.thorough
 def test_made_up_campaigns_of_the_model_lack_nothing() -> None:
     """p-values of lack of fit over many campaigns: one in ten below a tenth, and no fewer."""
     p = [fitted(seed=seed).scores.lack_of_fit_p for seed in range(40)]

@@ -94,6 +94,7 @@ def read(path: Path, spec: MachineFile) -> ToolCampaign:
     return found
 
 
+@pytest.mark.thorough(except_for=["None-xyz", "40-abc"])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 @pytest.mark.parametrize("count", [None, 40])
 def test_a_sheet_of_the_tool_says_the_side_that_its_rows_lead_to(
@@ -133,6 +134,7 @@ def test_plates_are_touched_from_above_and_distances_have_no_side() -> None:
     assert not len(distance.moves)
 
 
+@pytest.mark.thorough(except_for=["abc-82"])
 @pytest.mark.parametrize("seed", [81, 82])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 def test_lost_motion_is_found_with_a_sheet_of_the_tool(
@@ -152,6 +154,7 @@ def circled(legs: str, lost: float, seed: int) -> list[Row]:
     return without(filled(rows, legs, lost, seed), "approach_", blank=True)
 
 
+@pytest.mark.thorough
 def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> None:
     """It was *adequate*, the noise of the readings, and lost motion was nowhere named."""
     file = written(tmp_path / "april.csv", circled("abc", LOST, 81))

@@ -145,6 +145,7 @@ def test_noise_that_no_instrument_has_is_declared_or_refused() -> None:
     assert og.close_loop([campaign], MACHINE, noise=5e-4).word == "adequate"
 
 
+@pytest.mark.thorough(except_for=["1.0-plate", "1.0-incline", "3.0-distance", "3.0-tcp"])
 @pytest.mark.parametrize("kind", ["plate", "tcp", "ballbar", "distance", "incline"])
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_sound_readings_are_not_refused(kind: str, times: float) -> None:
