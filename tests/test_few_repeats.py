@@ -47,6 +47,7 @@ def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell(seed: int)
     assert verdict.word == "adequate"
 
 
+@pytest.mark.thorough
 def test_what_no_noise_does_is_left_all_the_same() -> None:
     tilted = tracked(1, 0.55, **{"axis_tilt.b.radial": 5e-3})
     verdict = og.close_loop(tilted, UNTOLD)

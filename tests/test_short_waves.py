@@ -96,6 +96,7 @@ def test_parts_of_a_workshop_s_machines_are_made_to_the_same_tolerances() -> Non
     assert kept[name].tolerance == pytest.approx(0.2 * 0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1])
 def test_the_rail_of_a_stage_with_bars_of_31_mm_is_found(seed: int) -> None:
     """A tenth of a workshop's machine in all, readings and tolerances too."""
