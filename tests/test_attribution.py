@@ -27,7 +27,7 @@ def test_nothing_is_found_where_only_small_errors_are(protocol: str) -> None:
     assert (record["word"], record["effects"], record["blunders"]) == ("adequate", [], [])
 
 
-@pytest.mark.thorough(except_for=["backlash-sweep", "encoder_scale-standard"])
+@pytest.mark.thorough(except_for=["backlash-sweep"])
 @pytest.mark.parametrize(
     ("family", "protocol"),
     [("backlash", "sweep"), ("rail_bow", "sweep"), ("screw_error", "sweep"),
@@ -60,7 +60,7 @@ def test_what_is_in_no_catalogue_is_not_explained() -> None:
     assert record["effects"] == []
 
 
-@pytest.mark.thorough(except_for=["hysteresis"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["hysteresis", "platform_play"])
 def test_what_depends_on_the_way_there_is_located(kind: str) -> None:
     record = ended(Case("outside", kind, "sweep", 12.0, 0))

@@ -196,7 +196,7 @@ def test_who_sets_most_dials_to_zero_anew_does_so_with_all(nominal):
     assert verdict.word == "adequate"
 
 
-@pytest.mark.thorough(except_for=["standard"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_two_repeats_and_all_dials_set_to_zero_between(protocol, machine, nominal):
     """A drift shows the same of two repeats: none is as large. The tilt was lost, 0.04 mm at the
@@ -246,7 +246,7 @@ def test_exchanged_labels_beside_a_tilt(machine):
     assert set(blunder.setups) == {one, other}
 
 
-@pytest.mark.thorough(except_for=["sweep"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_two_large_effects_are_no_fault(protocol, machine, nominal):
     rows = rows_of(protocol, seed=7, **{"axis_tilt.y.z": 8e-3, "rail_bow.z.x": 1.6e-4})
@@ -414,14 +414,14 @@ def test_neighbours_of_a_wrong_command_are_reached_from_their_own_side(machine):
     np.testing.assert_array_equal(clean.approach, sound.approach[kept])
 
 
-@pytest.mark.thorough(except_for=["stick_slip"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", ["kinked_rail", "stick_slip", "wavy_rail", "drive_step"])
 def test_what_is_wrong_along_a_rail_is_no_wrong_command(what, machine):
     drawn = draw(Case("outside", what, "sweep", 12.0, 0), 2029)
     assert [b for b in found_in(drawn.rows, machine) if b.kind == "command"] == []
 
 
-@pytest.mark.thorough(except_for=["sweep-12.0"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(("protocol", "rms"), [("fine-sweep", 6.0), ("sweep", 12.0)])
 def test_a_drive_that_goes_with_another_is_no_wrong_label(protocol, rms, machine):
     """It imitates one, but not in its full size."""
@@ -493,7 +493,7 @@ def test_who_reads_the_large_hand_of_every_dial_alone(machine):
     assert [row for _, row in blunder.rows] == sorted(off)
 
 
-@pytest.mark.thorough(except_for=["alone"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("errors", [{}, {"rail_bow.x.z": 1.2e-4}], ids=["alone", "beside a bow"])
 def test_a_posture_a_turn_off_in_one_dial(errors, machine):
     """It was told as a wrong command."""

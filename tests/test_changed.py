@@ -99,6 +99,7 @@ TRUE = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign]) -> None:
     """A bar was told to be 0.7 mm longer where a zero had been entered."""
     monday, tuesday = visits

@@ -147,6 +147,7 @@ def test_nothing_changed(protocol, errors, machine):
     assert changes_of(*both, machine=machine) == ()
 
 
+@pytest.mark.thorough
 def test_a_change_beside_effects_that_stay(machine):
     stay = {"axis_tilt.x.y": 3e-3, "backlash.z": 1e-4}
     old = campaign(machine, "old", 1, **stay)

@@ -248,6 +248,7 @@ def test_a_tower_set_upright_between_two_visits_of_a_tracker(tmp_path: Path) -> 
     assert "The report of new<" in (tmp_path / "out" / "check.html").read_text()
 
 
+@pytest.mark.thorough
 def test_a_frame_squared_between_two_meshes_ends_in_a_class() -> None:
     twist = {f"rail_tilt.{leg}.tangential": 5e-3 for leg in "abc"}
     old, new = probed("probe", 1, **twist), probed("probe", 2)
@@ -329,6 +330,7 @@ def test_a_plate_that_lies_elsewhere_is_told_with_its_sign(
     assert found.line.startswith("Changed: where the plate lies. ")
 
 
+@pytest.mark.thorough
 def test_a_plate_that_lies_where_it_lay_is_not_told() -> None:
     assert plate_moved(8e-5, (5e-4, 0.0)).moves == ()
     (move,) = plate_moved(0.0, (0.0, 0.0), **{"leg_length.b": 3e-4}).moves
@@ -408,7 +410,7 @@ def test_visits_with_other_instruments_are_compared_by_what_each_leaves_open() -
                 assert one.after - one.before == pytest.approx(6e-4, abs=3 * one.sigma)
 
 
-@pytest.mark.thorough(except_for=["tcp"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("kinds", [("tcp",), ("plate", "tcp")], ids="-".join)
 def test_a_visit_may_stand_in_several_files(kinds: tuple[str, ...]) -> None:
     """Where one file of a visit had another instrument than the other, nothing had changed: sigmas

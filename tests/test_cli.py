@@ -774,6 +774,7 @@ def test_an_error_of_no_setup_is_refused_with_those_there_are(here: Path) -> Non
     done(*command, "gauge_scale.xy-0.5=0.01")
 
 
+@pytest.mark.thorough
 def test_states_of_two_machines_are_not_compared(here: Path) -> None:
     """Nor are readings taken for two visits that are one file under two names, without a word."""
     longer = replace(og.Machine.nominal().spec, name="longer", geometry=og.Geometry(L=0.4))
@@ -809,6 +810,7 @@ def test_piped_text_is_as_wide_as_columns_says(here: Path, monkeypatch: pytest.M
             assert columns - 25 < max(map(len, prose)) <= columns
 
 
+@pytest.mark.thorough
 def test_a_noisy_machine_is_found_within_its_sigmas(here: Path) -> None:
     planted_machine(here)
     common = ("simulate", "--machine", "planted.toml", "--kind", "two-gauges")

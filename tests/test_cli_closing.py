@@ -116,6 +116,7 @@ def test_judges_change_nothing(rig: Path) -> None:
     assert machines[0] == machines[1]
 
 
+@pytest.mark.thorough
 def test_json_is_the_file(rig: Path) -> None:
     text = done("close-loop", "rig-2.csv", "--machine", "machine.toml", "--out", "a", "--json")
     assert text.encode() == (rig / "a" / "result.json").read_bytes()
@@ -148,6 +149,7 @@ def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
     assert line == f"Verdict {result['verdict']}: {MEANINGS[result['verdict']]}."
 
 
+@pytest.mark.thorough
 def test_several_campaigns_with_offsets_of_their_own(here: Path) -> None:
     both = ("experiment2.csv", "experiment3.csv", "--own", "joint_offset")
     result = json.loads(done("close-loop", *both, "--out", "a", "--json"))
@@ -249,7 +251,7 @@ def test_a_bar_from_the_first_second(here: Path) -> None:
     """On a terminal something moves before anything is computed."""
     master, slave = pty.openpty()
     child = subprocess.Popen(
-        [sys.executable, "-m", "orthoglide", "close-loop", "experiment2.csv", "--out", "out"],
+        [sys.executable, "-m", "orthoglide", "identify", "experiment2.csv", "--out", "out"],
         env={**NEVER, "TERM": "xterm", "COLUMNS": "100"},
         stdout=subprocess.DEVNULL,
         stderr=slave,
@@ -352,6 +354,7 @@ def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
         assert f"{name}: unchanged." in shown
     assert "The same numbers again" in shown
     assert tree(ran / "out") == tree(ran / "again")
+    assert set(tree(ran / "out")) >= FILES | {"figures/causes.svg", "figures/signatures-1.svg"}
 
 
 def test_rerun_needs_no_files_and_says_which_have_changed(identified: Path) -> None:
@@ -411,7 +414,7 @@ def test_rerun_names_the_file_that_was_read(here: Path) -> None:
     assert "orthoglide-" not in result.stderr
 
 
-@pytest.mark.thorough(except_for=["options1"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("options", [(), ("--reduced",), ("--free", "joint_offset", "--no-priors")])
 def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> None:
     done("identify", "experiment2.csv", "--out", "out", "--noise", "0.03", *options, "--quiet")
@@ -420,22 +423,21 @@ def test_rerun_of_an_identification(options: tuple[str, ...], here: Path) -> Non
     assert tree(here / "out") == tree(here / "again")
 
 
-def test_rerun_of_a_result_of_the_first_schema(here: Path) -> None:
+def test_rerun_of_a_result_of_the_first_schema(identified: Path) -> None:
     """Its values must be found again; what it says otherwise was said another way."""
-    done("identify", "experiment2.csv", "--out", "out", "--quiet")
 
     def edit(result: Any) -> None:
         result["schema"], result["verdict"] = 1, None
         result["before"] = result.pop("nominal")
         del result["workspace"], result["left"]
 
-    change(here / "out" / "result.json", edit)
+    change(identified / "out" / "result.json", edit)
     assert "The same numbers again" in done("rerun", "out/result.json")
 
     def spoil(result: Any) -> None:
         result["parameters"]["joint_offset.x"]["value"] = 1.0
 
-    change(here / "out" / "result.json", spoil)
+    change(identified / "out" / "result.json", spoil)
     assert run("rerun", "out/result.json").exit_code == 3
 
 
@@ -476,12 +478,11 @@ def test_rerun_of_what_is_no_result(kind: str, here: Path) -> None:
     assert "Traceback" not in result.output
 
 
-def test_rerun_of_a_spoilt_result(here: Path) -> None:
-    done("identify", "experiment2.csv", "--out", "out", "--quiet")
-    whole = json.loads((here / "out" / "result.json").read_text())
+def test_rerun_of_a_spoilt_result(identified: Path) -> None:
+    whole = json.loads((identified / "out" / "result.json").read_text())
 
     def spoilt(key: str, value: Any) -> str:
-        (here / "result.json").write_text(json.dumps({**whole, key: value}))
+        (identified / "result.json").write_text(json.dumps({**whole, key: value}))
         result = run("rerun", "result.json")
         assert result.exit_code == 2, (key, value, result.output)
         return result.stderr

@@ -324,6 +324,7 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
     assert "rail_tilt.tangential.common" not in left
 
 
+@pytest.mark.thorough
 def test_distances_by_a_longer_tool_tell_what_turns_the_platform() -> None:
     """Of rails that lean the carriages turn, and with them the platform; of bent paths none does.
 
@@ -466,9 +467,10 @@ def test_causes_of_long_names_fit_a_narrow_terminal(v400: Path, monkeypatch: Any
     assert len(rows) < 3.5 * len(names)  # two or three lines of words for each
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("word", "tilt"),
-    [("unexplained", 0.0), pytest.param("partial", 2e-2, marks=pytest.mark.thorough)],
+    [("unexplained", 0.0), ("partial", 2e-2)],
 )
 def test_what_nothing_explains_of_the_tool_is_shown_and_followed(word: str, tilt: float) -> None:
     """It was a dead end: neither where it is nor what to measure was told."""
@@ -537,14 +539,12 @@ def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     assert change.after - change.before == pytest.approx(-2e-3, abs=3e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mistake", "said"),
     [
-        ("none", ""),
-        *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            ("x", "sign about x"), ("degrees", "as degrees"),
-            ("both", "with the opposite sign: look"),
-            ("exchanged", "with x and y exchanged"))),
+        ("none", ""), ("x", "sign about x"), ("degrees", "as degrees"),
+        ("both", "with the opposite sign: look"), ("exchanged", "with x and y exchanged"),
     ],
 )  # fmt: skip
 def test_a_level_that_means_something_else(mistake: str, said: str) -> None:

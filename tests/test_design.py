@@ -443,6 +443,7 @@ def test_effects_with_one_signature_are_never_named(machine):
     assert "mount_tilt (x.a, y.a, z.a)" in lines[-1]
 
 
+@pytest.mark.thorough
 def test_a_further_instrument_never_seems_to_find_less(machine):
     """A tracker shows turns about the leg, hard to see: those that dials show keep their row."""
     rows = {}
@@ -714,6 +715,7 @@ def test_sheets_of_the_command_line_show_what_the_controller_shows(command, coun
         assert found.same_as(replace(planned, name="sheet", time=untimed))
 
 
+@pytest.mark.thorough
 def test_the_sheet_of_a_report_shows_what_the_controller_shows(counting, ambiguous, tmp_path):
     campaign, _ = ambiguous
     og.close_loop([campaign], counting).report(tmp_path / "out")

@@ -288,6 +288,7 @@ def test_the_documented_example_is_short() -> None:
     assert len([line for line in lines if line.strip()]) < 15
 
 
+@pytest.mark.thorough
 def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path) -> None:
     worn = machine.with_parameters({"carriage_play.y.b": 1.5e-4})
     campaign, out = tmp_path / "play.csv", tmp_path / "out"

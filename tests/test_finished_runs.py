@@ -111,6 +111,7 @@ def test_output_is_needed_where_there_is_nothing_else(here: Path) -> None:
     assert process(f"set -o pipefail; {NEGATIVE} | true").returncode == 0
 
 
+@pytest.mark.thorough
 def test_json_is_the_same_bytes_in_every_alphabet(here: Path) -> None:
     narrow = process("orthoglide identify c.csv --json --out out", PYTHONIOENCODING="ascii")
     assert narrow.returncode == 0
@@ -140,6 +141,7 @@ def test_a_stream_that_broke_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> N
 # --- Late signals -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough(except_for=["15"])
 @pytest.mark.parametrize("sent", SIGNALS)
 def test_a_signal_just_after_the_rename_finds_the_run_done(
     sent: signal.Signals, here: Path, monkeypatch: pytest.MonkeyPatch
@@ -301,6 +303,7 @@ def built(cache: Path, build: bool = True) -> str:
     return child.stdout.strip()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 def test_a_damaged_compiled_function_is_never_loaded(tmp_path: Path) -> None:
     cache = tmp_path / "cache"

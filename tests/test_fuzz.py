@@ -20,7 +20,7 @@ from orthoglide.fit import assemble, solve, sorted_out
 from orthoglide.simulation import simulate
 
 CASES = 120
-CHUNK = 20
+CHUNK = 10
 
 
 @pytest.mark.parametrize(

@@ -781,6 +781,7 @@ def test_far_from_tolerance_is_said() -> None:
     assert any("times its tolerance" in warning for warning in found.warnings)
 
 
+@pytest.mark.thorough
 def test_two_bars_and_odd_places() -> None:
     """Dials on single bars, at random commands: nothing of the papers' protocol is built in."""
     machine = Machine(EXACT)

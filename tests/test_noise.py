@@ -319,6 +319,7 @@ def test_one_setup_that_scatters_is_named() -> None:
     assert "look for what is loose on this dial" in note
 
 
+@pytest.mark.thorough
 def test_nothing_is_said_of_repeats_as_declared_or_that_declare_themselves() -> None:
     for noise in (1e-6, 3e-6, 5e-6):
         assert not scatter_notes(scattering(noise))
@@ -365,6 +366,7 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
         assert said == pytest.approx(times * 1e-2, rel=0.2)
 
 
+@pytest.mark.thorough
 def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> None:
     """Repeats of a tracker were said to be the machine file, and its noise mixed with a probe's."""
     machine = og.Machine.nominal()
@@ -389,6 +391,7 @@ def test_the_source_of_the_noise_is_told_of_each_instrument(tmp_path: Path) -> N
     assert dials.noise_source == dials.noise.source
 
 
+@pytest.mark.thorough
 def test_a_dial_in_inches_among_others_is_asked_about() -> None:
     """It moves little, so that its fit tells nothing: 0.0005 inches are 0.0127 mm, off the step."""
     worn = og.Machine.nominal().with_parameters({"joint_offset.x": 1e-3, "axis_tilt.x.y": 1e-3})

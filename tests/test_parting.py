@@ -38,7 +38,7 @@ def proposed(verdict: Any) -> list[Any]:
     return [s for s in verdict.next_measurements if s.aim == "separate"]
 
 
-@pytest.mark.thorough(except_for=["7"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [6, 7])
 def test_the_readings_proposed_for_a_class_of_places_leave_the_true_one(
     seed: int, tmp_path: Path

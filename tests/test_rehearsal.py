@@ -212,6 +212,7 @@ def test_a_dask_cluster_gives_the_same_table(alone: Rehearsal) -> None:
     assert told(found) == told(alone)
 
 
+@pytest.mark.thorough
 def test_a_stopped_rehearsal_goes_on(alone: Rehearsal, tmp_path: Path) -> None:
     machine, out = og.Machine.load(MACHINE), tmp_path / "out"
     og.rehearse(machine, "standard", 2, seed=2, out=out)
@@ -314,6 +315,7 @@ def test_an_interrupt_keeps_what_was_finished(tmp_path: Path) -> None:
     assert kept.read_text().count("\n") > 1
 
 
+@pytest.mark.thorough
 def test_a_process_that_is_ended_is_said(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("orthoglide.rehearsal.rehearsing.outcome_of", _end_this_process)
     with pytest.raises(og.NumericsError, match="ended from outside"):

@@ -63,6 +63,7 @@ def test_page_and_file_have_the_same_rows_in_the_same_order(
     compare(written(tmp_path, *words))
 
 
+@pytest.mark.thorough
 def test_what_a_report_proposes_is_printed_as_well(tmp_path: Path) -> None:
     files = files_of("unexplained")
     for name in ("next_measurements.csv", "next_measurements.html"):

@@ -35,7 +35,8 @@ def wave(travel: float) -> float:
     [
         ("rail", "tangential", 1e-4, "tool coordinates",
          "the path of the b carriage leaves its line"),
-        ("carriage", "b", 1.5e-3, "probe and level", "the b carriage turns about b"),
+        pytest.param("carriage", "b", 1.5e-3, "probe and level", "the b carriage turns about b",
+                     marks=pytest.mark.thorough),
     ],
 )  # fmt: skip
 def test_located_as_such_and_kept(

@@ -141,6 +141,7 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert og.Machine.load(out / "calibrated.toml").values
 
 
+@pytest.mark.thorough
 def test_dials_and_points_close_the_loop_and_run_again(tmp_path: Path) -> None:
     out = tmp_path / "out"
     files = [str(RIG / "rig-2.csv"), "--fit-tcp", str(RIG / "rig-2.tcp.csv")]

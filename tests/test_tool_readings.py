@@ -920,6 +920,7 @@ def test_the_frame_of_a_simulated_tracker_is_turned_and_not_sheared(seed: int) -
     assert np.abs(moved_onto(seen, seen, p) - p).max() < 1e-9
 
 
+@pytest.mark.thorough
 def test_a_sound_machine_before_a_ball_bar_is_adequate() -> None:
     machine, chi2, dof = exacting(), 0.0, 0.0
     sheet = sheet_of(machine, "ballbar")

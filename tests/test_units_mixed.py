@@ -64,6 +64,7 @@ def odd_tool() -> Verdict:
     return close_loop([dials(), tool(("tcp",), odd=4e-4)], MACHINE)
 
 
+@pytest.mark.thorough
 def test_what_is_left_is_shared_by_all_that_was_read() -> None:
     verdict = odd_tool()
     assert not verdict.stands
