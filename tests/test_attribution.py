@@ -45,6 +45,7 @@ def test_undeclared_effect_is_named(family: str, protocol: str) -> None:
     assert record["tcp"]["inside"] >= 0.93
 
 
+@pytest.mark.thorough
 def test_a_pattern_is_named_of_which_one_part_has_two_names() -> None:
     # Readings and tool cannot tell the x rail's lean toward y from its axis' tilt, but both rails'.
     record = run(Case("structured", "rail_tilt", "standard", 15.0, 0), 2026)

@@ -174,6 +174,7 @@ def test_a_dial_set_to_zero_anew_at_each_repeat(setups, machine, nominal):
     assert kept.word == "adequate"
 
 
+@pytest.mark.thorough
 def test_who_sets_most_dials_to_zero_anew_does_so_with_all(nominal):
     """Steps of one or two graduations, of which single ones are drift or noise: those of three
     dials were told, and a dial was said to creep.
@@ -238,6 +239,7 @@ def test_a_sign_beside_a_tilt(setup, tilt, nominal):
     assert (blunder.kind, blunder.setups) == ("sign", (setup,))
 
 
+@pytest.mark.thorough
 def test_exchanged_labels_beside_a_tilt(machine):
     one, other = "zx-0.5", "xz-0.5"
     rows = rows_of("standard", **{"axis_tilt.y.z": 3e-3})
@@ -464,7 +466,7 @@ def test_a_dial_in_inches(step, protocol, setup, errors, machine):
     assert "multiplied by 25.4, so they seem to be in inches" in blunder.message
 
 
-@pytest.mark.thorough(except_for=["few readings beside a tilt-1.0"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("turn", [1.0, pytest.param(0.5, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize(
     ("protocol", "errors"),
@@ -554,7 +556,7 @@ def test_a_dial_that_stuck_where_an_effect_would_undo_what_it_missed(tilt, noise
         assert [row for _, row in blunder.rows] == touched
 
 
-@pytest.mark.thorough(except_for=["two-gauges-rail_tilt.y.x-0.0008"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("protocol", "effect", "size"),
     [

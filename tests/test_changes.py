@@ -140,6 +140,7 @@ def test_a_drive_with_a_new_zero(protocol, machine):
     assert change.sigma < 2e-5
 
 
+@pytest.mark.thorough(except_for=["standard-errors0", "standard-errors1", "sweep-errors0"])
 @pytest.mark.parametrize("errors", [{}, {"axis_tilt.x.y": 3e-3}, {"backlash.z": 1e-4}])
 @pytest.mark.parametrize("protocol", ["standard", "sweep"])
 def test_nothing_changed(protocol, errors, machine):

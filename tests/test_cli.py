@@ -368,6 +368,7 @@ def test_a_seed_counts_from_zero(command: tuple[str, ...], here: Path) -> None:
     assert result.stderr == "orthoglide: --seed must be 0 or more, not -1\n"
 
 
+@pytest.mark.thorough
 def test_a_sheet_of_the_tool_is_told_where_dials_are_read(here: Path) -> None:
     done("design", "--owns", "tcp", "--quiet", "--out", "s.csv")
     for command, words in (
@@ -420,6 +421,7 @@ def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch
     assert os.listdir(here) == ["experiment2.csv"]
 
 
+@pytest.mark.thorough(except_for=["rename"])
 @pytest.mark.parametrize("where", ["write_bytes", "rename"])
 def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
     def interrupt(*_: object, **__: object) -> None:

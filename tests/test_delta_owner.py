@@ -156,6 +156,7 @@ def test_absurd_rods_are_told_whatever_is_asked(tmp_path: Path) -> None:
         assert run(*command, "--machine", folder / "machine.toml").startswith("warning: The arms")
 
 
+@pytest.mark.thorough
 def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) -> None:
     machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
     told = run("design", "--owns", "plate,incline", "--machine", machine, "--out", sheet)
@@ -178,6 +179,7 @@ def test_instruments_that_one_owns_and_others(imported: Path, tmp_path: Path) ->
     assert "linear-delta" in run("design", "--owns", "leg", "--machine", machine, code=2)
 
 
+@pytest.mark.thorough
 def test_a_count_of_readings_is_chosen_among_what_one_owns(imported: Path, tmp_path: Path) -> None:
     machine, sheet = imported / "machine.toml", tmp_path / "sheet.csv"
     common = ("design", "--owns", "plate,incline", "--machine", machine)
@@ -215,6 +217,7 @@ def test_readings_chosen_together_tell_more_than_drawn_ones(imported: Path) -> N
     assert told(kept) > max(others) + 5
 
 
+@pytest.mark.thorough
 def test_a_ball_bar_tells_what_dials_cannot() -> None:
     found = owned_instruments(Machine.nominal(), ["leg"])
     assert "encoder_scale.x" in found.tells.invisible
@@ -349,6 +352,7 @@ def test_distances_by_a_longer_tool_tell_what_turns_the_platform() -> None:
     assert bent not in names[1]
 
 
+@pytest.mark.thorough
 def test_a_plate_with_a_shape_of_its_own_is_no_cause_in_the_machine() -> None:
     """Waves that no effect names, a few hundredths high, beside three lobes and distances."""
     for seed in (3, 7):

@@ -118,7 +118,8 @@ def tcp_points(slip: float, **more: float):
     [
         (-0.01, "translation"),
         *(pytest.param(*case, marks=pytest.mark.thorough) for case in (
-            (0.001, "rigid"), (0.1, "rigid"), (0.1, "translation"), (-0.01, "rigid"), (0.001, "translation"),
+            (0.001, "rigid"), (0.1, "rigid"), (0.1, "translation"), (-0.01, "rigid"),
+            (0.001, "translation"),
         )),
     ],
 )  # fmt: skip
@@ -157,6 +158,7 @@ def test_what_is_odd_about_one_of_several_files_names_it() -> None:
     assert said(rig(1), odd) == ["rig-2.csv: leg z moves by only 0 mm along its own axis"]
 
 
+@pytest.mark.thorough
 def test_the_training_file_as_holdout_is_said() -> None:
     renamed = replace(rig(), name="other", file="other.csv")
     same = og.close_loop(rig(), MACHINE, holdout=renamed)

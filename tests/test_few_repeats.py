@@ -33,6 +33,7 @@ def tracked(seed: int, scale: float, **errors: float) -> ToolCampaign:
     )  # fmt: skip
 
 
+@pytest.mark.thorough(except_for=["1"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell(seed: int) -> None:
     """Half the noise is one chance in fifty then, and what is left was held against it as if it

@@ -77,6 +77,7 @@ def test_a_narrow_alphabet_loses_no_sign(encoding: str, wide: str, here: Path) -
     assert (here / "out" / "result.json").exists()
 
 
+@pytest.mark.thorough(except_for=[">/dev/full"])
 @pytest.mark.parametrize(
     "streams",
     [

@@ -357,7 +357,7 @@ def lost(which: str) -> Verdict:
     return og.close_loop([og.Campaign.from_frame(table, name="lost")], og.Machine.nominal())
 
 
-@pytest.mark.thorough(except_for=["platform-said0-test0"])
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("which", "said", "test"),
     [

@@ -330,6 +330,7 @@ def test_everything_own_is_each_campaign_alone() -> None:
             assert joint.values[f"{name}@{campaign.name}"] == pytest.approx(value, abs=NANOMETRE)
 
 
+@pytest.mark.thorough
 def test_a_campaign_twice_is_twice_the_knowledge() -> None:
     one = measured("sweep")
     twice = identify([one, replace(one, name="again")], MACHINE, ["joint_offset"], priors=False)

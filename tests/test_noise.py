@@ -81,6 +81,7 @@ def test_noise_declared_far_too_large_is_said() -> None:
     assert caution(og.identify(by_row)) == caution(og.identify(read, noise=1e-3)) != ""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.thorough)])
 def test_noise_declared_too_large_for_points_of_the_tool(count: int) -> None:
     points = og.simulate_tcp(og.Machine.nominal(), count, seed=1)

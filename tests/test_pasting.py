@@ -128,6 +128,7 @@ def test_heights_that_the_numbers_were_fitted_to_give_no_new_ones(name: str) -> 
         assert "Keep the stored numbers: " in " ".join(str(verdict).split())
 
 
+@pytest.mark.thorough
 def test_what_is_left_stands_on_the_page_and_in_the_file(tmp_path: Path) -> None:
     found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
     verdict = close_loop(list(found.campaigns), Machine(found.machine))

@@ -334,6 +334,7 @@ def delta() -> og.Machine:
     return og.Machine(import_printer(DATA / "electrocally.cfg").machine)
 
 
+@pytest.mark.thorough
 def test_a_delta_is_rehearsed_with_the_instruments_one_owns(delta: og.Machine) -> None:
     found = og.rehearse(delta, campaigns=15, owns=["plate", "incline"], seed=3, jobs=2)
     assert not any(t.failed for t in found.campaigns), found

@@ -117,6 +117,7 @@ def test_a_sheet_of_the_tool_says_the_side_that_its_rows_lead_to(
     assert len(found.moves) == kinds.count("move")
 
 
+@pytest.mark.thorough(except_for=["abc"])
 @pytest.mark.parametrize("legs", ["abc", "xyz"])
 def test_places_of_a_sheet_are_visited_again_from_the_same_side(legs: str) -> None:
     """Repeats enough to say what the instrument scatters by, as circles cross at six places."""
@@ -176,12 +177,14 @@ def test_lost_motion_that_passes_for_noise_is_not_ruled_out(tmp_path: Path) -> N
     assert "which is the noise of the readings" in " ".join(str(sound).split())
 
 
+@pytest.mark.thorough
 def test_visits_that_differ_may_be_lost_motion_where_sides_are_untold(tmp_path: Path) -> None:
     file = written(tmp_path / "april.csv", circled("xyz", LOST, 81))
     with pytest.raises(og.InputError, match=r"or it is lost motion, .*approach_\* is empty"):
         og.close_loop([file], Machine.nominal())
 
 
+@pytest.mark.thorough
 def test_an_unknown_side_is_no_other_side(tmp_path: Path) -> None:
     """A probe comes from above; where nobody knows how a tracker's places were come to, the two
     differ by nothing that is known.

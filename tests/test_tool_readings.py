@@ -454,6 +454,7 @@ def test_a_strong_cause_is_no_slip(tmp_path: Path) -> None:
         og.identify([replace(campaign, reading=slipped)], machine)
 
 
+@pytest.mark.thorough
 def test_a_slip_counts_by_the_size_of_the_machine() -> None:
     """Of bars of 31 mm a twentieth of a millimetre: less than a workshop's machine may be off."""
     spec = MachineFile(
@@ -779,7 +780,7 @@ def test_a_ball_is_where_the_machine_found_has_it() -> None:
         assert found.values[name] == pytest.approx(value, abs=1e-5)
 
 
-@pytest.mark.thorough(except_for=["ballbar"])
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["tcp", "ballbar"])
 def test_what_an_instrument_would_tell_goes_by_its_noise(
     tracked: tuple[Machine, ToolCampaign], kind: str

@@ -92,6 +92,7 @@ def test_what_is_not_told_explains_nothing() -> None:
     assert untold.untold == pytest.approx(told.p_value, rel=0.5)
 
 
+@pytest.mark.thorough
 def test_a_sound_machine_leaves_nothing_although_nothing_is_told() -> None:
     campaign, machine = campaign_of(Rig()), og.Machine.nominal()
     known = full_posterior(solve(assemble([campaign], machine, machine.catalogue.base)))
@@ -116,6 +117,7 @@ def test_zeros_far_off_beside_noise_of_one_chance_in_a_hundred(seed: int) -> Non
         assert verdict.after.values[name] == pytest.approx(errors[name], abs=6e-4)
 
 
+@pytest.mark.thorough(except_for=["0.0"])
 @pytest.mark.parametrize("value", [0.0, 8.15e-3])
 def test_readings_that_are_all_alike_are_no_sound_machine(value: float) -> None:
     sheet = og.protocol("standard")
