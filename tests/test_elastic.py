@@ -346,6 +346,7 @@ def test_wrong_arguments_are_refused() -> None:
 # -- speed, size and order -------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_compiled_equals_not_compiled() -> None:
     fast = ElasticClosure(mechanism().tree, bar=BAR, torsion=TORSION, compile=True)
     if not fast.compiled:
