@@ -1,6 +1,6 @@
 """The truth table: does closing the loop name what is wrong, and nothing where nothing is?
 
-    python benchmarks/attribution.py [--campaigns 824] [--short 45] [--cache FILE.jsonl] [--markdown]
+    python benchmarks/attribution.py [--campaigns 824] [--short 45] [--cache FILE.jsonl]
 
 Campaigns are simulated by the tests' own machine (`tests/rig.py`, six bars, numpy alone), never by
 the package's model. Each has joint offsets of about 1 mm and lengths of about 0.05 mm, a noise of

@@ -111,9 +111,7 @@ def _truth(drawn: Drawn, visible: Visible) -> list[Record]:
         columns = np.stack(others, -1) if others else None
         several = 2 if cause.family == "screw_error" else 1
         about = metric(shown[k], visible.candidates, (cause.name, cause.family), several, columns)
-        found.append(
-            {**about, "rms": visible.rms(shown[k]), "places": cause.places, "size": size}
-        )
+        found.append({**about, "rms": visible.rms(shown[k]), "places": cause.places, "size": size})
     return found
 
 

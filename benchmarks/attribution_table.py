@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -42,7 +43,7 @@ from benchmarks.attribution_cases import (
 from benchmarks.attribution_run import Record, accepted
 from benchmarks.independent import PER_UNIT, TOLERANCE
 
-SHORT = {
+ABBREVIATIONS = {
     "encoder_scale": "scale", "screw_error": "screw", "backlash": "lash",
     "drive_compliance": "give", "axis_offset": "a.off", "axis_tilt": "a.tilt",
     "rail_tilt": "r.tilt", "rail_bow": "r.bow", "mount_tilt": "mount", "bar_mismatch": "bars",
@@ -87,7 +88,7 @@ class Table:
 
 
 def tables(records: Sequence[Record]) -> list[Table]:
-    """All tables of a run; errors shorter than the distance of the stations have one of their own."""
+    """All tables of a run; errors shorter than the stations' distance have one of their own."""
     usual = [r for r in records if r["kind"] in SHARES]
     brief = [r for r in records if r["kind"] in SHORT]
     made = [requirements, words, places, confusion, detectable, reliability, accuracy]
@@ -249,13 +250,16 @@ def short(records: Sequence[Record]) -> Table:
          "data fault reported", "its rows, median", "TCP before", "TCP after", "worse at all",
          "worse than stated")
     ]  # fmt: skip
+    kinds = (
+        ("bump", "rail", "bump of a rail"),
+        ("bump", "drive", "bump of a drive"),
+        ("short_wave", "drive", "short wave of a drive"),
+    )
     groups = [
-        (f"{title}, {size:g} mm", lambda r, k=kind, w=what, s=size: (
-            r["kind"] == k and r["what"].startswith(w) and abs(abs(r["truth"][0]["size"]) - s * 1e-3) < 1e-9))
-        for kind, what, title in (("bump", "rail", "bump of a rail"), ("bump", "drive", "bump of a drive"),
-                                  ("short_wave", "drive", "short wave of a drive"))
+        (f"{title}, {size:g} mm", partial(_is_short, kind=kind, what=what, size=size))
+        for kind, what, title in kinds
         for size in SHORT_SIZES
-    ]  # fmt: skip
+    ]
     for title, belongs in [*groups, ("all", lambda r: True)]:
         chosen = [r for r in well(records) if r["truth"] and belongs(r)]
         if not chosen:
@@ -281,6 +285,12 @@ def short(records: Sequence[Record]) -> Table:
     return Table("Shorter than the distance of the stations", note, rows)
 
 
+def _is_short(record: Record, kind: str, what: str, size: float) -> bool:
+    """Whether a record is of that kind of short error and of that size in millimetres."""
+    where = record["kind"] == kind and record["what"].startswith(what)
+    return bool(where and abs(abs(record["truth"][0]["size"]) - size * 1e-3) < 1e-9)
+
+
 def _in_group(record: Record, title: str, kind: str) -> bool:
     if kind == "effect":
         ended = record["kind"] in ("effect", "structured")
@@ -291,11 +301,11 @@ def _in_group(record: Record, title: str, kind: str) -> bool:
 
 def confusion(records: Sequence[Record]) -> Table:
     """True family against the family named first; the true one where its class holds it."""
-    rows: list[Sequence[str]] = [("", *SHORT.values(), "none", "unexpl.")]
+    rows: list[Sequence[str]] = [("", *ABBREVIATIONS.values(), "none", "unexpl.")]
     for family in FAMILIES:
         chosen = [r for r in singles(records) if r["what"] == family and clear(r["truth"][0])]
         count = Counter(_named_family(r) for r in chosen)
-        columns = (*SHORT, "adequate", "unexplained")
+        columns = (*ABBREVIATIONS, "adequate", "unexplained")
         rows.append((family, *(str(count[c] or "") for c in columns)))
     note = "Clear single effects: the row is the truth; a class that holds the truth counts as it."
     return Table("Confusion", note, rows)

@@ -164,9 +164,12 @@ def parameters_of(verdict: og.Verdict) -> dict[str, tuple[float, float]]:
 
 
 def calibrated_of(verdict: og.Verdict) -> dict[str, tuple[float, float]]:
-    """Return value and sigma of all parameters that ``calibrated.toml`` holds, SI."""
-    entries = verdict.machine.spec.parameters
-    return {str(n): (float(e.value), float(e.sigma)) for n, e in entries.items()}
+    """Return value and sigma of all parameters of the calibrated machine, SI: those that
+    ``calibrated.toml`` leaves out have their sigma in ``calibrated.npz``.
+    """
+    values, known = verdict.machine.values, verdict.machine.posterior
+    sigmas = known.sigmas if known is not None else {}
+    return {str(n): (float(values.get(n, 0.0)), float(s)) for n, s in sigmas.items()}
 
 
 def unit_of(name: str) -> float:
@@ -200,22 +203,21 @@ def changes_of(found: og.Verdict | og.Check) -> list[Result]:
 
 
 def command_faults(result: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield drive and size in millimetres of each wrong command, read from its message."""
+    """Yield drive and size in millimetres of each wrong command, as its message states them."""
     for blunder in result["blunders"]:
         if blunder["kind"] == "command":
             yield from commands_in(blunder["message"])
 
 
-_COMMAND = re.compile(r"([+−-]?\d+(?:\.\d+)?) mm (more|less) than.*?rho_([a-z])|$^")
+_COMMAND = re.compile(r"rho_([a-z]) = (-?[\d.]+) mm where (-?[\d.]+)")
 
 
 def commands_in(message: str) -> Iterable[tuple[str, float]]:
-    """Return drives and sizes that the message of a wrong command states."""
-    found = []
-    for size, way, drive in _COMMAND.findall(message):
-        value = float(size.replace("−", "-"))
-        found.append((drive, -value if way == "less" else value))
-    return found
+    """Return drive and size (the likely command less the written one, millimetres) of each command
+    that the message of a data fault states.
+    """
+    stated = _COMMAND.findall(message.replace("−", "-"))
+    return [(drive, float(likely) - float(written)) for drive, likely, written in stated]
 
 
 def warned_of_noise(verdict: og.Verdict) -> bool:
