@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,12 @@ def tcp_points(rows: Sequence[rc.Row]) -> og.TcpPoints:
         path = Path(folder) / "points.tcp.csv"
         rc.write_csv(rows, path)
         return og.read_tcp(path)
+
+
+def tool_campaign(rows: Sequence[Mapping[str, str]], machine: og.Machine) -> og.ToolCampaign:
+    """Return rows of readings of the tool, cells as text, as a campaign."""
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    return og.ToolCampaign.from_frame(columns, name="case", machine_file=machine.spec)
 
 
 def error_text(error: Exception) -> str:
@@ -175,6 +181,13 @@ def calibrated_of(verdict: og.Verdict) -> dict[str, tuple[float, float]]:
 def unit_of(name: str) -> float:
     """Return the size of a parameter's unit in files, SI."""
     return PER_UNIT.get(str(name).partition(".")[0], 1.0)
+
+
+def base_of(verdict: og.Verdict, families: Collection[str]) -> dict[str, float]:
+    """Return the machine's parameters of the base model, SI: those of the families given."""
+    values = verdict.before.values
+    return {str(n): float(v) for n, v in values.items()
+            if str(n).partition(".")[0] in families and not str(n).startswith("plate")}  # fmt: skip
 
 
 def budget_of(verdict: og.Verdict) -> list[Result]:

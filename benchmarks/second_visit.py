@@ -22,7 +22,7 @@ from benchmarks import attribution_cases as ac, public
 from benchmarks.attribution_asked import share as share_of
 from benchmarks.independent import tolerance
 from benchmarks.public import campaign, machine
-from benchmarks.whole_machines import Record, arguments, records
+from benchmarks.whole_machines import Record, arguments, records, wanted_of
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -151,7 +151,7 @@ def main() -> None:
         for k in range(options.machines)
         for count in COUNTS
     ]
-    found = list(records(every, options.seed, options.jobs, options.cache, run))
+    found = list(records(wanted_of(every, options), options.seed, options.jobs, options.cache, run))
     print("\n".join(table(found)))
     print(f"\n{sum(r['word'] == 'error' for r in found)} of {len(found)} ended in an error")
 

@@ -21,7 +21,15 @@ from benchmarks import attribution_cases as ac, independent, public, whole_machi
 from benchmarks.attribution_asked import share as share_of
 from benchmarks.independent import Sheet, Visible, is_cause, parameters, structured
 from benchmarks.public import campaign, machine
-from benchmarks.whole_machines import FAMILIES, SHARES, Record, arguments, records, rig_of
+from benchmarks.whole_machines import (
+    FAMILIES,
+    SHARES,
+    Record,
+    arguments,
+    records,
+    rig_of,
+    wanted_of,
+)
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -181,7 +189,7 @@ def main() -> None:
         for times in TIMES
     ]
     began = time.perf_counter()
-    found = list(records(every, options.seed, options.jobs, options.cache, run))
+    found = list(records(wanted_of(every, options), options.seed, options.jobs, options.cache, run))
     print("\n".join(table(found)))
     print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s.")
 

@@ -161,20 +161,25 @@ def arguments(says: str, machines: int = 60) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
+    parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
     return parser
 
 
+def wanted_of(every: Sequence[tuple[Any, ...]], options: argparse.Namespace) -> list[Any]:
+    """Return all cases, or those that the cache holds."""
+    if not options.finished:
+        return list(every)
+    lines = map(json.loads, options.cache.read_text().splitlines())
+    there = {tuple(r["case"]) for r in lines if r["seed"] == options.seed}
+    return [c for c in every if c in there]
+
+
 def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
-    options = parser.parse_args()
+    options = arguments(__doc__).parse_args()
     every = [
         (f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(options.machines) for f in SHARES
     ]
-    if options.finished:
-        lines = map(json.loads, options.cache.read_text().splitlines())
-        there = {tuple(r["case"]) for r in lines if r["seed"] == options.seed}
-        every = [c for c in every if c in there]
+    every = wanted_of(every, options)
     began = time.perf_counter()
     found = list(records(every, options.seed, options.jobs, options.cache))
     print("\n".join(table(found)))
