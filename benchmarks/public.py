@@ -16,13 +16,15 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import orthoglide as og
-from benchmarks.independent import MACHINE_FILE, PER_UNIT
+from benchmarks.independent import MACHINE_FILE, PER_UNIT, Array
 from tests import rig_campaigns as rc
 
 Result = dict[str, Any]
@@ -250,3 +252,117 @@ def result_json(verdict: og.Verdict) -> Result:
         text = (Path(folder) / "out" / "result.json").read_text(encoding="utf-8")
     loaded: Result = json.loads(text)
     return loaded
+
+
+# -- without a public name -----------------------------------------------------------------------
+
+INSIDE = (
+    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.effects.plates", "orthoglide.fit.tool",
+    "orthoglide.judging", "orthoglide.machine_file", "orthoglide.measuring",
+    "orthoglide.observations", "orthoglide.report.wording",
+)  # fmt: skip
+"""Modules of the package that the functions below import, as nothing public does the same."""
+
+
+def command_line() -> Any:
+    """Return the command line, a click group."""
+    from orthoglide.cli import cli
+
+    return cli
+
+
+def asked_by_measure(
+    answer: Callable[[str], str], tell: Callable[[str], None]
+) -> tuple[int, og.Verdict]:
+    """Return the number of readings and the verdict of a session of ``orthoglide measure``.
+
+    Args:
+        answer: to a question.
+        tell: called with everything that is said.
+    """
+    from orthoglide.measuring import Record, Session
+
+    seconds = iter(range(0, 10**6, 10))
+    with tempfile.TemporaryDirectory() as folder:
+        record = Record(Path(folder) / "case.csv", machine().spec)
+        end = Session(
+            machine(), record, answer, tell, clock=lambda: float(next(seconds))
+        ).run()  # fmt: skip
+    return end.readings, end.verdict
+
+
+def predicted_rms_mm(
+    verdict: og.Verdict, machine: og.Machine, other: og.ToolCampaign
+) -> tuple[float, float, float]:
+    """Return by how much readings that were not used are off, root mean squares in millimetres: by
+    the machine given, by the base model and by the verdict's machine.
+    """
+    from orthoglide.judging import hold_out
+
+    stored = hold_out({}, verdict.values, machine, [other])
+    base = hold_out(verdict.values_before, verdict.values, machine, [other])
+    found = (stored.before.length, base.before.length, base.after.length)
+    return found[0] * 1e3, found[1] * 1e3, found[2] * 1e3
+
+
+def claim_of(verdict: og.Verdict) -> str:
+    """Return the claim of a verdict in one sentence or two."""
+    from orthoglide.report.wording import claim
+
+    return claim(verdict)
+
+
+def sizes_of_plates() -> list[float]:
+    """Return the standard deviations of the shapes of plates that have no name, metres."""
+    from orthoglide.effects.plates import own_shapes
+
+    return [size for _, size in own_shapes(np.zeros((1, 2)))]
+
+
+def firmware_of(found: og.Imported) -> Any:
+    """Return the firmware's numbers of a printer that was imported."""
+    from orthoglide.machine_file import Firmware
+
+    return Firmware.of(found.machine.provenance["klipper"])
+
+
+def residual_sigmas(verdict: og.Verdict) -> Array:
+    """Return the residuals of the last fit, in stated sigmas ``(n,)``."""
+    problem = verdict.after.problem
+    return np.asarray(verdict.after.residuals / np.hypot(problem.sigma, problem.common))
+
+
+def tool_map(verdict: og.Verdict) -> tuple[Array, Array, Array]:
+    """Return commands, predicted TCP and its 95 % radius over the workspace, metres."""
+    from orthoglide.accuracy import tcp_map
+
+    known = tcp_map(verdict.machine)
+    return known.commands, known.p, known.uncertainty
+
+
+def machine_text(machine: og.Machine) -> str:
+    """Return the text of a machine file."""
+    from orthoglide.machine_file import machine_text
+
+    return str(machine_text(machine.spec))
+
+
+def campaign_text(campaign: Any, machine: og.Machine | None = None) -> str:
+    """Return the text of a campaign file."""
+    from orthoglide.observations import campaign_text
+
+    return str(campaign_text(campaign, *([machine.spec] if machine else [])))
+
+
+def tcp_text(points: og.TcpPoints) -> str:
+    """Return the text of a TCP file."""
+    from orthoglide.observations import csv_text, tcp_rows
+
+    return str(csv_text(tcp_rows(points)))
+
+
+def predicted(campaign: og.ToolCampaign, machine: og.Machine, values: Mapping[str, float]) -> Array:
+    """Return what instruments at the tool read of a machine with some errors, without noise."""
+    from orthoglide.fit.tool import ToolReadings
+
+    return np.asarray(ToolReadings.of(campaign, machine).predict(machine.model, dict(values)))
